@@ -15,11 +15,7 @@ from pneuma.study.stored_runs import find_run
 Yes = Annotated[bool, opt.flag("--yes", "Remove them without asking.")]
 
 
-def delete_study(
-    name: opt.Study,
-    picked: opt.StoredFilter,
-    yes: Yes = False,
-) -> Result:
+def delete_study(name: opt.Study, picked: opt.StoredFilter, yes: Yes = False) -> Result:
     """Remove a study's runs from the results folder; without --steps those that are shown.
 
     Runs that another study has, which was run here too, stay. Published tables are not touched.

@@ -130,12 +130,7 @@ def _status(found: Record, store: Store, asked: list[object]) -> Iterator[str | 
 
 
 @app.command(short_help="Draw a search.")
-def plot(
-    name: SearchName,
-    asked: Asked,
-    out: opt.PlotFolder = None,
-    formats: opt.Formats = None,
-) -> Result:
+def plot(name: SearchName, asked: Asked, out: opt.PlotFolder = None, formats: opt.Formats = None) -> Result:
     """Draw a search: history, importances, every parameter's values, and the best trials or Pareto front."""
     chosen = read_formats(formats, out)
     from pneuma.figures.search import draw_search

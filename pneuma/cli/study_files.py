@@ -7,14 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pneuma.analysis import (
-    BAND_NAMES,
-    CENTER_NAMES,
-    EDGED_BANDS,
-    EXPORT_SUFFIXES,
-    EXPORT_TABLES,
-    X_AXES,
-)
+from pneuma.analysis import BAND_NAMES, CENTER_NAMES, EDGED_BANDS, EXPORT_SUFFIXES, EXPORT_TABLES, X_AXES
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
     Result,

@@ -43,11 +43,7 @@ LEAST_TRIALS, BEST_TRIALS, BEST_SHARE = 10, 5, 0.1
 
 
 def draw_search(
-    searched: Record,
-    folder: Path,
-    formats: Sequence[str],
-    command: str = "",
-    only: Collection[str] = (),
+    searched: Record, folder: Path, formats: Sequence[str], command: str = "", only: Collection[str] = ()
 ) -> list[Path]:
     """Draw the pictures of a search, or `only` some, and write each; none before a trial is complete.
 
@@ -212,10 +208,7 @@ def winners_page(basename: str, winners: Sequence[Winner], data: StudyData) -> P
 
 
 def _draw_values(
-    axes: Axes,
-    rows: Sequence[Mapping[Any, Any]],
-    arms: Mapping[str, Sequence[np.ndarray]],
-    from_zero: bool,
+    axes: Axes, rows: Sequence[Mapping[Any, Any]], arms: Mapping[str, Sequence[np.ndarray]], from_zero: bool
 ) -> None:
     """Draw a row for each winner: the runs of both conditions, and their values over seeds."""
     base, tuned = COLOURS[:2]

@@ -18,14 +18,7 @@ from matplotlib.lines import Line2D
 
 from pneuma.analysis.curves import curve_names, random_levels
 from pneuma.analysis.intervals import LEAST_RUNS
-from pneuma.analysis.outcomes import (
-    PRIMARY,
-    find_outcome,
-    is_foreign,
-    is_return,
-    known_values,
-    primary,
-)
+from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_foreign, is_return, known_values, primary
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.figures import grid, style

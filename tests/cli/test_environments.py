@@ -48,17 +48,10 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     store = Store(tmp_path / "results")
     plan = make_plan(load_study(str(path)), Selection())
     for cell in plan.cells:
-        step = cell.run.steps
-        evaluations = [
-            {
-                "step": step,
-                "return": RETURNED[cell.condition] + cell.seed,
-                "random_return": 20.0,
-                "random_spread": 5.0,
-            }
-        ]
+        step, random = cell.run.steps, {"random_return": 20.0, "random_spread": 5.0}
+        evaluated = {"step": step, "return": RETURNED[cell.condition] + cell.seed, **random}
         fields, config = as_fields(cell.run), config_id(cell.run)
-        save_run(store, run_id(cell.run), [], [], evaluations, step, "done", fields, config)
+        save_run(store, run_id(cell.run), [], [], [evaluated], step, "done", fields, config)
     return path
 
 

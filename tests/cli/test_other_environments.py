@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -45,10 +46,14 @@ def test_a_study_beside_its_environment_is_trained_told_and_forked(tmp_path: Pat
     assert "random player" not in Path(drawn[0]).read_text()
     printed("study", "export", mine, *at, "--table", "curves", "--out", tmp_path / "curves.csv")
     assert not any("killed" in row["outcome"] or "hp" in row["outcome"] for row in table)
-    done = [run for run in described("run", "list", *at, "--json")["runs"] if run["status"] == "done"]
+    done = [run for run in _runs(*at) if run["status"] == "done"]
     fork = ("run", "fork", done[0]["run_id"], *at, "--at", 64, "--seeds", 1, "--set", "gamma=0.9")
     assert "run the module" in call(*fork).err
     assert "2 done" in printed(*fork, "--trust")
+
+
+def _runs(*at: object) -> list[dict[str, Any]]:
+    return list(described("run", "list", *at, "--json")["runs"])
 
 
 ODD = f"""
@@ -73,16 +78,12 @@ def test_an_observation_that_is_not_of_its_space_is_told_once_a_run_and_stored(t
     mine.write_text(ODD)
     code, _, err = call("study", "run", mine, *at, "--quiet")
     what = "Corridor-v0: an observation is not of its declared space:"
-    told = {
-        "low": f"{what} number 0 is 4, and not from -1 to 3",
-        "double": f"{what} float64 in place of float32",
-    }
+    why = {"low": "number 0 is 4, and not from -1 to 3", "double": "float64 in place of float32"}
+    told = {name: f"{what} {reason}" for name, reason in why.items()}
     said = [line for line in err.splitlines() if "declared space" in line]
     assert code == 0 and sorted(said) == sorted(f"{name} seed 0: {text}" for name, text in told.items())
-    stored = set()
-    for run in described("run", "list", *at, "--json")["runs"]:
-        stored.add(described("run", "show", run["run_id"], *at, "--json")["provenance"].get("warning"))
-    assert stored == {*told.values(), None}
+    shown = [described("run", "show", run["run_id"], *at, "--json") for run in _runs(*at)]
+    assert {run["provenance"].get("warning") for run in shown} == {*told.values(), None}
 
 
 def test_an_engine_that_is_left_open_is_one_that_can_train_what_an_action_is(tmp_path: Path) -> None:
@@ -93,9 +94,8 @@ def test_an_engine_that_is_left_open_is_one_that_can_train_what_an_action_is(tmp
     assert told.code == 0
     (note,) = (line for line in call("study", "plan", mine, *at).out.splitlines() if "trained by" in line)
     assert note.startswith("Note: double: trained by sb3, because the engine batched cannot train")
-    runs = described("run", "list", *at, "--json")["runs"]
-    engines = {described("run", "show", run["run_id"], *at, "--json")["settings"]["engine"] for run in runs}
-    assert engines == {"sb3", "batched"}
+    shown = [described("run", "show", run["run_id"], *at, "--json") for run in _runs(*at)]
+    assert {run["settings"]["engine"] for run in shown} == {"sb3", "batched"}
     table = described("study", "summary", mine, *at, "--json", *picked)["summary"]
     assert {row["condition"]: row["runs"] for row in table} == {"double": 1, "sound": 1}
 

@@ -13,12 +13,8 @@ from pneuma.study.store import Store
 
 from .calls import described, printed, save_finished
 
-MACHINE = {
-    "wall_seconds": 12.5,
-    "python": "3.11",
-    "packages": {"pneuma": "0.1.0", "torch": "2.13.0"},
-    "cpu": "A processor",
-}
+PACKAGES = {"pneuma": "0.1.0", "torch": "2.13.0"}
+MACHINE = {"wall_seconds": 12.5, "python": "3.11", "packages": PACKAGES, "cpu": "A processor"}
 
 
 @pytest.fixture

@@ -59,11 +59,7 @@ class HandMade:
         return open_study(RunIndex(self.store, shipped=False), "mine")
 
     def draw(
-        self,
-        folder: Path,
-        formats: tuple[str, ...] = ("svg",),
-        beside: StudyData | None = None,
-        **how: Any,
+        self, folder: Path, formats: tuple[str, ...] = ("svg",), beside: StudyData | None = None, **how: Any
     ) -> list[Path]:
         return save_page(curves_page(self.data, beside=beside, **how), folder, formats)
 

@@ -99,10 +99,7 @@ def test_a_style_sheet_colours_conditions(study: HandMade, tmp_path: Path) -> No
 
 @pytest.mark.parametrize(
     ("look", "said"),
-    [
-        (Look(sheet="no-such-sheet"), "--style no-such-sheet: "),
-        (Look(height=0.5), "--height 0.5: at least "),
-    ],
+    [(Look(sheet="no-such-sheet"), "--style no-such-sheet: "), (Look(height=0.5), "--height 0.5: at least ")],
 )
 def test_what_cannot_be_drawn_is_told(study: HandMade, tmp_path: Path, look: Look, said: str) -> None:
     with pytest.raises(UserError, match=said):

@@ -62,11 +62,7 @@ def test_seeds_are_told_as_the_option_reads_them(given: tuple[int, ...]) -> None
 def _png(text: bytes, key: bytes = b"Description") -> bytes:
     """Return a picture of one pixel, or without a key of too many, with a text."""
     size = b"\0\0\0\1\0\0\0\1" if key else b"\0\1\0\0\0\1\0\0"
-    chunks = (
-        (b"IHDR", size + b"\x08\0\0\0\0"),
-        (b"tEXt", key + b"\0" + text),
-        (b"IDAT", compress(b"\0\0")),
-    )
+    chunks = ((b"IHDR", size + b"\x08\0\0\0\0"), (b"tEXt", key + b"\0" + text), (b"IDAT", compress(b"\0\0")))
     parts = [
         len(data).to_bytes(4, "big") + kind + data + crc32(kind + data).to_bytes(4, "big")
         for kind, data in (*chunks, (b"IEND", b""))

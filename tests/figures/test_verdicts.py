@@ -13,14 +13,7 @@ from PIL import Image
 from pneuma.analysis import verdict_words
 from pneuma.analysis.claims import load_claims
 from pneuma.analysis.judgement import AS_CLAIMED_BUT_SMALL
-from pneuma.analysis.verdict_words import (
-    arms_in_words,
-    cell,
-    effect,
-    sentence,
-    short_sentence,
-    verdict_table,
-)
+from pneuma.analysis.verdict_words import arms_in_words, cell, effect, sentence, short_sentence, verdict_table
 from tools.verdicts import SMALL, draw_verdicts
 
 from .hand_made_verdicts import claim, comparison, judged

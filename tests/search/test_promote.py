@@ -128,9 +128,7 @@ def test_a_gain_is_over_the_base_and_luck_what_the_search_saw_beyond_it(
     assert pytest.approx([found.low, found.high]) in bars and [found.difference] in bars
 
 
-def test_the_best_trial_is_promoted_unless_told_and_on_seeds_that_are_fresh(
-    alike: list[Record],
-) -> None:
+def test_the_best_trial_is_promoted_unless_told_and_on_seeds_that_are_fresh(alike: list[Record]) -> None:
     (best,) = find_winners(alike[:1], None, (0,))
     assert best.trial.values[0] == max(trial.values[0] for trial in alike[0].trials)
     assert find_winners(alike[:1], 3, (0,))[0].trial.number == 3
