@@ -245,9 +245,9 @@ def promote(
     for line in (f"wrote {path}", promoted.budgets):
         say(line, quiet=quiet)
     trained = train_study(planned, store, opt.Place(workers).config(), retry_failed=True, quiet=quiet)
-    ids: dict[str, list[str]] = {}
-    for cell in planned.cells:
-        ids.setdefault(cell.condition, []).append(cell.run_id)
+    ids = {
+        name: [cell.run_id for cell in planned.cells if cell.condition == name] for name in planned.conditions
+    }
     document |= {"study": path, "seeds": seeds, "steps": promoted.steps, "run_ids": ids}
     if trained.code:
         say(f"Not all runs ended: {command('study', 'status', path, '--results', store.root)}")

@@ -11,9 +11,9 @@ import numpy as np
 
 from pneuma.cli import main
 from pneuma.config import Run, as_fields
-from pneuma.engines.policy import Policy
+from pneuma.engines.policy import POLICY_FILE, Policy
 from pneuma.study.identity import config_id, run_id
-from pneuma.study.store import Store
+from pneuma.study.store import Status, Store, run_document
 
 from ..hand_made import save_run
 
@@ -84,11 +84,20 @@ def save_finished(store: Store, run: Run, **provenance: Any) -> str:
     return name
 
 
-def policy_of(activation: str = "tanh") -> Policy:
+def policy_of(observed: int = 60, actions: int = 5) -> Policy:
     """Return a policy that was never trained."""
     draws = np.random.default_rng(0)
 
     def layer(before: int, after: int) -> tuple[np.ndarray, np.ndarray]:
         return draws.standard_normal((before, after)).astype(np.float32), np.zeros(after, np.float32)
 
-    return Policy(activation, (layer(60, 128), layer(128, 5)), (layer(60, 256), layer(256, 1)))
+    actor, critic = (layer(observed, 128), layer(128, actions)), (layer(observed, 256), layer(256, 1))
+    return Policy("tanh", actor, critic)
+
+
+def save_policy(store: Store, run: Run, policy: Policy, name: str = "") -> str:
+    """Store a run that was never trained as done, with a policy alone; return its id."""
+    name = name or run_id(run)
+    files = {"run.json": run_document(run, name), POLICY_FILE: policy.to_bytes()}
+    store.save_run(name, Status("done", run.steps), files)
+    return name

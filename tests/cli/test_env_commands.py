@@ -5,17 +5,14 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PIL import Image
 
 from pneuma.config import env_config, make_run
-from pneuma.engines.policy import Policy
 from pneuma.env.worlds import Worlds
-from pneuma.study.identity import run_id
-from pneuma.study.store import Status, Store, run_document
+from pneuma.study.store import Store
 
-from .calls import policy_of, printed, refused
+from .calls import policy_of, printed, refused, save_policy
 
 
 @pytest.fixture
@@ -70,16 +67,8 @@ def store_run(results: Path, **fields: object) -> str:
     """Keep a run that was never trained, with an untrained policy, and return its id."""
     run = make_run(fields)
     config = env_config(run)
-    observed = Worlds(1, config).space.shape[0]
-    actions = 7 if config.magic else 5
-    weights = np.zeros((observed, actions), np.float32), np.arange(actions, dtype=np.float32)
-    value = np.zeros((observed, 1), np.float32), np.zeros(1, np.float32)
-    files = {
-        "run.json": run_document(run, run_id(run)),
-        "policy.safetensors": Policy("tanh", (weights,), (value,)).to_bytes(),
-    }
-    Store(results).save_run(run_id(run), Status("done", run.steps), files)
-    return run_id(run)
+    policy = policy_of(Worlds(1, config).space.shape[0], 7 if config.magic else 5)
+    return save_policy(Store(results), run, policy)
 
 
 def test_a_run_plays_in_its_own_environment(here: Path, arena: str) -> None:
@@ -101,10 +90,8 @@ def test_no_code_of_a_stored_reward_runs(here: Path) -> None:
 
 
 def test_a_run_of_another_environment_has_no_picture_here(here: Path) -> None:
-    run = make_run({"env": "CartPole-v1"})
-    files = {"run.json": run_document(run, run_id(run)), "policy.safetensors": policy_of().to_bytes()}
-    Store("results").save_run(run_id(run), Status("done", run.steps), files)
-    words = ("--player", run_id(run), "--out", "x.gif", "--results", "results")
+    name = save_policy(Store("results"), make_run({"env": "CartPole-v1"}), policy_of())
+    words = ("--player", name, "--out", "x.gif", "--results", "results")
     assert "CartPole-v1 is drawn by Gymnasium: " in refused("env", "render", "CartPole-v1", *words)
     told = refused("env", "render", "pneuma/Pneuma-v0", *words)
     assert "was trained in CartPole-v1, not in pneuma/Pneuma-v0" in told

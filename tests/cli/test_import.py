@@ -49,27 +49,6 @@ def test_an_import_is_drawn_and_published_and_drawn_again(
         assert (clone / "figures" / name).read_bytes() == (results / "figures" / name).read_bytes()
 
 
-def test_a_log_with_evaluations_of_its_own_is_drawn(tmp_path: Path) -> None:
-    """They have no random player; a tag that is called as a column of runs is left out."""
-    tags = (RETURN, "eval/success_rate", "eval/condition")
-    write_events(tmp_path / "own" / "a_1" / FILE, [(tag, 100 * k, k / 10) for k in (1, 2, 3) for tag in tags])
-    at = ("--results", tmp_path / "results")
-    printed("import", "tensorboard", tmp_path / "own", *at)
-    assert call("study", "plot", "own", "--quantity", "success", *at)[0] == 0
-
-
-def test_a_log_that_was_cut_short_counts_at_its_end_and_that_is_said(logs: Path, tmp_path: Path) -> None:
-    (short,) = logs.glob("tanh_2/*")
-    short.unlink()
-    write_events(short, [(RETURN, 100, 1.0)])
-    at = ("--results", tmp_path / "results")
-    printed("import", "tensorboard", logs, *at)
-    told = printed("study", "summary", "old", *at)
-    assert "Runs end at 100 to 1,000 steps, and each counts at its own end." in told
-    rows = [line.split() for line in told.splitlines() if line.startswith(("tanh", "relu"))]
-    assert {row[0]: row[1] for row in rows} == {"relu": "1", "tanh": "2"}
-
-
 @pytest.mark.usefixtures("unshipped")
 def test_a_study_is_compared_with_logs(trained: Path, logs: Path, tmp_path: Path) -> None:
     """In the conditions that both have; the reward behind a log is not known, and its return is compared."""

@@ -7,15 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-import numpy as np
 import pytest
 from gymnasium.envs.classic_control import CartPoleEnv
 
 from pneuma.config import make_run
-from pneuma.engines.policy import Policy
-from pneuma.study.store import Status, Store, run_document
+from pneuma.study.store import Store
 
-from .calls import call, refused
+from .calls import call, policy_of, refused, save_policy
 
 RUN = "0123456789abcdef"
 INSTALLED = "RunsAProgram-v0"
@@ -54,14 +52,8 @@ def mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def save_run(fields: dict[str, Any]) -> None:
-    run = make_run({**fields, "actor": [4], "critic": [4], "steps": 128})
-    hidden, zeros = (np.zeros((4, 4), np.float32), np.zeros(4, np.float32)), np.zeros(4, np.float32)
-    actor, critic = (np.zeros((4, 2), np.float32), zeros[:2]), (np.zeros((4, 1), np.float32), zeros[:1])
-    files = {
-        "run.json": run_document(run, RUN),
-        "policy.safetensors": Policy(run.activation, (hidden, actor), (hidden, critic)).to_bytes(),
-    }
-    Store("results").save_run(RUN, Status("done", run.steps), files)
+    run = make_run({**fields, "actor": [128], "critic": [256], "steps": 128})
+    save_policy(Store("results"), run, policy_of(4, 2), RUN)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

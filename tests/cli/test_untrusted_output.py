@@ -8,12 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.config import as_fields, make_run
-from pneuma.engines.policy import POLICY_FILE
-from pneuma.files import to_json
-from pneuma.study.store import Status, Store
+from pneuma.config import make_run
+from pneuma.study.store import Store
 
-from .calls import call, policy_of, printed
+from .calls import call, policy_of, printed, save_policy
 
 RUN = "a0" * 8
 
@@ -32,8 +30,7 @@ def test_untrusted_closed_output_is_no_traceback(tmp_path: Path, words: str, clo
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     store = Store(tmp_path / "results")
-    run = to_json({"run": as_fields(make_run({}))})
-    store.save_run(RUN, Status("done", 512), {"run.json": run, POLICY_FILE: policy_of().to_bytes()})
+    save_policy(store, make_run({}), policy_of(), RUN)
     return store
 
 

@@ -83,12 +83,6 @@ UNLIKE = {
 }
 
 
-def test_the_smallest_is_read(tmp_path: Path) -> None:
-    """Else the refusals below would show nothing."""
-    (tmp_path / "file").write_bytes(_png(VALID))
-    assert read_origin(tmp_path / "file").command == "c"
-
-
 @pytest.mark.parametrize("kind", UNLIKE)
 def test_untrusted_a_file_that_tells_no_origin_is_one_line(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "file.png"
