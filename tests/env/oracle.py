@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 
-from pneuma.env.rules import CLEARED, DOWN, KILLED, RUNNING, TIME_LIMIT
+from pneuma.env.rules import CLEARED, KILLED, RUNNING, TIME_LIMIT
 
 from .oracle_moves import Box, Ground, Pair, move
 from .oracle_parts import WAYS, Blow, Events, Gain, Monster, Player, Rulebook
@@ -43,10 +43,10 @@ class Oracle:
         self.draws = self.steps = self.level = self.start = 0
         self.monsters_left = self.players_left = 0
         self.ending = RUNNING
-        count = len(book.stats)
-        both = zip(book.stats, book.stats_of_second_weapons, book.rewards, strict=True)
-        self.players = [Player(*given) for given in both]
-        self.monsters = [Monster(kind, [0] * count, [0] * count) for kind in book.kinds[0]]
+        self.players = [
+            Player(*of) for of in zip(book.stats, book.stats_of_second_weapons, book.rewards, strict=True)
+        ]
+        self.monsters: list[Monster] = []
 
     @property
     def ground(self) -> Ground:
@@ -63,29 +63,19 @@ class Oracle:
         """Begin an episode at a start place, or at a random one if `start` is below zero."""
         book = self.book
         self.steps, self.ending = 0, RUNNING
-        self.monsters_left, self.players_left = len(self.monsters), len(self.players)
         self.level = self._draw_below(len(book.starts)) if len(book.starts) > 1 else 0
         places = book.starts[self.level]
         self.start = start if start >= 0 else self._draw_below(len(places))
         for p, player in enumerate(self.players):
-            player.x, player.y = places[(self.start + p) % len(places)]
-            player.hp, player.energy = player.stats.hp, player.stats.energy
-            if book.config.xp_scope == "episode":
-                player.xp = 0.0
-            player.facing = DOWN
-            player.busy = player.action_kind = player.attack = player.safe = player.kills = 0
-            player.dash_cooldown = player.second = player.token = 0
-        for monster, kind, home in zip(
-            self.monsters, book.kinds[self.level], book.homes[self.level], strict=True
-        ):
-            monster.kind = kind
-            (monster.x, monster.y), monster.hp = home, kind.hp
-            monster.knocked = monster.safe = 0
-            monster.knock_x = monster.knock_y = 0.0
-            monster.noticed, monster.inside = set(), set()
-            monster.opened = monster.first_by = monster.first_facing = 0
-            monster.bite = [0] * len(self.players)
-            monster.struck_by = [0] * len(self.players)
+            xp = 0.0 if book.config.xp_scope == "episode" else player.xp
+            (x, y), stats = places[(self.start + p) % len(places)], player.stats
+            given = stats, player.armed_otherwise, player.reward, x, y, stats.hp, xp, stats.energy
+            self.players[p] = Player(*given, events=player.events)
+        self.monsters = [
+            Monster(kind, *home, kind.hp, [0] * len(self.players), [0] * len(self.players))
+            for kind, home in zip(book.kinds[self.level], book.homes[self.level], strict=True)
+        ]
+        self.monsters_left, self.players_left = len(self.monsters), len(self.players)
 
     def step(self, actions: list[int]) -> bool:
         """Play one agent step; tell whether the episode ended with it. After its end nothing happens."""

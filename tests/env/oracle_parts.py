@@ -170,12 +170,12 @@ class Monster:
     """A monster; lists and the set go by player."""
 
     kind: Row
+    x: float
+    y: float
+    hp: float
     bite: list[int]
     struck_by: list[int]
     noticed: set[int] = field(default_factory=set)
-    x: float = 0.0
-    y: float = 0.0
-    hp: float = 0.0
     knock_x: float = 0.0
     knock_y: float = 0.0
     knocked: int = 0

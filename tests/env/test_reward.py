@@ -29,12 +29,12 @@ _NUMBERS = itertools.count()
 PREY, BITER, FAR = (80.0, 0.0), (-40.0, 0.0), (400.0, 400.0)
 
 
-def fight(arena: str, reward: str, *monsters: Place, **settings: Any) -> Pair:
+def fight(arena: str, reward: str, *monsters: Place) -> Pair:
     """Set up a player with 3 XP and 50 HP, facing right, and monsters that stay where they are.
 
     The first dies of a blow: 1 XP and 7 HP. A bite costs 7.
     """
-    pair = stage(arena, *monsters, still=True, reward=reward, **settings)
+    pair = stage(arena, *monsters, still=True, reward=reward)
     pair.put(monsters=True, hp=[20])
     pair.put(xp=3, hp=50)
     return pair
@@ -65,16 +65,6 @@ def test_godot_sets_the_reward_to_the_xp_at_a_kill(arena: str) -> None:
     pair.put(monsters=True, knocked=[30, 30], knock_x=[-2.0, 2.0])
     pair.play(ATTACK)
     assert [pair.told(name) for name in ("notices", "kills", "contacts", "reward")] == [[2], [1], [1], [5]]
-
-
-@pytest.mark.parametrize(("cost", "paid"), [(0.0, 2.0), (1.0, 2.0), (2.0, 1.0)])
-def test_godot_sets_the_reward_to_the_xp_at_a_death_that_costs(arena: str, cost: float, paid: float) -> None:
-    # A notice and a contact, +2, and the death by the bite: the reward is set to 3 XP less the cost.
-    pair = fight(arena, "godot", BITER, ending_cost=cost)
-    pair.put(hp=7)
-    pair.play(ATTACK)
-    assert (pair.worlds.ending(0), pair.told("reward"), pair.told("xp")) == ("killed", [paid], [3 - cost])
-    assert pair.told("xp_gained") == [-cost]
 
 
 # --- Functions of one's own ----------------------------------------------------------------------

@@ -16,11 +16,11 @@ from pneuma.env.rules import ATTACK, DOWN, FLAME, HEAL, LEFT, RIGHT, UP
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import FIELD, GODOT, Place, begin, characters_file, play, stage
+from .arena import FIELD, GODOT, Place, begin, play, stage
 
 DIRECTIONS = {LEFT: (-1, 0), RIGHT: (1, 0), UP: (0, -1), DOWN: (0, 1)}
 
-# --- Walking, dashing and the sword --------------------------------------------------------------
+# --- Walking and the sword --------------------------------------------------------------
 
 
 def test_an_attack_lasts_three_steps_in_which_walking_does_nothing(arena: str) -> None:
@@ -68,22 +68,6 @@ def test_blade_and_circles_reach_as_far_as_in_the_scenes(
         pair = stage(arena, bamboo, facing=facing, still=True)
         pair.play(ATTACK)
         assert pair.told(what) == [further == 0]
-
-
-def test_a_dash_goes_120_px_ahead_and_the_next_one_waits_for_60_ticks(arena: str) -> None:
-    dash = 5  # thrice 5 px a tick for 8 ticks; the last action, without magic
-    pair = stage(arena, dash=True)
-    pair.put(y=-200.0)
-    pair.play(dash)
-    assert pair.told("x") == [120] and pair.worlds.masks[0, 0].tolist() == [1] * 5 + [0]
-    pair.play(*[dash] * 6)
-    assert (pair.told("x"), pair.told("dash_cooldown")) == ([120], [12])
-    pair.play(dash)
-    assert pair.worlds.masks[0, 0, dash] == 1  # 4 ticks from now
-    pair.play(dash)
-    assert pair.told("x") == [180]
-    pair.play(UP)  # the other 4 ticks of the dash, then 4 of walking
-    assert (pair.told("x"), pair.told("y")) == ([240], [-220])
 
 
 def test_who_walks_over_a_slow_tile_takes_twice_as_long_on_it(tmp_path: Path) -> None:
@@ -148,18 +132,6 @@ def test_the_first_bite_comes_at_once_and_the_next_60_ticks_later(arena: str) ->
     assert hp == [93] * 60 + [86] * 60 + [79]
 
 
-def test_what_flies_bites_when_it_has_landed(arena: str) -> None:
-    # Struck in tick 1, it flies to the end of tick 30, and never out of reach.
-    pair = stage(arena, (38.0, 14.0), still=True)
-    pair.put(monsters=True, hp=[5000])
-    hp, contacts = [], []
-    for _ in range(4):
-        pair.play(ATTACK)
-        hp += pair.told("hp")
-        contacts += pair.told("contacts")
-    assert (hp, contacts) == ([100, 100, 100, 93], [1, 0, 0, 0])
-
-
 def test_everything_that_happens_in_a_step_is_told_once(arena: str) -> None:
     pair = stage(arena, (80.0, 0.0), (40.0, 40.0), (-40.0, 0.0), (-200.0, 0.0), still=True)
     pair.put(hp=50)
@@ -207,73 +179,6 @@ def test_clearing_the_level_costs_1_xp(arena: str) -> None:
     pair.put(monsters=True, hp=[20, 0, 0, 0], bite=[[30] * 8])
     pair.play(ATTACK)
     assert (pair.told("xp"), pair.told("reward"), pair.worlds.ending(0)) == ([4], [4], "cleared")  # 4 + 1 - 1
-
-
-# --- Together ------------------------------------------------------------------------------------
-
-
-def test_a_monster_that_falls_to_two_is_wounded_from_two_sides_only(tmp_path: Path) -> None:
-    file = characters_file(tmp_path, "[monsters.bamboo]\nspeed = 0\npair_time = 1.0\n")
-    pair = stage(FIELD.write(tmp_path), (0.0, 0.0), players=2, characters=file, bodies="pass")
-    for blows, left, x, facing in (
-        (2, 40, (-54.0, -54.0), RIGHT),  # from one side
-        (2, 40, (-54.0, 300.0), (RIGHT, LEFT)),  # one alone
-        (1, 20, (-54.0, 54.0), (RIGHT, LEFT)),  # the second, from the other side, wounds it: 20 of 40
-    ):
-        for _ in range(blows):
-            pair.put(x=x, y=0.0, facing=facing, busy=0)
-            pair.play(ATTACK)
-            assert pair.monster("hp") == (left,)
-        pair.put(monsters=True, opened=[0])
-
-
-def test_healing_reaches_others_where_a_file_says_so(tmp_path: Path) -> None:
-    file = characters_file(tmp_path, "[spells.heal]\nreach = 100\n")
-    pair = stage(FIELD.write(tmp_path), players=3, magic=True, characters=file, bodies="pass")
-    pair.put(x=(-100.0, 0.0, 1.0), y=0.0, hp=(50.0, 90.0, 50.0))
-    pair.play((HEAL, ATTACK, ATTACK))  # at 100 px: in reach; at 101: not
-    assert (pair.told("hp"), pair.told("hp_gained")) == ([70, 100, 50], [20, 10, 0])
-
-
-def test_a_token_is_heard_by_the_others_in_the_next_step(arena: str) -> None:
-    pair = stage(arena, players=3, tokens=2, bodies="pass")
-    assert pair.worlds.action_names[-2:] == ("say_1", "say_2")
-    pair.play((6, 5, DOWN))  # the first says 2, the second 1
-    heard = pair.worlds.observations[0, :, 4:8].tolist()
-    assert heard == [[1, 0, 0, 0], [0, 0, 0, 1], [0, 1, 1, 0]]  # of the next player, then of the one after
-    assert pair.told("y") == [0, 0, 40]
-    pair.play(DOWN)
-    assert not pair.worlds.observations[0, :, 4:8].any()
-
-
-def test_a_second_weapon_is_taken_up_and_strikes_otherwise(arena: str) -> None:
-    pair = stage(arena, (92.0, 0.0), second_weapon="lance", still=True)
-    pair.play(ATTACK, ATTACK, ATTACK)  # the blade's box ends at 38.5 + 39.5, the bamboo begins at 80
-    assert (pair.told("kills"), pair.monster("hp")) == ([0], (40.0,))
-    assert pair.worlds.masks[0, 0, 5:7].tolist() == [0, 1]
-    pair.play(6)
-    assert (pair.told("second"), pair.told("busy"), pair.worlds.observations[0, 0, 4]) == ([1], [0], 1.0)
-    pair.play(ATTACK)  # the lance's ends at 68 + 40
-    assert (pair.told("hits"), pair.monster("hp"), pair.told("busy")) == ([1], (10.0,), [48 - 8])
-    pair.play(5)
-    assert pair.told("second") == [1]  # who attacks keeps its weapon
-    assert pair.worlds.weapon_stats(0)["swing"].tolist() == [48]
-
-
-@pytest.mark.parametrize(("blow", "hits"), [("attack", 1), ("entry", 2)])
-def test_a_monster_that_comes_back_is_hit_again_where_blows_fall_on_entry(
-    tmp_path: Path, blow: str, hits: int
-) -> None:
-    file = characters_file(
-        tmp_path, "[monsters.bamboo]\nhp = 1000\n[weapons.blade]\nknock_back = 0\nswing = 0.6\n"
-    )
-    pair = stage(FIELD.write(tmp_path), (54.0, 0.0), still=True, blow=blow, characters=file)
-    landed = 0
-    for x in (0.0, -158.0, 0.0):  # one attack of 36 ticks, in which the player is carried off and back
-        pair.put(x=x)
-        pair.play(ATTACK)
-        landed += int(pair.told("hits")[0])
-    assert landed == hits
 
 
 @pytest.mark.parametrize(

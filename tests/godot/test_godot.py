@@ -7,9 +7,10 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -20,17 +21,12 @@ from pneuma.config import make_run
 from pneuma.engines.environment import check_environment
 from pneuma.errors import UserError
 from pneuma.godot.game import GodotGame
-from pneuma.godot.wire import receive, send
 from pneuma.study.identity import describe_user_code
 from tests.engines.trained import bits, train
 
+from .fake_game import hear, put, serve
+
 ARENA = "pneuma/PneumaArena-v0"
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def a_game(folder: Path, name: str) -> str:
@@ -84,35 +80,33 @@ INFO = {
 }
 
 
-def playing(answers: Callable[[socket.socket], None]) -> int:
+def playing(answers: Mapping[str, Any] | Callable[[socket.socket], None]) -> int:
     """Let a hand-made game connect to a port, and return the port."""
-    port = free_port()
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = int(probe.getsockname()[1])
 
     def play() -> None:
         for _ in range(200):
             try:
                 connection = socket.create_connection(("127.0.0.1", port))
             except ConnectionRefusedError:
-                threading.Event().wait(0.02)
+                time.sleep(0.02)
             else:
                 with connection:
-                    answers(connection)
+                    answers(connection) if callable(answers) else serve(connection, answers)
                 return
 
     threading.Thread(target=play, daemon=True).start()
     return port
 
 
-def tells(info: dict[str, object]) -> Callable[[socket.socket], None]:
-    def answers(connection: socket.socket) -> None:
-        receive(connection), receive(connection)
-        send(connection, info)
-
-    return answers
-
-
 def test_a_running_game_of_an_older_plugin_is_played_and_its_end_is_told() -> None:
-    game = GodotGame(port=playing(tells(INFO)))
+    def leaves(connection: socket.socket) -> None:
+        hear(connection), hear(connection)
+        put(connection, INFO)
+
+    game = GodotGame(port=playing(leaves))
     assert game.action_space == gymnasium.spaces.Discrete(2)
     assert game.observation_space.shape == (3,)
     with pytest.raises(UserError, match="the running game: ended at 'reset'"):
@@ -130,7 +124,7 @@ def test_a_running_game_of_an_older_plugin_is_played_and_its_end_is_told() -> No
 )
 def test_a_game_with_other_spaces_is_refused(changed: dict[str, object], told: str) -> None:
     with pytest.raises(UserError, match=told):
-        GodotGame(port=playing(tells({**INFO, **changed})))
+        GodotGame(port=playing({"env_info": {**INFO, **changed}}))
 
 
 def test_a_game_of_wrong_arguments_leaves_nothing_behind(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,9 +6,7 @@ import json
 import resource
 import socket
 import time
-from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
 
 import pytest
 
@@ -16,33 +14,13 @@ import pneuma.godot.game as godot
 from pneuma.errors import UserError
 from pneuma.godot.game import GodotGame
 
+from .fake_game import hear, put
 from .test_godot import INFO, playing
 
-DEEP = "[" * 100_000
 NO_NUMBERS = [
-    "1" + "0" * 400,
-    "Infinity",
-    "-Infinity",
-    "NaN",
-    '"1"',
-    "null",
-    "[]",
-    "{}",
-    "[1, 2]",
-    DEEP,
-    "9" * 5000,
-]
-
-
-def put(connection: socket.socket, text: str) -> None:
-    connection.sendall(len(text).to_bytes(4, "little") + text.encode())
-
-
-def heard(connection: socket.socket) -> Any:
-    size = int.from_bytes(connection.recv(4, socket.MSG_WAITALL), "little")
-    return json.loads(
-        connection.recv(size, socket.MSG_WAITALL), parse_constant=lambda word: pytest.fail(word)
-    )
+    "1" + "0" * 400, "9" * 5000, "Infinity", "-Infinity", "NaN", '"1"', "null", "[]", "{}", "[1, 2]",
+    "[" * 100_000,
+]  # fmt: skip
 
 
 def test_untrusted_a_message_of_4_gib_is_not_read() -> None:
@@ -59,16 +37,11 @@ def test_untrusted_a_message_of_4_gib_is_not_read() -> None:
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # KiB on Linux
 
 
-def plays(**answers: str) -> Callable[[socket.socket], None]:
-    """Return a game that gives these answers, as JSON, by what is asked."""
-    usual = {"env_info": json.dumps(INFO), "reset": '{"type": "reset", "obs": [{"obs": [0, 0, 0]}]}'}
-
-    def game(connection: socket.socket) -> None:
-        with suppress(OSError, ValueError):
-            while (asked := heard(connection)["type"]) != "close":
-                if asked != "handshake":
-                    put(connection, {**usual, **answers}[asked])
-
+def begin(action: str) -> GodotGame:
+    """Return a game, at the first step of an episode, that answers a step with this text."""
+    reset = {"type": "reset", "obs": [{"obs": [0, 0, 0]}]}
+    game = GodotGame(port=playing({"env_info": INFO, "reset": reset, "action": action}))
+    game.reset()
     return game
 
 
@@ -89,34 +62,32 @@ WRONG = [
 
 @pytest.mark.parametrize("changed", WRONG)
 def test_untrusted_what_is_no_step_of_a_game_is_one_line(changed: dict[str, str]) -> None:
-    game = GodotGame(port=playing(plays(action=answer(**changed) if changed else "[]")))
-    game.reset()
+    game = begin(answer(**changed) if changed else "[]")
     with pytest.raises(UserError, match="answered 'action' with what is no message") as told:
         game.step(1)
     assert len(str(told.value)) < 300 and "\n" not in str(told.value)
 
 
 @pytest.mark.parametrize("sent", [*NO_NUMBERS, "0", "-1", "0.7", "true", str(2**80)])
-def test_untrusted_what_is_no_size_of_a_space_is_one_line(sent: str) -> None:
-    for place in (
-        '{"move": {"size": 2, "action_type": "discrete"}}',
-        '{"obs": {"size": [3], "space": "box"}}',
-    ):
-        text = json.dumps(INFO).replace(place, place.replace("2", sent).replace("3", sent))
-        assert text != json.dumps(INFO)
-        with pytest.raises(UserError, match="must have one agent|what is no message") as told:
-            GodotGame(port=playing(plays(env_info=text)))
-        assert len(str(told.value)) < 500 and "\n" not in str(told.value)
+@pytest.mark.parametrize("place", ['"size": 2', '"size": [3]'])
+def test_untrusted_what_is_no_size_of_a_space_is_one_line(sent: str, place: str) -> None:
+    text = json.dumps(INFO).replace(place, place.replace("2", sent).replace("3", sent))
+    assert text != json.dumps(INFO)
+    with pytest.raises(UserError, match="must have one agent|what is no message") as told:
+        GodotGame(port=playing({"env_info": text}))
+    assert len(str(told.value)) < 500 and "\n" not in str(told.value)
 
 
-@pytest.mark.parametrize("truncated", ["truncated", "TimeLimit.truncated"])
 @pytest.mark.parametrize(
-    "final", ['"final_observation": [1, 2, 3]', '"terminal_observation": {"obs": [1, 2, 3]}']
+    ("truncated", "final"),
+    [
+        ("truncated", '"final_observation": [1, 2, 3]'),
+        ("TimeLimit.truncated", '"terminal_observation": {"obs": [1, 2, 3]}'),
+    ],
 )
 def test_untrusted_a_time_limit_is_read_by_either_key(truncated: str, final: str) -> None:
     ends = answer(done="[true]", obs='[{"obs": [4, 5, 6]}]', info=f'[{{"{truncated}": true, {final}}}]')
-    game = GodotGame(port=playing(plays(action=ends)))
-    game.reset()
+    game = begin(ends)
     seen, reward, terminated, cut, info = game.step(0)
     assert (seen.tolist(), reward, terminated, cut, info) == ([1, 2, 3], 0, False, True, {})
     assert game.reset()[0].tolist() == [4, 5, 6]
@@ -126,18 +97,17 @@ def test_untrusted_a_time_limit_is_read_by_either_key(truncated: str, final: str
 def test_untrusted_a_game_that_drips_bytes_is_given_up_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(godot, "ANSWER_SECONDS", 0.5)
 
-    def game_of_drops(connection: socket.socket) -> None:
-        for kind in ("handshake", "env_info"):
-            assert heard(connection)["type"] == kind
-        put(connection, json.dumps(INFO))
-        heard(connection)
+    def drips(connection: socket.socket) -> None:
+        hear(connection), hear(connection)
+        put(connection, INFO)
+        hear(connection)
         with suppress(OSError):
             connection.sendall((100).to_bytes(4, "little"))
             for _ in range(40):
                 connection.sendall(b" ")
                 time.sleep(0.1)
 
-    game = GodotGame(port=playing(game_of_drops))
+    game = GodotGame(port=playing(drips))
     began = time.monotonic()
     with pytest.raises(UserError, match="did not answer 'reset' within 0.5 s"):
         game.reset()
