@@ -29,40 +29,43 @@ CHANCES: dict[str, Callable[[], float]] = {
 """Generators that are not the environment's own, by the kind of corridor that draws from them."""
 
 
+BOX = spaces.Box(-1, 5, (2,), np.float64)
+OBSERVED: dict[str, spaces.Space[Any]] = {
+    "dict": spaces.Dict({"b": BOX, "a": spaces.Discrete(6)}),
+    "low": spaces.Box(-1, 3, (2,), np.float64),
+    "double": spaces.Box(-1, 3, (2,), np.float32),
+    "sequence": spaces.Sequence(spaces.Discrete(2)),
+    "text": spaces.Dict({"a": BOX, "mission": spaces.Text(9)}),
+    "strange": spaces.Tuple([spaces.Space((), str)]),  # of another package, as MiniGrid's missions are
+}
+
+
+def action_space(kind: str, first: int) -> spaces.Space[Any]:
+    match kind:
+        case "pairs":  # the first of four decides, as where there is one
+            return spaces.MultiDiscrete(np.array([[2, 3], [2, 2]]), start=np.array([[first, 0], [5, 1]]))
+        case "bits":
+            return spaces.MultiBinary(3)
+        case "tuple":
+            return spaces.Tuple([spaces.Discrete(2)])
+        case "unbounded":
+            return spaces.Box(-np.inf, np.inf, (1,))
+        case "numbers":
+            low, high = np.array([[[0, 10], [0, 0]], [[1, 12], [1, 1]]], np.float64)
+            return spaces.Box(low, high, dtype=np.float64)
+    return spaces.Discrete(2, start=first)
+
+
 class Corridor(gymnasium.Env[Any, Any]):
     """Every step costs 0.1 and chance a little, at the fifth cell there is 1 and success."""
 
     def __init__(self, raises: int = 0, nan: int = 0, first: int = 0, kind: str = "box") -> None:
         self.raises, self.nan, self.first, self.kind = raises, nan, first, kind
-        self.action_space: Any = spaces.Discrete(2, start=first)
-        if kind == "pairs":  # the first of four decides, as where there is one
-            many, starts = np.array([[2, 3], [2, 2]]), np.array([[first, 0], [5, 1]])
-            self.action_space = spaces.MultiDiscrete(many, start=starts)
-        if kind == "bits":
-            self.action_space = spaces.MultiBinary(3)
-        if kind == "tuple":
-            self.action_space = spaces.Tuple([spaces.Discrete(2)])
-        if kind == "unbounded":
-            self.action_space = spaces.Box(-np.inf, np.inf, (1,))
-        if kind == "numbers":
-            low, high = np.array([[[0, 10], [0, 0]], [[1, 12], [1, 1]]], np.float64)
-            self.action_space = spaces.Box(low, high, dtype=np.float64)
-        self.observation_space: Any = spaces.Box(-1, 5, (2,), np.float64)
-        if kind == "dict":
-            self.observation_space = spaces.Dict({"b": self.observation_space, "a": spaces.Discrete(6)})
-        if kind in ("low", "double"):
-            self.observation_space = spaces.Box(-1, 3, (2,), np.float64 if kind == "low" else np.float32)
-        if kind == "sequence":
-            self.observation_space = spaces.Sequence(spaces.Discrete(2))
-        if kind == "text":
-            self.observation_space = spaces.Dict({"a": self.observation_space, "mission": spaces.Text(9)})
-        if kind == "strange":  # of another package, as MiniGrid's missions are
-            self.observation_space = spaces.Tuple([spaces.Space((), str)])
+        self.action_space, self.observation_space = action_space(kind, first), OBSERVED.get(kind, BOX)
         self.taken = 0
 
     def _seen(self) -> Any:
-        chance = CHANCES.get(self.kind, self.np_random.random)
-        seen = np.array([self.cell, chance()])
+        seen = np.array([self.cell, CHANCES.get(self.kind, self.np_random.random)()])
         if self.kind == "short" and self.taken == 3:
             return seen[:1]
         return {"b": seen, "a": self.cell} if self.kind == "dict" else seen
@@ -77,10 +80,10 @@ class Corridor(gymnasium.Env[Any, Any]):
         if self.taken == self.raises:
             raise ZeroDivisionError("by the corridor")
         assert self.action_space.contains(action)
-        action = action.flat[0] if self.kind in ("pairs", "bits") else action
         if self.kind == "numbers":
             return self._seen(), float(action.sum()), False, self.taken % 10 == 0, {}
-        self.cell = max(self.cell + (1 if action == self.first + 1 else -1), 0)
+        right = np.ravel(action)[0] == self.first + 1
+        self.cell = max(self.cell + (1 if right else -1), 0)
         paid = float("nan") if self.taken == self.nan else -0.1 - 0.01 * self.np_random.random()
         there = self.cell == 5
         return self._seen(), 1.0 if there else paid, there, False, {"is_success": there}

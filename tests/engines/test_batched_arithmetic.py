@@ -7,6 +7,7 @@ gradient norms and parameters are compared.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -17,14 +18,14 @@ from stable_baselines3 import PPO
 
 from pneuma.config import Run, make_run
 from pneuma.engines import sb3, sb3_learners
-from pneuma.engines.batched.learner import Learner, initial_networks
-from pneuma.engines.batched.rollout import Collector, Rollout, advantages
+from pneuma.engines.batched.learner import Learner
+from pneuma.engines.batched.rollout import Rollout, advantages
 from pneuma.engines.batched.training import BatchedTrainer
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.policy import dead_share
 from pneuma.engines.records import Records
 
-from .trained import SMALL
+from .trained import SMALL, rollouts_of
 
 CASES: dict[str, dict[str, object]] = {
     "table 6.2": {"betas": (0.9, 0.9)},
@@ -34,11 +35,8 @@ CASES: dict[str, dict[str, object]] = {
     "the thesis's momentum": {"optimizer": "sgd", "momentum": 0.9, "dampening": 0.9, "learning_rate": 1e-2},
     "plain descent": {"optimizer": "sgd", "learning_rate": 1e-2},
     "RMSProp": {"optimizer": "rmsprop"},
-    "RMSProp with momentum": {"optimizer": "rmsprop", "momentum": 0.5},
     "L2": {"weight_decay": 0.01},
-    "L2 with plain descent": {"optimizer": "sgd", "learning_rate": 1e-2, "weight_decay": 0.01},
-    "L2 with momentum": {"optimizer": "sgd", "momentum": 0.9, "learning_rate": 1e-2, "weight_decay": 0.01},
-    "L2 with RMSProp": {"optimizer": "rmsprop", "momentum": 0.5, "weight_decay": 0.01},
+    "L2 with RMSProp and momentum": {"optimizer": "rmsprop", "momentum": 0.5, "weight_decay": 0.01},
     "ReLU": {"activation": "relu"},
     "LeakyReLU": {"activation": "leaky-relu"},
     "no limit": {"gradient_limit": None, "learning_rate": 1e-4},
@@ -57,42 +55,18 @@ CASES: dict[str, dict[str, object]] = {
     },
     "Godot's": {"env": "pneuma/PneumaGodot-v0", "slots": 2, "horizon": 32, "learning_rate": 1e-5},
 }
-SLOW = (
-    "L2 with plain descent",
-    "L2 with momentum",
-    "L2 with RMSProp",
-    "RMSProp with momentum",
-    "deep",
-    "Godot's",
-)
 UPDATES = 4
-
-
-@pytest.fixture(
-    params=[pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in CASES]
-)
-def run(request: pytest.FixtureRequest) -> Run:
-    return make_run({**SMALL, **CASES[request.param]})
 
 
 def torch_model(run: Run, learner: Learner) -> PPO:
     """Return Stable-Baselines3's learner with the networks of ours."""
     model = sb3_learners.make_model(run, make_vec_env(run))
     model._setup_learn(run.steps)
-    for module, (weight, bias) in linear_layers(model, learner.networks):
-        module.weight.data = torch.tensor(weight.T.copy())
-        module.bias.data = torch.tensor(bias.copy())
+    for part, layers in sb3_learners.linear_layers(model).items():
+        for module, (weight, bias) in zip(layers, learner.networks[part], strict=True):
+            module.weight.data = torch.tensor(weight.T.copy())
+            module.bias.data = torch.tensor(bias.copy())
     return model
-
-
-def linear_layers(model: PPO, networks: Any) -> Iterator[tuple[Any, Any]]:
-    """Yield each of Stable-Baselines3's layers with what is shaped like weight and bias of ours."""
-    policy = model.policy
-    hidden = {"actor": policy.mlp_extractor.policy_net, "critic": policy.mlp_extractor.value_net}
-    heads = {"actor": policy.action_net, "critic": policy.value_net}
-    for part, layers in networks.items():
-        linear = [m for m in hidden[part] if isinstance(m, torch.nn.Linear)] + [heads[part]]
-        yield from zip(linear, layers, strict=True)
 
 
 def fill_buffer(model: PPO, run: Run, rollout: Rollout) -> None:
@@ -120,74 +94,50 @@ def fill_buffer(model: PPO, run: Run, rollout: Rollout) -> None:
     buffer.compute_returns_and_advantage(last_values=last, dones=rollout.last_ends)
 
 
-def next_orders(learner: Learner, rollout: Rollout) -> Iterator[np.ndarray]:
+def next_orders(learner: Learner) -> Iterator[np.ndarray]:
     """Return the orders of minibatches that the learner will draw for a rollout."""
     twin = np.random.default_rng()
     twin.bit_generator.state = learner.generator.bit_generator.state
-    return iter([twin.permutation(rollout.actions.size) for _ in range(learner.run.epochs)])
-
-
-def collector_and_learner(run: Run) -> tuple[Collector, Learner]:
-    collector = Collector(run)
-    features, actions = collector.worlds.observations.shape[2], int(collector.worlds.action_space.n)
-    return collector, Learner(run, features, actions)
+    return iter([twin.permutation(learner.run.steps_per_update) for _ in range(learner.run.epochs)])
 
 
 @pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")
-def test_updates_are_those_of_stable_baselines3(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    collector, learner = collector_and_learner(run)
-    model = torch_model(run, learner)
+@pytest.mark.parametrize("case", CASES)
+def test_updates_are_those_of_stable_baselines3(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = make_run({**SMALL, **CASES[case]})
+    trainer, records = BatchedTrainer(run), Records()
+    (learner,), seen = trainer.learners, rollouts_of(trainer)
+    model, size = torch_model(run, learner), run.steps_per_update
     for update in range(UPDATES):
-        before = learner.policy()
-        rollout = collector.collect(learner.networks["actor"])
-        orders = next_orders(learner, rollout)
-        trained, budget = (
-            (update + 1) * run.steps_per_update,
-            2 * run.steps,
-        )  # at 0 roundings count as clipped
-        ours = learner.learn_from(rollout, left=1 - trained / budget)
-        model._update_current_progress_remaining(trained, budget)
+        before, orders = learner.policy(), next_orders(learner)
+        assert trainer.update(update * size, (update + 1) * size, records)
+        ours, rollout = records.metrics[-1], seen[-1]
+        model._update_current_progress_remaining((update + 1) * size, run.steps)
         fill_buffer(model, run, rollout)
-        monkeypatch.setattr(np.random, "permutation", lambda count, orders=orders: next(orders))
-        with sb3.GradientNorms(model, run) as norms:
+        with monkeypatch.context() as patch, sb3.GradientNorms(model, run) as norms:
+            patch.setattr(np.random, "permutation", lambda count, orders=orders: next(orders))
             theirs = sb3.learn_from_rollout(model, run)
         for name, value in {**theirs, **norms.means()}.items():
-            close = pytest.approx(value, rel=2e-3, abs=2e-5)
-            assert ours[name] == close, (update, name)
+            assert ours[name] == pytest.approx(value, rel=2e-3, abs=2e-5), (update, name)
         shown = rollout.observations.reshape(-1, rollout.observations.shape[2])
         assert ours["dead_units"] == pytest.approx(dead_share(before, shown), abs=1e-6)
-    ended = sb3.extract_policy(model, run)
-    for own, other in zip(
-        (*learner.policy().actor, *learner.policy().critic), (*ended.actor, *ended.critic), strict=True
-    ):
-        for array, their_array in zip(own, other, strict=True):
+    own, other = learner.policy(), sb3.extract_policy(model, run)
+    for layers, theirs_layers in ((own.actor, other.actor), (own.critic, other.critic)):
+        for array, their_array in zip(sum(layers, ()), sum(theirs_layers, ()), strict=True):
             assert np.allclose(array, their_array, rtol=1e-3, atol=2e-5)
 
 
-def test_initial_weights_are_orthogonal_with_the_gains_of_stable_baselines3() -> None:
-    run = make_run({"actor": (128,), "critic": (32, 256)})
-    networks = initial_networks(run, 60, 5)
-    gains = {"actor": [2**0.5, 0.01], "critic": [2**0.5, 2**0.5, 1.0]}
-    for part, layers in networks.items():
-        for (weight, bias), gain in zip(layers, gains[part], strict=True):
+@pytest.mark.parametrize("trainer", [BatchedTrainer, sb3.Sb3Trainer])
+def test_initial_weights_are_orthogonal_with_the_gains_of_stable_baselines3(trainer: Any) -> None:
+    """The first layers alone are scaled."""
+    run = make_run({"actor": (128,), "critic": (32, 256), "first_layer_scale": 0.25, "engine": "sb3"})
+    policy, gain = trainer(run).policy(), 2**0.5
+    for layers, gains in ((policy.actor, [gain / 4, 0.01]), (policy.critic, [gain / 4, gain, 1.0])):
+        for (weight, bias), own in zip(layers, gains, strict=True):
             product = weight @ weight.T if weight.shape[0] <= weight.shape[1] else weight.T @ weight
-            assert np.allclose(product, gain**2 * np.eye(len(product)), atol=1e-5 * gain**2)
+            assert np.allclose(product, own**2 * np.eye(len(product)), atol=1e-5 * own**2)
             assert not bias.any()
-    other = initial_networks(make_run({"actor": (128,), "critic": (32, 256), "seed": 1}), 60, 5)
-    assert not np.array_equal(networks["actor"][0][0], other["actor"][0][0])
-
-
-@pytest.mark.parametrize("engine", ["batched", "sb3"])
-def test_the_first_layers_alone_are_scaled(engine: str) -> None:
-    run = make_run({"engine": engine, "actor": (8,), "critic": (16, 4), "first_layer_scale": 0.25})
-    if engine == "batched":
-        weights = [weight for layers in initial_networks(run, 60, 5).values() for weight, _ in layers]
-    else:
-        policy = sb3_learners.make_model(run, make_vec_env(run)).policy
-        weights = [p.detach().numpy() for name, p in policy.named_parameters() if name.endswith("weight")]
-    greatest = [float(np.linalg.norm(weight, 2)) for weight in weights]  # of an orthogonal matrix, its gain
-    gain = 2**0.5
-    assert np.allclose(sorted(greatest), sorted([gain / 4, 0.01, gain / 4, gain, 1.0]), atol=1e-5)
+    assert not np.array_equal(policy.actor[0][0], trainer(replace(run, seed=1)).policy().actor[0][0])
 
 
 def test_advantages_worked_out_by_hand() -> None:

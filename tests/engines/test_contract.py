@@ -12,14 +12,10 @@ from pneuma.config import make_run
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 
-from .trained import train
+from .trained import run_of, train
 
 ENGINES = ALGORITHM_ENGINES["ppo"]
-NETWORKS: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
-    "small": ((128,), (256,)),
-    "mid": ((512,), (2048, 2048)),
-    "big": ((1024, 1024), (4096, 4096, 4096, 4096)),
-}
+NETWORKS = {"small": ((128,), (256,)), "big": ((1024, 1024), (4096, 4096, 4096, 4096))}
 ONE_UPDATE = {
     "horizon": 64, "minibatch": 64, "epochs": 1, "steps": 64, "evaluation_episodes": 1, "episode_steps": 30,
 }  # fmt: skip
@@ -58,3 +54,20 @@ def test_one_update_of_every_network(size: str, engine: str) -> None:
     assert [set(own) for own in result.records.evaluations] == [
         {*EVALUATION_COLUMNS, "steps_to_clear", "hp_lost", "commonest_action"}
     ]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_episodes_of_slots_add_up_to_the_steps_of_all(engine: str) -> None:
+    result, _ = train(run_of(slots=2, horizon=32, episode_steps=40, engine=engine))
+    assert [row["step"] for row in result.records.metrics] == [64, 128, 192, 256, 320, 384]
+    for slot in range(2):
+        own = [row for row in result.records.episodes if row["slot"] == slot]
+        lengths = np.cumsum([row["length"] for row in own])
+        # An episode of a slot ends when all slots together have taken twice its slot's steps.
+        assert own and [row["step"] for row in own] == (2 * lengths).tolist()
+        assert [row["episode"] for row in own] == list(range(len(own)))
+        assert max(row["length"] for row in own) <= 40
+    for row in result.records.episodes:
+        assert row["ending"] in ("killed", "time-limit")
+        assert (row["hp"] == 0) == (row["ending"] == "killed")
+    assert [row["step"] for row in result.records.evaluations] == [64, 128, 192, 256, 320, 384]

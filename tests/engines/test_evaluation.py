@@ -41,9 +41,7 @@ def test_held_out_levels_are_none_that_is_trained_on() -> None:
     assert names == [{f"random:train:{i}" for i in range(4)}, {f"random:test:{i}" for i in range(3)}]
 
 
-def test_score_is_zero_for_the_random_player_and_one_where_all_monsters_are_killed(
-    evaluation: Evaluation,
-) -> None:
+def test_score_is_zero_for_the_random_player_and_one_where_all_are_killed(evaluation: Evaluation) -> None:
     assert [evaluation._score(np.array([share])) for share in (evaluation.random_share, 1.0)] == [0, 1]
     assert 0.0 < evaluation.random_share < 0.3
 
@@ -76,23 +74,19 @@ def test_evaluation_worlds_are_none_of_the_training_worlds() -> None:
     assert not training & held_out
 
 
-def test_evaluations_are_spread_evenly_and_end_with_the_run() -> None:
-    # 392 updates: after ceil(392 k / 20) = 20, 40, 59, 79, 98, … 392.
-    updates = sorted(evaluation_updates(run_of(steps=100_352)))
-    assert updates[:5] == [20, 40, 59, 79, 98]
-    assert updates[-1] == 392
-    assert len(updates) == 20
-    assert evaluation_updates(run_of(steps=256 * 3)) == {1, 2, 3}
-
-
-def test_a_short_run_is_evaluated_at_half_as_many_points_by_fewer_episodes() -> None:
-    run = make_run({"steps": 50_176})  # 196 updates
-    points = sorted(evaluation_updates(run))
+def test_evaluations_are_spread_evenly_end_with_the_run_and_are_fewer_in_a_short_one() -> None:
+    # 392 updates: after ceil(392 k / 20) = 20, 40, 59, 79, 98, … 392; below 100,000 steps half as many.
+    long, short, few = (
+        make_run(fields)
+        for fields in ({"steps": 100_352}, {"steps": 50_176}, {"steps": 24_576, "horizon": 8192})
+    )
+    updates = sorted(evaluation_updates(long))
+    assert (updates[:5], updates[-1], len(updates)) == ([20, 40, 59, 79, 98], 392, 20)
+    points = sorted(evaluation_updates(short))
     assert (len(points), points[0], points[-1]) == (10, 20, 196)
-    assert [evaluation_episodes(each) for each in (run, make_run({"steps": 100_352}))] == [10, 50]
-    assert evaluation_episodes(replace(run, evaluation_episodes=30)) == 30  # as the run says
-    few = make_run({"steps": 24_576, "horizon": 8192})
-    assert (evaluation_updates(few), evaluation_episodes(few)) == ({1, 2, 3}, 50)
+    assert evaluation_updates(few) == {1, 2, 3}
+    assert [evaluation_episodes(each) for each in (long, short, few)] == [50, 10, 50]
+    assert evaluation_episodes(replace(short, evaluation_episodes=30)) == 30  # as the run says
 
 
 def test_evenness_is_the_entropy_of_the_players_shares() -> None:

@@ -18,38 +18,22 @@ from stable_baselines3 import A2C, PPO
 from pneuma.config import ACTIVATIONS, Run, make_run
 from pneuma.engines.export import observation_space, to_onnx, to_sb3
 from pneuma.engines.normalization import Scaling
-from pneuma.engines.policy import Policy, read_sound_policy
+from pneuma.engines.policy import Policy
 from pneuma.env.fields import action_names, make_env_config
-from pneuma.errors import UserError
+
+from .trained import random_layers
 
 FEATURES = 60
 """What the shipped level's 14 monsters make of an observation of the thesis's layout."""
 
 
-def random_policy(run: Run, features: int, actions: int = 5, seed: int = 0) -> Policy:
+def random_policy(run: Run, features: int, actions: int = 5) -> Policy:
     """A policy of a run's shape with weights large enough that all units and actions differ."""
-    generator = np.random.default_rng(seed)
-
-    def layers(sizes: list[int]) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        return tuple(
-            (
-                (generator.standard_normal((before, after)) * 2 / np.sqrt(before)).astype(np.float32),
-                generator.standard_normal(after).astype(np.float32),
-            )
-            for before, after in zip(sizes, sizes[1:], strict=False)
-        )
-
-    return Policy(
-        run.activation,
-        layers([features, *run.actor, actions]),
-        layers([features, *run.critic, 1]),
-    )
+    actor, critic = (features, *run.actor, actions), (features, *run.critic, 1)
+    return Policy(run.activation, random_layers(actor, 2), random_layers(critic, 2, seed=1))
 
 
-def own_space(features: int) -> spaces.Box:
-    return spaces.Box(-np.inf, np.inf, (features,), np.float32)
-
-
+SPACE = spaces.Box(-np.inf, np.inf, (11,), np.float32)
 SEEN = np.random.default_rng(1).standard_normal((200, 11)).astype(np.float32)
 OTHERS_ENV = {"env": "Mine-v0", "engine": "sb3"}
 CASES: dict[str, tuple[dict[str, Any], int, dict[str, Any]]] = {
@@ -89,7 +73,7 @@ def test_a_zip_has_its_runs_hyperparameters_and_no_optimizer_of_ours() -> None:
     own = {"clip": "separate", "gradient_limit": 0.7, "gamma": 0.9, "clip_range": 0.3}
     settings = {"optimizer": "upgd", "betas": (0.8, 0.9), "weight_decay": 0.01, **own}
     run = make_run({**settings, "actor": [4], "critic": [4]})
-    model = PPO.load(io.BytesIO(to_sb3(random_policy(run, 11, 5), run, own_space(11))), device="cpu")
+    model = PPO.load(io.BytesIO(to_sb3(random_policy(run, 11, 5), run, SPACE)), device="cpu")
     assert type(model.policy.optimizer) is torch.optim.Adam
     assert model.policy.optimizer.defaults["betas"] == (0.8, 0.9)
     assert model.policy.optimizer.defaults["weight_decay"] == 0  # Adam's would not be UPGD's
@@ -101,7 +85,7 @@ def test_the_zip_acts_as_the_policy_does(case: str) -> None:
     run, policy = policy_of(case)
     learner: Any = A2C if run.algorithm == "a2c" else PPO
     seen = seen_by(policy)
-    model = learner.load(io.BytesIO(to_sb3(policy, run, own_space(11))), device="cpu")
+    model = learner.load(io.BytesIO(to_sb3(policy, run, SPACE)), device="cpu")
     chosen, _ = model.predict(seen, deterministic=True)
     best = policy.best(seen)
     np.testing.assert_allclose(chosen.reshape(best.shape), best, rtol=1e-5, atol=1e-5)
@@ -176,29 +160,3 @@ def test_onnx_says_what_it_is_and_is_the_same_twice() -> None:
     assert str(Path(__file__).parents[2]).encode() not in data  # no path of this machine
     several = onnx.load_from_string(to_onnx(policy_of("several choices")[1], {}))
     assert ("choices", "[[2, 3, 2]]") in [(each.key, each.value) for each in several.metadata_props]
-
-
-# --- What is refused -------------------------------------------------------------------------------
-
-
-def test_what_is_no_policy_is_refused() -> None:
-    policy = random_policy(make_run({}), 9)
-    assert read_sound_policy(policy.to_bytes()).to_bytes() == policy.to_bytes()
-    (hidden, head), (_, critic_head) = policy.actor, policy.critic
-    for data in (
-        b"",
-        policy.to_bytes()[:-1],
-        *(
-            replace(policy, **parts).to_bytes()
-            for parts in (
-                {"activation": "exec"},
-                {"actor": (head, hidden)},
-                {"actor": ((hidden[0], hidden[1][:-1]), head)},
-                {"critic": policy.actor},
-                {"critic": (critic_head,)},
-                {"scaling": Scaling(np.zeros(3), np.ones(3))},
-            )
-        ),
-    ):
-        with pytest.raises(UserError, match="is no policy"):
-            read_sound_policy(data)

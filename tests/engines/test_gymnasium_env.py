@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from pneuma.config import Run, as_fields, make_run
+from pneuma.config import Run, make_run
 from pneuma.engines import gymnasium_env
 from pneuma.engines.environment import check_environment, slot_seeds
 from pneuma.engines.gymnasium_env import GymnasiumSlots, make_env
@@ -22,35 +22,17 @@ from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
 from pneuma.study.identity import describe_user_code, run_id
 
-from . import own_envs, trained
-from .trained import bits, check_that_it_goes_on, train, train_once
-
-SMALL: dict[str, Any] = {**trained.SMALL, "slots": 2, "horizon": 32, "steps": 192}
-CORRIDOR: dict[str, Any] = {"env": "Corridor-v0", "env_module": "tests.engines.own_envs"}
-NORMALIZED = {"normalize_observations": True, "normalize_rewards": True}
-CASES: dict[str, dict[str, Any]] = {
-    "cartpole": {"env": "CartPole-v1"},
-    "corridor": {
-        **CORRIDOR, "env_kwargs": {"kind": "dict", "first": 3},
-        "wrappers": "tests.engines.own_envs:Counting,tests.engines.own_envs:Doubled",
-    },
-    "sb3": {"env": "CartPole-v1", "engine": "sb3"},
-    "numbers": {"env": "Pendulum-v1", "engine": "sb3"},
-    "normalized": {"env": "CartPole-v1", **NORMALIZED, "learning_rate_schedule": "linear"},
-    "normalized sb3": {"env": "Pendulum-v1", "engine": "sb3", **NORMALIZED, "clip_range_schedule": "linear"},
-    "pairs": {**CORRIDOR, "env_kwargs": {"kind": "pairs", "first": 3}, "engine": "sb3"},
-    "bits": {**CORRIDOR, "env_kwargs": {"kind": "bits"}, "engine": "sb3", "algorithm": "trpo"},
-    "dqn": {**CORRIDOR, "algorithm": "dqn", "learning_starts": 30, "minibatch": 8, "buffer_size": 100},
-}  # fmt: skip
+from . import own_envs
+from .trained import CORRIDOR, OTHERS, bits, run_of, train
 
 
 def corridor(**arguments: Any) -> Run:
-    return make_run({**SMALL, **CORRIDOR, "env_kwargs": arguments})
+    return run_of(**CORRIDOR, **OTHERS, env_kwargs=arguments)
 
 
 @pytest.mark.parametrize("env", ["CartPole-v1", "MountainCar-v0"])
 def test_slots_are_what_gymnasiums_vector_of_environments_is(env: str) -> None:
-    run = make_run({**SMALL, "env": env, "slots": 3})
+    run = run_of(env=env, slots=3)
     slots = GymnasiumSlots(run, slot_seeds(run))
     theirs = SyncVectorEnv([lambda: gymnasium.make(env)] * 3, autoreset_mode=AutoresetMode.SAME_STEP)
     seen, _ = theirs.reset(seed=[seed % 2**31 for seed in slot_seeds(run)])
@@ -66,23 +48,6 @@ def test_slots_are_what_gymnasiums_vector_of_environments_is(env: str) -> None:
             ends += 1
     assert ends == len(slots.finished) > 2
     assert sum(row["length"] for row in slots.finished) + slots.lengths.sum() == 3 * 450
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(name: str) -> None:
-    run = make_run({**SMALL, **CASES[name]})
-    assert make_run(as_fields(run)) == run
-    check_that_it_goes_on(run, 0, -2)
-
-
-@pytest.mark.parametrize("name", ["corridor", "sb3", "normalized"])
-def test_a_fork_goes_on_with_chances_of_its_own_and_goes_on_itself(name: str) -> None:
-    run = make_run({**SMALL, **CASES[name]})
-    whole, taken = train_once(run)
-    fork = replace(run, parent=run_id(run), fork_step=taken[0].step)
-    forked, own = train(fork, taken[0])
-    assert bits(forked) != bits(whole)
-    assert bits(train(fork, own[0])[0]) == bits(forked)
 
 
 @pytest.mark.parametrize("engine", ["batched", "sb3"])
@@ -123,7 +88,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize("name", BAD)
 def test_what_cannot_be_trained_in_is_refused_in_one_line(name: str) -> None:
     fields, told = BAD[name]
-    run = make_run({**SMALL, **CORRIDOR, **fields})
+    run = run_of(**{**CORRIDOR, **fields})
     with pytest.raises(UserError, match=told) as refused:
         check_environment(run)
     assert "\n" not in str(refused.value)
@@ -136,15 +101,14 @@ def test_an_environment_that_was_made_to_be_checked_is_closed(
     closed: list[object] = []
     monkeypatch.setattr(own_envs.Corridor, "close", lambda corridor: closed.append(corridor))
     with suppress(UserError):
-        check_environment(make_run({**SMALL, **CORRIDOR, **fields}))
+        check_environment(run_of(**{**CORRIDOR, **fields}))
     assert len(closed) == 1
 
 
 def test_what_a_package_registers_by_an_entry_point_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     entry = EntryPoint("Mine", "tests.engines.own_envs:register_more", "gymnasium.envs")
     monkeypatch.setattr(gymnasium_env, "entry_points", lambda group: [entry] * (group == entry.group))
-    run = make_run({**SMALL, "env": "Mine/Corridor-v0"})
-    check_environment(run)
+    check_environment(run_of(env="Mine/Corridor-v0"))
 
 
 @pytest.mark.parametrize("engine", ["batched", "sb3"])
@@ -178,30 +142,13 @@ def test_evaluations_count_successes_and_a_random_player() -> None:
 
 def test_the_deviation_of_continuous_actions_is_the_actors() -> None:
     """Without a value loss no gradient is the critic's."""
-    run = make_run({**SMALL, "env": "Pendulum-v1", "engine": "sb3", "value_coefficient": 0})
+    run = run_of(env="Pendulum-v1", engine="sb3", value_coefficient=0, **OTHERS)
     for row in train(run)[0].records.metrics:
         assert row["grad_norm_critic"] == 0 < row["grad_norm_actor"]
 
 
-def test_a_policy_of_several_choices_by_hand() -> None:
-    """Two and three to choose from, of 1/4 and 3/4, and of 1/4, 1/4 and 1/2."""
-    bias = np.log(np.array([1, 3, 1, 1, 2], np.float32))
-    layers, value = ((np.zeros((3, 5), np.float32), bias),), ((np.zeros((3, 1), np.float32), bias[:1]),)
-    policy = read_sound_policy(Policy("tanh", layers, value, choices=np.array([[2, 3]])).to_bytes())
-    seen = np.zeros((40_000, 3), np.float32)
-    assert policy.best(seen[:2]).tolist() == [[[1, 2]], [[1, 2]]]
-    drawn = policy.sample(seen, np.random.default_rng(0))
-    assert drawn.shape == (40_000, 1, 2)
-    for place, shares in enumerate(([0.25, 0.75], [0.25, 0.25, 0.5])):
-        np.testing.assert_allclose(np.bincount(drawn[:, 0, place]) / 40_000, shares, atol=0.01)
-    by_hand = 0.25 * np.log(4) + 0.75 * np.log(4 / 3) + 1.5 * np.log(2)
-    assert policy.entropy(seen[:1]) == pytest.approx(by_hand)
-    with pytest.raises(UserError, match="is no policy"):
-        read_sound_policy(replace(policy, choices=np.array([2, 2])).to_bytes())
-
-
 def test_a_policy_of_several_choices_plays_in_the_action_space() -> None:
-    run = make_run({**SMALL, **CASES["pairs"]})
+    run = run_of("pairs")
     policy, evaluation = train(run)[0].policy, Evaluation(run)
     assert policy is not None and policy.choices is not None and policy.choices.tolist() == [[2, 3], [2, 2]]
     right = np.array([-9, 9, 0, 0, 0, 0, 0, 0, 0], np.float32)
@@ -210,22 +157,9 @@ def test_a_policy_of_several_choices_plays_in_the_action_space() -> None:
     assert row["length"] == 5 and row["success"] == 1.0
 
 
-def test_a_policy_of_numbers_is_stored_whole_and_draws_about_its_mean() -> None:
-    layers = ((np.zeros((3, 2), np.float32), np.array([1, -1], np.float32)),)
-    value = ((np.zeros((3, 1), np.float32), np.zeros(1, np.float32)),)
-    wide = np.array([[-99, -99], [99, 99]], np.float32)
-    policy = Policy("tanh", layers, value, deviation=np.array([0.5, 2], np.float32), bounds=wide)
-    again = read_sound_policy(policy.to_bytes())
-    drawn = again.sample(np.zeros((20_000, 3), np.float32), np.random.default_rng(0))
-    np.testing.assert_allclose(drawn.mean(axis=0), [1, -1], atol=0.05)
-    np.testing.assert_allclose(drawn.std(axis=0), [0.5, 2], rtol=0.03)
-    entropy = 2 * 0.5 * np.log(2 * np.pi * np.e) + np.log(0.5 * 2)
-    assert again.entropy(np.zeros((1, 3), np.float32)) == pytest.approx(entropy)
-
-
 def test_what_a_policy_of_numbers_plays_lies_in_the_action_space() -> None:
     """Two rows of numbers in two rows of bounds; the mean (1.55, 0.02, 0, 0.5) is clipped by hand."""
-    run = make_run({**SMALL, **CORRIDOR, "env_kwargs": {"kind": "numbers"}, "engine": "sb3"})
+    run = run_of(**CORRIDOR, **OTHERS, env_kwargs={"kind": "numbers"}, engine="sb3")
     space = make_env(run).action_space
     policy = train(run)[0].policy
     assert policy is not None

@@ -16,20 +16,14 @@ from pneuma.engines import mlp
 from pneuma.engines.batched.rollout import value_of
 from pneuma.engines.policy import Layers, Policy, sizes
 
+from .trained import random_layers
+
 WIDTHS = (60, 128, 40, 5)
+LAYERS = random_layers(WIDTHS)
 PRINT_BITS = """
-from tests.engines.test_mlp import outputs, networks
-print(outputs(networks(), 7).tobytes().hex())
+from tests.engines.test_mlp import LAYERS, outputs
+print(outputs(LAYERS, 7).tobytes().hex())
 """
-"""A program that prints what the network of `networks` gives."""
-
-
-def networks() -> Layers:
-    generator = np.random.default_rng(0)
-    return tuple(
-        (generator.normal(size=(n, m), scale=n**-0.5).astype("f4"), generator.normal(size=m).astype("f4"))
-        for n, m in zip(WIDTHS[:-1], WIDTHS[1:], strict=True)
-    )
 
 
 def observations(rows: int) -> np.ndarray:
@@ -87,7 +81,7 @@ def test_exp_is_accurate_and_monotone() -> None:
 
 
 def test_a_row_has_the_same_bits_alone_in_company_and_summed_one_by_one() -> None:
-    layers, rows = networks(), observations(9)
+    layers, rows = LAYERS, observations(9)
     expected = rows
     for place, (weight, bias) in enumerate(layers):
         sums = np.tile(bias, (len(rows), 1))
@@ -102,11 +96,11 @@ def test_bits_are_the_same_on_a_processor_without_wide_vectors(tmp_path: Path) -
     """This one may have fused multiply-adds too, which round otherwise."""
     other = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}
     told = subprocess.check_output([sys.executable, "-c", PRINT_BITS], env={**os.environ, **other}, text=True)
-    assert told.strip() == outputs(networks(), 7).tobytes().hex()
+    assert told.strip() == outputs(LAYERS, 7).tobytes().hex()
 
 
 def test_it_agrees_with_a_policy_that_was_loaded() -> None:
-    layers, rows = networks(), observations(9)
+    layers, rows = LAYERS, observations(9)
     policy = Policy("tanh", layers, (*layers[:-1], (layers[-1][0][:, :1], layers[-1][1][:1])))
     assert outputs(layers, 9) == pytest.approx(policy.logits(rows), abs=1e-5)
     assert value_of(policy.critic, "tanh", rows) == pytest.approx(policy.values(rows), abs=1e-5)

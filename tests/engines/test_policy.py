@@ -1,11 +1,20 @@
-"""The stored policy: arithmetic by hand, and a file that comes back as it was."""
+"""The stored policy: arithmetic by hand, and a file that comes back as it was or is refused."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
+import gymnasium
 import numpy as np
 import pytest
+from stable_baselines3.common.evaluation import evaluate_policy
 
+from pneuma.engines.normalization import Scaling
 from pneuma.engines.policy import Policy, dead_share, read_sound_policy
+from pneuma.errors import UserError
+
+from .trained import random_layers
 
 
 def tiny(activation: str) -> Policy:
@@ -14,6 +23,17 @@ def tiny(activation: str) -> Policy:
     actor = (np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], np.float32), np.zeros(3, np.float32))
     critic = (np.array([[1.0], [1.0]], np.float32), np.array([0.5], np.float32))
     return Policy(activation, (hidden, actor), (hidden, critic))
+
+
+def constant(outputs: Any, **parts: Any) -> Policy:
+    """A policy of one feature that always gives the same outputs, as read from its file."""
+    bias = np.array(outputs, np.float32)
+    layers, value = ((np.zeros((1, len(bias)), np.float32), bias),), ((np.zeros((1, 1), "f4"), bias[:1]),)
+    return read_sound_policy(Policy("tanh", layers, **{"critic": value, **parts}).to_bytes())
+
+
+def drawn_by(policy: Policy) -> np.ndarray:
+    return policy.sample(np.zeros((80_000, 1), np.float32), np.random.default_rng(0))
 
 
 # For the observation (-1, 1): hidden before activation = (-1·1 + 1·0, -1·-1 + 1·2 + 1) = (-1, 4).
@@ -35,17 +55,6 @@ def test_forward_pass_by_hand(activation: str, logits: list[float], value: float
     assert policy.best(OBSERVATION)[0] == 1
 
 
-def test_sampled_actions_follow_the_softmax() -> None:
-    # Logits (ln 1, ln 2, ln 5) mean probabilities 1/8, 2/8 and 5/8.
-    bias = np.log(np.array([1.0, 2.0, 5.0])).astype(np.float32)
-    layer = (np.zeros((1, 3), np.float32), bias)
-    policy = Policy("tanh", (layer,), (layer,))
-    draws = policy.sample(np.zeros((80_000, 1), np.float32), np.random.default_rng(0))
-    shares = np.bincount(draws, minlength=3) / len(draws)
-    # One standard error of a share is at most sqrt(0.25 / 80,000) = 0.0018.
-    np.testing.assert_allclose(shares, [1 / 8, 2 / 8, 5 / 8], atol=0.008)
-
-
 def test_dead_units_are_those_constant_over_the_rollout() -> None:
     observations = np.array([[-1.0, 1.0], [-2.0, 3.0]], np.float32)
     # Hidden before activation: (-1, 4) and (-2, 9). Unit 0 is never above zero, unit 1 always;
@@ -58,30 +67,50 @@ def test_dead_units_are_those_constant_over_the_rollout() -> None:
     assert dead_share(tiny("relu"), np.concatenate([observations, -observations])) == 0.0
 
 
-def test_entropy_of_logits_by_hand() -> None:
+# --- Kinds of actions: one standard error of a share is at most sqrt(0.25 / 80,000) = 0.0018 --------
+
+
+def test_actions_follow_the_softmax() -> None:
+    policy = constant(np.log([1, 2, 5]))
+    np.testing.assert_allclose(np.bincount(drawn_by(policy)) / 80_000, [1 / 8, 2 / 8, 5 / 8], atol=0.008)
     # Probabilities (1/2, 1/4, 1/4): entropy 1/2 ln 2 + 2 x 1/4 ln 4 = 1.5 ln 2.
-    layer = (np.zeros((1, 3), np.float32), np.log(np.array([2, 1, 1], np.float32)))
-    assert Policy("tanh", (layer,), (layer,)).entropy(np.zeros((4, 1))) == pytest.approx(1.5 * np.log(2))
+    assert constant(np.log([2, 1, 1])).entropy(np.zeros((4, 1))) == pytest.approx(1.5 * np.log(2))
 
 
 def test_a_policy_of_values_is_greedy_but_for_its_exploration() -> None:
-    layer = (np.zeros((1, 4), np.float32), np.array([0, 3, 1, 2], np.float32))
-    policy = Policy("relu", (layer,), (), 0.2)
-    shown = np.zeros((40_000, 1), np.float32)
-    assert set(policy.best(shown)) == {1}
-    assert policy.values(shown[:1]).tolist() == [3.0]
-    shares = np.bincount(policy.sample(shown, np.random.default_rng(0)), minlength=4) / len(shown)
-    # Four fifths greedy, and a fifth shared out over all four; one standard error is at most 0.002.
+    policy = constant([0, 3, 1, 2], critic=(), exploration=0.2)
+    assert set(policy.best(np.zeros((9, 1)))) == {1} and policy.values(np.zeros((1, 1))).tolist() == [3.0]
+    # Four fifths greedy, and a fifth shared out over all four.
+    shares = np.bincount(drawn_by(policy)) / 80_000
     np.testing.assert_allclose(shares, [0.05, 0.85, 0.05, 0.05], atol=0.008)
-    again = read_sound_policy(policy.to_bytes())
-    assert (again.exploration, again.critic) == (0.2, ())
-    assert again.to_bytes() == policy.to_bytes()
+
+
+def test_a_policy_of_several_choices() -> None:
+    """Two and three to choose from, of 1/4 and 3/4, and of 1/4, 1/4 and 1/2."""
+    policy = constant(np.log([1, 3, 1, 1, 2]), choices=np.array([[2, 3]]))
+    assert policy.best(np.zeros((2, 1))).tolist() == [[[1, 2]], [[1, 2]]]
+    assert (drawn := drawn_by(policy)).shape == (80_000, 1, 2)
+    for place, shares in enumerate(([0.25, 0.75], [0.25, 0.25, 0.5])):
+        np.testing.assert_allclose(np.bincount(drawn[:, 0, place]) / 80_000, shares, atol=0.008)
+    by_hand = 0.25 * np.log(4) + 0.75 * np.log(4 / 3) + 1.5 * np.log(2)
+    assert policy.entropy(np.zeros((1, 1))) == pytest.approx(by_hand)
+
+
+def test_a_policy_of_numbers_draws_about_its_mean() -> None:
+    wide = np.array([[-99, -99], [99, 99]], np.float32)
+    policy = constant([1, -1], deviation=np.array([0.5, 2], np.float32), bounds=wide)
+    np.testing.assert_allclose(drawn_by(policy).mean(axis=0), [1, -1], atol=0.03)
+    np.testing.assert_allclose(drawn_by(policy).std(axis=0), [0.5, 2], rtol=0.02)
+    assert policy.entropy(np.zeros((1, 1))) == pytest.approx(np.log(2 * np.pi * np.e) + np.log(0.5 * 2))
+    near = replace(policy, bounds=np.array([[-1, 0], [0.5, 3]], np.float32))
+    assert near.best(np.zeros((1, 1))).tolist() == [[0.5, 0.0]]
+    assert ((drawn_by(near) >= near.bounds[0]) & (drawn_by(near) <= near.bounds[1])).all()  # type: ignore[index]
+
+
+# --- Outside ---------------------------------------------------------------------------------------
 
 
 def test_stable_baselines3_evaluates_a_stored_policy() -> None:
-    import gymnasium
-    from stable_baselines3.common.evaluation import evaluate_policy
-
     env = gymnasium.make("CartPole-v1")
     # Leaning to the right, it pushes to the right: that holds the pole for a while.
     lean = (np.array([[0.0, 0], [0, 0], [-1, 1], [-1, 1]], np.float32), np.zeros(2, np.float32))
@@ -91,6 +120,24 @@ def test_stable_baselines3_evaluates_a_stored_policy() -> None:
     assert min(np.array(returns)) > 100
     assert repr(policy) == "Policy(tanh, actor [4, 2], critic [4, 1])"
     actions, state = policy.predict(np.array([[0.0, 0, 1, 1], [0, 0, -1, 0]], np.float32), deterministic=True)
-    assert actions.tolist() == [1, 0]
-    assert state is None
+    assert (actions.tolist(), state) == ([1, 0], None)
     assert policy.predict(np.array([0.0, 0, 1, 1], np.float32), deterministic=True)[0] == 1
+
+
+def test_what_is_no_policy_is_refused() -> None:
+    policy = Policy("tanh", random_layers((9, 8, 5)), random_layers((9, 7, 1)))
+    assert read_sound_policy(policy.to_bytes()).to_bytes() == policy.to_bytes()
+    (hidden, head), (_, critic_head) = policy.actor, policy.critic
+    wrong: list[dict[str, Any]] = [
+        {"activation": "exec"},
+        {"actor": (head, hidden)},
+        {"actor": ((hidden[0], hidden[1][:-1]), head)},
+        {"critic": policy.actor},
+        {"critic": (critic_head,)},
+        {"scaling": Scaling(np.zeros(3), np.ones(3))},
+        {"choices": np.array([2, 2])},
+    ]
+    changed = [replace(policy, **parts).to_bytes() for parts in wrong]
+    for data in (b"", policy.to_bytes()[:-1], *changed):
+        with pytest.raises(UserError, match="is no policy"):
+            read_sound_policy(data)

@@ -1,86 +1,98 @@
-"""The reference engine: Stable-Baselines3 as it is, and what Pneuma records of it."""
+"""The reference engine: Stable-Baselines3's learners, PPO to Double DQN, bit for bit as they are."""
 
 from __future__ import annotations
 
+import gc
+import weakref
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from pneuma.config import Run, make_run
-from pneuma.engines import sb3_learners
+from pneuma.engines import sb3, sb3_learners
 from pneuma.engines.environment import make_vec_env
-from pneuma.engines.records import EPISODE_COLUMNS
-from pneuma.presets import BASES
 
-from .trained import train
-
-SMALL = {
-    "actor": [16], "critic": [24], "horizon": 64, "minibatch": 32, "epochs": 2,
-    "steps": 256, "evaluation_episodes": 2, "episode_steps": 40, "engine": "sb3",
-}  # fmt: skip
+from .trained import LEARNERS, bits, run_of, train, train_once
 
 
-def small_run(**settings: object) -> Run:
-    return make_run({**BASES["table-6-2"], **SMALL, **settings})
+@pytest.mark.parametrize("case", LEARNERS)
+def test_training_is_what_the_library_does_by_itself_bit_for_bit(case: str) -> None:
+    torch.set_num_threads(1)  # as engines do; sums over more threads round otherwise
+    run = run_of(case, seed=5)
+    alone = sb3_learners.make_model(run, make_vec_env(run))
+    alone.learn(run.steps, log_interval=None)
+    ours, other = train(run)[0].policy, train_once(run_of(case))[0].policy
+    assert ours is not None and other is not None
+    assert ours.to_bytes() == sb3.extract_policy(alone, run).to_bytes() != other.to_bytes()
 
 
-def test_gradient_norms_are_those_that_the_clipping_saw(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[float] = []
-    clip = torch.nn.utils.clip_grad_norm_
-
-    def spy(*arguments: Any, **keywords: Any) -> torch.Tensor:
-        norm = clip(*arguments, **keywords)
-        seen.append(float(norm))
-        return norm
-
-    monkeypatch.setattr(torch.nn.utils, "clip_grad_norm_", spy)
-    result, _ = train(small_run())
-    # 64 steps in minibatches of 32, twice over: 4 gradients an update, 4 updates.
-    assert len(seen) == 16
-    expected = np.array(seen).reshape(4, 4).mean(axis=1)
-    np.testing.assert_allclose([row["grad_norm"] for row in result.records.metrics], expected, rtol=1e-5)
-    for row in result.records.metrics:
-        parts = np.hypot(row["grad_norm_actor"], row["grad_norm_critic"])
-        assert parts <= row["grad_norm"] * 1.0001  # equal for one gradient, below for means of several
-
-
-@pytest.mark.parametrize("base", BASES)
-def test_every_row_of_the_tables_reaches_the_learner(base: str) -> None:
-    settings = BASES[base]
-    run = make_run({**settings, "steps": 2048})
+def test_a_trained_network_is_let_go() -> None:
+    """Hooks on gradients once kept every network of a process in memory."""
+    run = run_of("ppo")
     model = sb3_learners.make_model(run, make_vec_env(run))
-    limit = settings["gradient_limit"]
-    assert model.gamma == 0.99
-    assert model.gae_lambda == 0.95
-    assert model.learning_rate == 3e-4
-    assert model.batch_size == 64
-    assert model.ent_coef == settings["entropy_coefficient"]
-    assert model.n_steps == settings["horizon"]
-    assert model.n_epochs == settings["epochs"]
-    assert model.vf_coef == settings["value_coefficient"]
-    assert model.clip_range(1.0) == settings["clip_range"]
-    assert model.max_grad_norm == (float("inf") if limit is None else limit)
-    group = model.policy.optimizer.param_groups[0]
-    assert isinstance(model.policy.optimizer, torch.optim.Adam)
-    assert (group["betas"], group["eps"]) == (settings["betas"], 1e-5)
+    kept = weakref.ref(next(model.policy.parameters()))
+    with sb3.GradientNorms(model, run) as norms:
+        model.learn(64, log_interval=None)
+    del model, norms
+    gc.collect()
+    assert kept() is None
 
 
-def test_episodes_of_slots_add_up_to_the_steps_of_all() -> None:
-    run = small_run(slots=2, horizon=64, steps=512)
-    result, _ = train(run)
-    assert [row["step"] for row in result.records.metrics] == [128, 256, 384, 512]
-    assert result.records.episodes
-    for slot in range(2):
-        own = [row for row in result.records.episodes if row["slot"] == slot]
-        lengths = np.cumsum([row["length"] for row in own])
-        # An episode of a slot ends when all slots together have taken twice its slot's steps.
-        assert [row["step"] for row in own] == (2 * lengths).tolist()
-        assert [row["episode"] for row in own] == list(range(len(own)))
-        assert max(row["length"] for row in own) <= 40
-    for row in result.records.episodes:
-        assert tuple(row) == EPISODE_COLUMNS
-        assert row["ending"] in ("killed", "time-limit")
-        assert (row["hp"] == 0) == (row["ending"] == "killed")
-    assert [row["step"] for row in result.records.evaluations] == [128, 256, 384, 512]
+@pytest.mark.parametrize("case", LEARNERS)
+def test_a_run_that_diverges_stops_and_keeps_its_records(case: str) -> None:
+    """At a rate of 100 without a limit weights overflow; the clean run after it is none the worse."""
+    wild: dict[str, Any] = {"optimizer": "sgd", "learning_rate": 100.0, "activation": "leaky-relu"}
+    wild |= {"actor": [16, 16], "steps": 6400, "momentum": None}
+    wild |= {"target_every": 2, "train_every": 1} if "dqn" in case else {}
+    wild |= {} if case == "trpo" else {"gradient_limit": "none"}
+    clean = run_of(case)
+    diverged, after = train(run_of(case, **wild))[0], train(clean)[0]
+    assert (diverged.status, diverged.policy) == ("diverged", None)
+    assert diverged.step == diverged.records.metrics[-1]["step"] < 6400
+    assert bits(after) == bits(train_once(clean)[0])
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "target"),
+    [
+        # Of the next state the online network says (1, 3, 2, 0, 0), the target network (5, 4, 9, 0, 0);
+        # reward 0.5, gamma 0.9. DQN: 0.5 + 0.9 x 9 = 8.6. Double DQN: the online network's best is action
+        # 1, which the target network rates 4: 0.5 + 0.9 x 4 = 4.1 (Eq. 3.10).
+        ("dqn", 8.6),
+        ("double-dqn", 4.1),
+    ],
+)
+def test_the_target_by_hand(algorithm: str, target: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = run_of(algorithm, minibatch=2, slots=1)
+    model = sb3_learners.make_model(run, make_vec_env(run))
+    for network, values in ((model.q_net, [1, 3, 2, 0, 0]), (model.q_net_target, [5, 4, 9, 0, 0])):
+        for parameter in network.parameters():
+            parameter.data.zero_()
+        network.q_net[-1].bias.data = torch.tensor(values, dtype=torch.float32)
+    here = np.zeros((1, 60), np.float32)
+    for _ in range(3):
+        model.replay_buffer.add(here, here, np.array([[2]]), np.array([0.5]), np.array([False]), [{}])
+    targets: list[float] = []
+
+    def loss(current: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+        assert current.flatten().tolist() == [2.0, 2.0]  # the online network's value of action 2
+        targets.extend(wanted.flatten().tolist())
+        return (current - wanted).abs().mean()
+
+    monkeypatch.setattr("torch.nn.functional.smooth_l1_loss", loss)
+    model.train(gradient_steps=1, batch_size=2)
+    assert targets == pytest.approx([target, target])
+    assert isinstance(model.q_net_target, torch.nn.Module)  # put back
+
+
+def test_without_a_baseline_advantages_are_the_returns() -> None:
+    run = run_of("a2c-no-baseline", gamma=0.5)
+    buffer = sb3_learners.make_model(run, make_vec_env(run)).rollout_buffer
+    buffer.values[:] = 7.0
+    buffer.rewards[:] = 1.0
+    buffer.episode_starts[:] = 0.0
+    buffer.compute_returns_and_advantage(torch.tensor([[4.0]]), np.array([False]))
+    # Backwards from 4 at the end: 1 + 4/2 = 3, 1 + 3/2 = 2.5, 1 + 2.5/2 = 2.25, … whatever the critic said.
+    np.testing.assert_allclose(buffer.advantages[-3:, 0], [2.25, 2.5, 3.0], rtol=1e-6)
+    np.testing.assert_array_equal(buffer.advantages, buffer.returns)

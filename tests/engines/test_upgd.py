@@ -1,4 +1,4 @@
-"""UPGD: a step worked out by hand, several as plain NumPy takes them, and where its noise comes from."""
+"""UPGD: steps as plain NumPy takes them, and where its noise comes from."""
 
 from __future__ import annotations
 
@@ -7,32 +7,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.config import Run, make_run
+from pneuma.config import make_run
 from pneuma.engines.batched.optimizers import initial_state, upgd, upgd_noise
 from pneuma.engines.batched.update import run_numbers
 from pneuma.errors import UserError
 
-WEIGHTS, GRADIENTS = [1.0, -2.0], [0.5, 0.5]
 SETTINGS: dict[str, Any] = {
     "optimizer": "upgd", "learning_rate": 0.1, "utility_decay": 0.5, "noise": 0.0, "weight_decay": 0.1,
     "epsilon": 1e-12,
 }  # fmt: skip
-# Utilities 0.5 · (-0.5, 1) = (-0.25, 0.5), corrected (-0.5, 1), over the greatest, 0.5: (-1, 2).
-# A first step of Adam's is the gradient's sign, 1; so w ← 0.99 w - 0.2 (1 - sigmoid(-1, 2)).
-MOVED = [0.99 - 0.2 * 0.731059, -1.98 - 0.2 * 0.119203]
 
 
-def moved(run: Run, weights: list[float], gradients: list[float], steps: int = 1) -> np.ndarray:
-    """Return weights after some steps by the same gradients."""
-    parameters: Any = (np.array(weights, np.float32),)
+def moved(steps: int, count: int = 5, **settings: Any) -> np.ndarray:
+    """Return weights of 0 after some steps with noise and no gradient."""
+    numbers = run_numbers(make_run({**SETTINGS, "noise": 3.0, **settings}))
+    zeros = (np.zeros(count, np.float32),)
+    parameters: Any = zeros
     state = initial_state("upgd", parameters)
     for _ in range(steps):
-        parameters, state = upgd((np.array(gradients, np.float32),), parameters, state, run_numbers(run))
+        parameters, state = upgd(zeros, parameters, state, numbers)
     return np.asarray(parameters[0])
-
-
-def test_a_step_by_hand() -> None:
-    assert moved(make_run(SETTINGS), WEIGHTS, GRADIENTS) == pytest.approx(MOVED, abs=1e-6)
 
 
 def test_steps_are_those_of_the_papers_formulas() -> None:
@@ -62,20 +56,16 @@ def test_the_reference_engine_has_no_upgd() -> None:
 
 def test_without_a_gradient_only_noise_moves_weights_and_half_of_it() -> None:
     """No utility is above another: s = 1/2, so 2 α (1 - s) σ = α σ is the deviation of a step."""
-    run = make_run({**SETTINGS, "noise": 3.0, "weight_decay": 0.0})
-    ended = moved(run, [0.0] * 20_000, [0.0] * 20_000)
+    ended = moved(1, 20_000, weight_decay=0.0)
     assert ended.mean() == pytest.approx(0, abs=0.01)  # 4.7 standard errors
     assert ended.std() == pytest.approx(0.1 * 3.0, rel=0.02)
 
 
 def test_noise_is_of_the_run_and_the_step() -> None:
-    def noise(steps: int, **settings: Any) -> np.ndarray:
-        return moved(make_run({**SETTINGS, "noise": 3.0, **settings}), [0.0] * 5, [0.0] * 5, steps)
-
-    first = noise(1)
-    assert np.array_equal(first, noise(1))
-    assert not np.isclose(first, noise(1, seed=1)).any()
-    assert not np.isclose(first, noise(2) - first).any()
+    first = moved(1)
+    assert np.array_equal(first, moved(1))
+    assert not np.isclose(first, moved(1, seed=1)).any()
+    assert not np.isclose(first, moved(2) - first).any()
 
 
 def test_noise_goes_on_where_float32_stops_counting() -> None:

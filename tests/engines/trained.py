@@ -1,4 +1,4 @@
-"""Trainings in this process, whatever the engine, and the bits that they end with."""
+"""Runs as short as can be, of every kind; trainings in this process, and the bits that they end with."""
 
 from __future__ import annotations
 
@@ -6,21 +6,74 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-import torch
 
-from pneuma.config import Run
+from pneuma.algorithms import MAILMAN
+from pneuma.config import Run, make_run
+from pneuma.engines.batched.rollout import Rollout
 from pneuma.engines.loop import Progress, Result, train_run
 from pneuma.engines.records import Checkpoint
-from pneuma.study.checkpoints import TABLES, decode, encode
+from pneuma.study.checkpoints import TABLES
 from pneuma.study.tables import to_parquet
 
 SMALL: dict[str, Any] = {
     "actor": (8,), "critic": (12,), "horizon": 64, "minibatch": 32, "epochs": 2, "steps": 384,
     "evaluation_episodes": 2, "episode_steps": 60,
 }  # fmt: skip
-"""A run as short as can be. The engine `batched` compiles a program for each optimizer, shape and number of
-steps an update, which takes longer than all that it trains here: tests of other slots or players take a
-shorter horizon, so that an update has 64 steps all the same."""
+"""The engine `batched` compiles a program for each optimizer, shape and number of steps an update, which
+takes longer than all that it trains here: tests of other slots or players take a shorter horizon, so that
+an update has 64 steps all the same."""
+TEAM: dict[str, Any] = {
+    "players": 2, "slots": 2, "horizon": 32, "steps": 256, "episode_steps": 20, "learners": "independent",
+}  # fmt: skip
+CORRIDOR: dict[str, Any] = {"env": "Corridor-v0", "env_module": "tests.engines.own_envs"}
+OTHERS: dict[str, Any] = {"slots": 2, "horizon": 32, "steps": 192}
+NORMALIZED = {"normalize_observations": True, "normalize_rewards": True}
+REPLAYED = {"learning_starts": 80, "target_every": 50, "buffer_size": 150, "gamma": 0.9}
+TABLE = {"env": MAILMAN, "learning_rate": 0.5, "gamma": 0.9, "reward_noise": 0.5, "horizon": 5, "steps": 400}
+LEARNERS: dict[str, dict[str, Any]] = {
+    "ppo": {"engine": "sb3", "optimizer": "rmsprop", "momentum": 0.5, "weight_decay": 0.01},
+    "a2c": {"algorithm": "a2c", "optimizer": "rmsprop"},
+    "a2c-no-baseline": {"algorithm": "a2c", "value_baseline": False, "gae_lambda": 1},
+    "trpo": {"algorithm": "trpo"},
+    "dqn": {"algorithm": "dqn", **REPLAYED},
+    "double-dqn": {"algorithm": "double-dqn", **REPLAYED, "slots": 2},
+}
+"""Of the engine `sb3` in Pneuma's worlds."""
+CASES: dict[str, dict[str, Any]] = {
+    "adam": {"betas": (0.9, 0.9)},
+    "momentum": {"optimizer": "sgd", "momentum": 0.9, "dampening": 0.9},
+    "upgd": {"optimizer": "upgd", "noise": 0.1},
+    "rmsprop": {"optimizer": "rmsprop", "momentum": 0.5, "weight_decay": 0.01},
+    "slots": {"slots": 2, "horizon": 32, "env": "pneuma/PneumaGodot-v0", "episode_steps": 50},
+    "players": {"players": 2, "horizon": 32, "episode_steps": 40, "clip": "separate"},
+    "team": TEAM,
+    "islands of mages": {
+        "level": "random:train:0", "random_levels": 3, "magic": True, "classes": "mage", "episode_steps": 30,
+    },
+    **LEARNERS,
+    "players sb3": {"players": 2, "horizon": 32, "episode_steps": 40, "clip": "separate", "engine": "sb3"},
+    "cartpole": {"env": "CartPole-v1", **OTHERS},
+    "cartpole sb3": {"env": "CartPole-v1", "engine": "sb3", **OTHERS},
+    "normalized": {"env": "CartPole-v1", **OTHERS, **NORMALIZED, "learning_rate_schedule": "linear"},
+    "normalized sb3": {
+        "env": "Pendulum-v1", "engine": "sb3", **OTHERS, **NORMALIZED, "clip_range_schedule": "linear",
+    },
+    "corridor": {
+        **CORRIDOR, **OTHERS, "env_kwargs": {"kind": "dict", "first": 3},
+        "wrappers": "tests.engines.own_envs:Counting,tests.engines.own_envs:Doubled",
+    },
+    "pairs": {**CORRIDOR, **OTHERS, "env_kwargs": {"kind": "pairs", "first": 3}, "engine": "sb3"},
+    "bits": {**CORRIDOR, **OTHERS, "env_kwargs": {"kind": "bits"}, "algorithm": "trpo"},
+    "corridor dqn": {
+        **CORRIDOR, **OTHERS, "algorithm": "dqn", "learning_starts": 30, "minibatch": 8, "buffer_size": 100,
+    },
+    "q-learning": {**TABLE, "algorithm": "q-learning"},
+    "double-q-learning": {**TABLE, "algorithm": "double-q-learning"},
+}  # fmt: skip
+
+
+def run_of(case: str = "", /, **fields: Any) -> Run:
+    return make_run({**SMALL, **CASES.get(case, {}), **fields})
 
 
 def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[Checkpoint]]:
@@ -35,10 +88,23 @@ def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[
     return train_run(run, keep, checkpoint), taken
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=64)
 def train_once(run: Run) -> tuple[Result, list[Checkpoint]]:
     """Train a run for all tests that only look at what it gave, which none of them may change."""
     return train(run)
+
+
+def rollouts_of(trainer: Any) -> list[Rollout]:
+    """Return the list to which each rollout of the engine `batched` will be added."""
+    seen: list[Rollout] = []
+    collect = trainer.collector.collect
+
+    def collecting(actor: Any) -> Rollout:
+        seen.append(collect(actor))
+        return seen[-1]
+
+    trainer.collector.collect = collecting
+    return seen
 
 
 def bits(result: Result) -> tuple[object, ...]:
@@ -48,12 +114,13 @@ def bits(result: Result) -> tuple[object, ...]:
     return result.status, result.step, tables, result.policy.to_bytes()
 
 
-def check_that_it_goes_on(run: Run, *places: int) -> None:
-    """Check that a run that goes on from a checkpoint, as a file, ends as if it had never stopped."""
-    whole, taken = train_once(run)
-    assert whole.status == "done"
-    for checkpoint in (taken[place] for place in places):
-        np.random.seed(1)
-        torch.manual_seed(1)  # whatever other runs drew meanwhile
-        resumed, _ = train(run, decode(encode(checkpoint, {}, ""))[0])
-        assert bits(resumed) == bits(whole), checkpoint.step
+def random_layers(widths: tuple[int, ...], scale: float = 1.0, seed: int = 0) -> Any:
+    """Return layers whose outputs vary by about `scale`, as a `Policy` has them."""
+    generator = np.random.default_rng(seed)
+    return tuple(
+        (
+            generator.normal(scale=scale * n**-0.5, size=(n, m)).astype("f4"),
+            generator.normal(size=m).astype("f4"),
+        )
+        for n, m in zip(widths[:-1], widths[1:], strict=True)
+    )
