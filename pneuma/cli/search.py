@@ -78,11 +78,13 @@ def list_() -> Result:
 @app.command(short_help="Show a search's file.")
 def show(name: SearchName, world: opt.World = None) -> Result:
     """Show what a search varies and seeks, and its presets."""
+    from pneuma.schema import read_toml
     from pneuma.search.spec import load_search
 
     search = load_search(name, world)  # which checks it
-    document = {"search": search.name, "world": search.world, **search.file.data, "run": search.space.fixed}
-    return Result(document, [str(search.file.path), *search.file.text.splitlines()], search.title)
+    file = read_toml(search.path)
+    document = {"search": search.name, "world": search.world, **file.data, "run": search.run}
+    return Result(document, [str(search.path), *file.text.splitlines()], search.full_title)
 
 
 @app.command()
@@ -103,13 +105,13 @@ def _status(found: Record, store: Store, asked: list[object]) -> Iterator[str | 
     )
     amount = f"{counted(len(budget.seeds), 'seed')} each, {budget.steps:,} steps a run"
     yield f"{len(found.trials)} of {budget.trials} trials, {amount}"
-    for objective in search.objectives:
+    for objective in search.sought:
         yield f"Value: {objective.direction} the {objective.over_seeds} over seeds of {objective.outcome}"
     among, rows = best if isinstance(best, list) else [best], []
     for trial in found.trials:
         params = ", ".join(
             f"{key}={value:.4g}" if isinstance(value, float) else f"{key}={value}"
-            for key, value in search.space.named(trial.params).items()
+            for key, value in search.in_words(trial.params).items()
         )
         mark, note = "*" if trial.number in among else "", str(trial.user_attrs.get("note", ""))
         rows.append((f"{mark:>3}", trial.number, STATES[trial.state], _value(trial), params, note))
@@ -167,7 +169,7 @@ def run(
 
     store, tell = asked.store, partial(say, quiet=quiet)
     search = load_search(name, asked.world, asked.settings)
-    if preset not in (presets := search.spec.presets):
+    if preset not in (presets := search.presets):
         raise unknown_name(f"preset of search {search.name}", preset, presets)
     amount = {"trials": trials, "seeds": seeds, "steps": steps}
     given = {key: value for key, value in amount.items() if value is not None}

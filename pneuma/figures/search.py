@@ -64,7 +64,7 @@ def draw_search(
             figure = axes[0].figure
             try:
                 figure.set_layout_engine("constrained")
-                headline = f"{search.title}: {title}. {_amount(searched)}"
+                headline = f"{search.full_title}: {title}. {_amount(searched)}"
                 figure.suptitle(textwrap.fill(headline, style.characters(1.2 * style.TYPE_POINTS)))
                 for each in axes:
                     each.set_title("")
@@ -94,7 +94,7 @@ Picture = tuple[str, Callable[[], Any]]
 
 def _pictures(searched: Record, complete: Sequence[FrozenTrial]) -> dict[str, Picture]:
     """Return each picture by name, in the first of the objectives, unless it shows both."""
-    study, (first, *others) = searched.study, searched.task.search.objectives
+    study, (first, *others) = searched.study, searched.task.search.sought
     words = [
         f"{capital(find_outcome(each.outcome).words.partition(',')[0])}, {each.over_seeds} of seeds"
         for each in (first, *others)
@@ -131,7 +131,7 @@ def _amount(searched: Record) -> str:
 
 def _tables(searched: Record) -> list[tuple[int, str]]:
     """Return the thesis's tables with which a search starts, each with its trial."""
-    starts = enumerate(searched.task.search.spec.start)
+    starts = enumerate(searched.task.search.start)
     return [(number, start) for number, start in starts if isinstance(start, str) and start in TABLES]
 
 
@@ -157,7 +157,7 @@ def _slices(searched: Record, of_first: dict[str, Any]) -> Any:
     for place, axes in enumerate(slices):
         name, of_choices = axes.get_xlabel(), axes.xaxis.have_units()
         for _, base in _tables(searched):
-            if name in (params := search.space.params_of(base)):
+            if name in (params := search.params_of(base)):
                 at = repr(params[name]) if of_choices else params[name]
                 marks[base] = axes.axvline(at, color=INK, linewidth=0.8, linestyle=TABLES[base], zorder=1.2)
         axes.set_subplotspec(places[divmod(place, COLUMNS)])
@@ -183,7 +183,7 @@ def winners_page(basename: str, winners: Sequence[Winner], data: StudyData) -> P
 
     A row for each: its base, the winner with the interval of its gain, and what the search had seen of it.
     """
-    objective = winners[0].searched.task.search.objectives[0]
+    objective = winners[0].search.sought[0]
     found = gains(winners, data).query("objective == @objective.name")
     arms = {winner.name: fresh_values(winner, objective, data) for winner in winners}
     found = found.sort_values("fresh", ascending=objective.direction == "minimize", kind="stable")

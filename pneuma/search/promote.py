@@ -26,8 +26,7 @@ from pneuma.config import OF_WORLDS
 from pneuma.errors import UserError, counted
 from pneuma.schema import shown
 from pneuma.search.record import Record, common_steps, read_record
-from pneuma.search.space import Space
-from pneuma.search.spec import Objective
+from pneuma.search.spec import Objective, Search
 from pneuma.search.values import counted_outcome, objective_value
 from pneuma.study.plan import Plan, Selection, differing_fields, make_plan
 from pneuma.study.spec import load_study, unread_fields
@@ -50,17 +49,17 @@ class Winner:
         return f"{self.name}-tuned"
 
     @property
-    def space(self) -> Space:
-        return self.searched.task.search.space
+    def search(self) -> Search:
+        return self.searched.task.search
 
     @property
     def is_base(self) -> bool:
-        return self.space.make_run(self.trial.params) == self.space.make_run({})
+        return self.search.make_run(self.trial.params) == self.search.make_run({})
 
     def document(self) -> dict[str, Any]:
         """Return it as JSON."""
-        search, trial = self.searched.task.search.name, self.trial
-        return {"search": search, "trial": trial.number, "params": trial.params, "is_base": self.is_base}
+        number, params = self.trial.number, self.trial.params
+        return {"search": self.search.name, "trial": number, "params": params, "is_base": self.is_base}
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ class Promotion:
 
     @property
     def name(self) -> str:
-        return "-".join(["promoted", *(winner.searched.task.search.label for winner in self.winners)])
+        return "-".join(["promoted", *(winner.search.label for winner in self.winners)])
 
     @property
     def text(self) -> str:
@@ -122,7 +121,7 @@ def promote(
         raise UserError(f"--seeds: {counted(len(seeds), 'seed')} cannot tell gain from luck; give 5 at least")
     searches = [read_record(store, name, world, settings) for name in names]
     winners = find_winners(searches, trial, seeds)
-    runs = [each.space.make_run(params) for each in winners for params in ({}, each.trial.params)]
+    runs = [each.search.make_run(params) for each in winners for params in ({}, each.trial.params)]
     return Promotion(winners, tuple(seeds), common_steps(runs, steps or searches[0].task.budget.steps))
 
 
@@ -168,9 +167,9 @@ def _trial(searched: Record, number: int | None) -> FrozenTrial:
 
 def _conditions(searched: Record) -> dict[str, Any]:
     """Return what must be equal in searches whose winners are compared."""
-    space, identity = searched.task.search.space, searched.task.identity
-    run, keys = space.make_run({}), ("base", "objectives", "seeds", "steps")
-    of_world = {key: getattr(run, key) for key in ("env", "engine", *OF_WORLDS) if key not in space.keys}
+    search, identity = searched.task.search, searched.task.identity
+    run, keys = search.make_run({}), ("base", "objectives", "seeds", "steps")
+    of_world = {key: getattr(run, key) for key in ("env", "engine", *OF_WORLDS) if key not in search.space}
     return {**of_world, "trials": len(searched.trials), **{key: identity[key] for key in keys}}
 
 
@@ -181,22 +180,22 @@ def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -
     """Return the text of a study file with the winners and their bases, and their origin as comments."""
     tables = {}
     for winner in winners:
-        tables[winner.name] = _read_fields(winner.space, {})
-        tables[winner.tuned] = _read_fields(winner.space, winner.trial.params)
+        tables[winner.name] = _read_fields(winner.search, {})
+        tables[winner.tuned] = _read_fields(winner.search, winner.trial.params)
     shared = {
         key: value
         for key, value in tables[winners[0].name].items()
         if all(table.get(key, ...) == value for table in tables.values())
     }
-    search = winners[0].searched.task.search
+    search = winners[0].search
     lines = [
         "# Winners of searches, each beside what it was tuned from.",
         "#",
         *map(_lineage, winners),
         "",
-        f"title = {shown('Winners of ' + ', '.join(winner.searched.task.search.name for winner in winners))}",
-        f"section = {shown(search.spec.section)}",
-        f"base = {shown(search.space.base)}",
+        f"title = {shown('Winners of ' + ', '.join(winner.search.name for winner in winners))}",
+        f"section = {shown(search.section)}",
+        f"base = {shown(search.base)}",
         f"baseline = {shown(winners[0].name)}",
         f"worlds = [{shown(search.world)}]",
         "",
@@ -224,10 +223,10 @@ def _lines(settings: Mapping[str, Any]) -> list[str]:
     return [f"{key} = {shown('none' if value is None else value)}" for key, value in settings.items()]
 
 
-def _read_fields(space: Space, params: Mapping[str, Any]) -> dict[str, Any]:
+def _read_fields(search: Search, params: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of a condition that its algorithm and optimizer read; a study refuses others."""
-    given = space.fields(params)
-    unread = unread_fields([space.make_run(params)], given)
+    given = search.fields(params)
+    unread = unread_fields([search.make_run(params)], given)
     return {key: value for key, value in given.items() if key not in unread}
 
 
@@ -252,7 +251,7 @@ def gains(winners: Sequence[Winner], data: StudyData) -> pd.DataFrame:
 
 def fresh_values(winner: Winner, objective: Objective, data: StudyData) -> list[np.ndarray]:
     """Return the outcomes of the winner's runs and of its base's, as a search counts them."""
-    search = winner.searched.task.search
+    search = winner.search
     return [
         np.array([counted_outcome(search, run, objective.outcome) for run in data.of_condition(name)])
         for name in (winner.tuned, winner.name)
@@ -261,7 +260,7 @@ def fresh_values(winner: Winner, objective: Objective, data: StudyData) -> list[
 
 def _gain(winner: Winner, place: int, data: StudyData) -> dict[str, Any]:
     task, seen = winner.searched.task, winner.trial.values[place]
-    objective, won = task.search.objectives[place], data.of_condition(winner.tuned)
+    objective, won = task.search.sought[place], data.of_condition(winner.tuned)
     arms = fresh_values(winner, objective, data)
     diverged = [sum(run.status == "diverged" for run in arm) for arm in (won, data.of_condition(winner.name))]
     fresh, base = (
@@ -271,7 +270,7 @@ def _gain(winner: Winner, place: int, data: StudyData) -> dict[str, Any]:
     if np.isfinite(np.concatenate(arms)).all():  # not where a threshold was never reached
         between = difference_interval(arms[0], arms[1])
         difference, low, high = float(arms[0].mean() - arms[1].mean()), between.low, between.high
-    alike = won[0].budget == winner.space.make_run(winner.trial.params, steps=task.budget.steps).steps
+    alike = won[0].budget == winner.search.make_run(winner.trial.params, steps=task.budget.steps).steps
     alike &= objective.over_seeds != "deviation" or len(task.budget.seeds) == len(won)
     sign = 1 if objective.direction == "maximize" else -1
     luck = sign * (seen - fresh) if alike else math.nan

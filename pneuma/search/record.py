@@ -64,24 +64,25 @@ class Task:
     @property
     def identity(self) -> dict[str, Any]:
         """Return everything that the suggestions depend on, except the number of trials."""
-        search, spec = self.search, self.search.spec
-        values = [{key: value} for key, each in search.space.all_values().items() for value in each]
-        for name in (spec.sampler.name, spec.pruner.name):
+        search = self.search
+        values = [{key: value} for key, value in search.run.items()]
+        values += [{key: value} for key, each in search.space.items() for value in each.choices.values()]
+        for name in (search.sampler.name, search.pruner.name):
             if ":" in name and not name.startswith("optuna."):  # Optuna's version is below
                 values.append({"wrappers": (name,)})  # which are named, and hashed, alike
         contents = [*filter(None, map(user_files_digest, values))]
-        warm_start = Path(spec.warm_start).stem
-        chosen = {"contents": contents, "warm_start": warm_start, "sampler_seed": spec.sampler_seed}
+        warm_start = Path(search.warm_start).stem
+        chosen = {"contents": contents, "warm_start": warm_start, "sampler_seed": search.sampler_seed}
         identity = {
             **{key: value for key, value in chosen.items() if value},
-            "base": search.space.base,
-            "fixed": search.space.fixed,
-            "space": {parameter.name: parameter.identity for parameter in search.space.parameters},
-            "objectives": [objective.model_dump() for objective in search.objectives],
-            "start": [search.space.named(params) for params in search.first_trials],
-            "generation": spec.generation,
-            "sampler": spec.sampler.model_dump(),
-            "pruner": spec.pruner.model_dump(),
+            "base": search.base,
+            "fixed": search.run,
+            "space": {name: parameter.identity for name, parameter in search.space.items()},
+            "objectives": [objective.model_dump() for objective in search.sought],
+            "start": [search.in_words(params) for params in search.first_trials],
+            "generation": search.generation,
+            "sampler": search.sampler.model_dump(),
+            "pruner": search.pruner.model_dump(),
             "seeds": self.budget.seeds,
             "steps": self.budget.steps,
             "optuna": optuna.__version__,
@@ -136,7 +137,7 @@ class Record:
     @property
     def best(self) -> int | list[int] | None:
         """Return the number of the best trial; of several objectives, the Pareto front."""
-        if len(self.task.search.objectives) > 1:
+        if len(self.task.search.sought) > 1:
             return sorted(trial.number for trial in self.study.best_trials)
         complete = any(trial.state == TrialState.COMPLETE for trial in self.trials)
         return self.study.best_trial.number if complete else None
@@ -195,11 +196,11 @@ def begin_record(path: Path, task: Task, store: Store) -> Record:
             about = {"search": search.name, "digest": task.digest, "identity": task.identity}
             study = optuna.create_study(study_name=search.name, storage=storage, directions=search.directions)
             study.set_user_attr(ABOUT, {**about, "trials_asked": task.budget.trials})
-            study.set_metric_names([f"{each.outcome}, {each.over_seeds}" for each in search.objectives])
+            study.set_metric_names([f"{each.outcome}, {each.over_seeds}" for each in search.sought])
             for params in (*search.first_trials, *_warm_start(search, store)):
                 study.enqueue_trial(params)
         study = _study_in(storage, path, search)
-        study.pruner = make_pruner(search.spec.pruner)
+        study.pruner = make_pruner(search.pruner)
         about = study.user_attrs[ABOUT]
         if about["digest"] == task.digest and about["trials_asked"] < task.budget.trials:
             study.set_user_attr(ABOUT, {**about, "trials_asked": task.budget.trials})
@@ -208,15 +209,15 @@ def begin_record(path: Path, task: Task, store: Store) -> Record:
 
 def _warm_start(search: Search, store: Store) -> list[dict[str, Any]]:
     """Return the best trials of the search that this one starts from, as many as a generation has."""
-    if not (name := search.spec.warm_start):
+    if not (name := search.warm_start):
         return []
     other = read_record(store, name, search.world if load_search(name).has_worlds else None)
-    sign = 1 if other.task.search.objectives[0].direction == "minimize" else -1
+    sign = 1 if other.task.search.sought[0].direction == "minimize" else -1
     complete = [trial for trial in other.trials if trial.state == TrialState.COMPLETE]
     ranked = sorted(complete, key=lambda trial: sign * trial.values[0])
-    found = [search.space.find(other.task.search.space.fields(trial.params)) for trial in ranked]
+    found = [search.find(other.task.search.fields(trial.params)) for trial in ranked]
     new = [params for place, params in enumerate(found) if params not in found[:place]]
-    return new[: search.spec.generation]
+    return new[: search.generation]
 
 
 # --- Reading ---------------------------------------------------------------------------------------
@@ -294,13 +295,13 @@ def _check_trials(study: optuna.Study, search: Search) -> None:
     if study.directions != search.directions:
         raise ValueError("other directions than the search's")
     for trial in study.get_trials(deepcopy=False):
-        if not search.space.holds(trial.params):
+        if not search.holds(trial.params):
             raise UserError(
                 f"the log of search {search.name}: trial {trial.number} is outside the search's space; "
                 "move the log away, and no run is trained twice"
             )
         numbers = [float(value) for value in (*(trial.values or ()), *trial.intermediate_values.values())]
-        whole = trial.state != TrialState.COMPLETE or len(trial.values) == len(search.objectives)
+        whole = trial.state != TrialState.COMPLETE or len(trial.values) == len(search.sought)
         if not whole or not all(map(math.isfinite, numbers)):
             raise ValueError("values that no search can have")
         if not all(isinstance(name, str) for name in [*trial.user_attrs.get("run_ids", [])]):

@@ -1,35 +1,31 @@
-"""The search space: the values of each parameter, and how they become fields of a run.
+"""The parameters of a search: fields of a run, each with its values.
 
-A parameter is a field of the run. It may depend on another: momentum is searched only for optimizers that
-have it.
+One may depend on another: momentum is searched only for optimizers that have it.
 """
 
 from __future__ import annotations
 
 import json
-import random
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import fields
 from typing import Annotated, Any
 
 from annotated_types import MinLen
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 from pydantic import AfterValidator, BeforeValidator, model_validator
 
-from pneuma.config import Run, as_fields, make_run
-from pneuma.env.fields import ENVIRONMENTS, read_field, read_fields, with_environment, with_layout
+from pneuma.config import Run
+from pneuma.env.fields import read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.schema import Table, shown, wrong
-from pneuma.study.spec import PLANNED, does_nothing, join_fields, unread_fields
+from pneuma.study.spec import PLANNED
 from pneuma.values import as_tuple
 
 FIXABLE = tuple(item.name for item in fields(Run) if item.name not in PLANNED)
 """Fields that a search may fix for all its trials."""
 SEARCHABLE = tuple(name for name in FIXABLE if name != "engine")
 """Fields that a search may vary."""
-CORNERS = 256
-"""Trials with which a space is checked before any training."""
 
 
 class Parameter(Table):
@@ -126,6 +122,9 @@ class Parameter(Table):
             return [param for param, choice in self.choices.items() if choice == as_tuple(value)]
         return [value] if self.holds(value) else []
 
+    def in_words(self, param: Any) -> Any:
+        return _name(param) if self.choices else param
+
     def counts(self, known: Mapping[str, Any]) -> bool:
         return all(as_tuple(known.get(name)) in values for name, values in self.when.items())
 
@@ -183,110 +182,3 @@ def _read_when(space: dict[str, Parameter]) -> dict[str, Parameter]:
 
 Parameters = Annotated[dict[str, Parameter], MinLen(1), BeforeValidator(named), AfterValidator(_read_when)]
 """All of [space], in the order in which parameters are suggested."""
-
-
-@dataclass(frozen=True)
-class Space:
-    """The parameters of a search, each after those that it depends on, in the order of suggestion.
-
-    Every trial sets the fixed fields too, on top of those that the base names.
-    """
-
-    parameters: tuple[Parameter, ...]
-    fixed: Mapping[str, Any]
-    base: str
-
-    @property
-    def keys(self) -> frozenset[str]:
-        return frozenset(parameter.name for parameter in self.parameters)
-
-    def ask(self, suggest: Callable[[Parameter], Any]) -> dict[str, Any]:
-        """Suggest a value for each parameter that applies; return them by name."""
-        usual = self._usual_fields(self.base)
-        params: dict[str, Any] = {}
-        for parameter in self.parameters:
-            if parameter.counts({**usual, **self.fields(params), **params}):
-                params[parameter.name] = suggest(parameter)
-        return params
-
-    def all_values(self) -> dict[str, list[Any]]:
-        return {
-            **{key: [value] for key, value in self.fixed.items()},
-            **{parameter.name: list(parameter.choices.values()) for parameter in self.parameters},
-        }
-
-    def fields(self, params: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the fields of the run that a trial sets on top of the base."""
-        given = dict(self.fixed)
-        for parameter in self.parameters:
-            if parameter.name in params:
-                value = params[parameter.name]
-                given[parameter.name] = parameter.choices[value] if parameter.choices else value
-        return given
-
-    def make_run(self, params: Mapping[str, Any], **over: Any) -> Run:
-        return make_run({**join_fields(self.base, self.fields(params)), **over})
-
-    def params_of(self, base: str) -> dict[str, Any]:
-        """Return the parameters for the fields of another base, as far as the space contains them."""
-        return self.find(self._usual_fields(base))
-
-    def find(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the parameters for some fields of a run, as far as the space contains them."""
-        params: dict[str, Any] = {}
-        for parameter in self.parameters:
-            for param in parameter.find(given.get(parameter.name)):
-                if parameter.counts({**given, **params}):
-                    params[parameter.name] = param
-        return params
-
-    def holds(self, params: Mapping[str, Any]) -> bool:
-        """Return whether all parameters of a trial are in the space."""
-        known = {parameter.name: parameter for parameter in self.parameters}
-        return all(name in known and known[name].holds(param) for name, param in params.items())
-
-    def named(self, params: Mapping[str, Any]) -> dict[str, Any]:
-        """Return parameters with their choices in words."""
-        known = {parameter.name: parameter for parameter in self.parameters}
-        return {name: _name(value) if known[name].choices else value for name, value in params.items()}
-
-    def check(self, unread: Iterable[str] = ()) -> None:
-        """Refuse a space whose corners make no valid run, or that has parameters without effect.
-
-        `unread` keys of `fixed` are refused if no run reads them.
-        """
-        for key in self.fixed.keys() & self.keys:
-            raise UserError(f"{key} is searched by [space.{key}]")
-        corners = list(self.corners())
-        for key in self.keys:
-            runs = [run for params, run in corners if key in params]
-            if runs and unread_fields(runs, [key]):
-                raise UserError(does_nothing(key, runs))
-        runs = [run for _, run in corners]
-        for key in unread_fields(runs, unread):
-            raise UserError(does_nothing(key, runs))
-
-    def check_when(self) -> None:
-        """Refuse a parameter that never applies, because a field that is not searched has another value."""
-        usual = self._usual_fields(self.base)
-        for parameter in self.parameters:
-            for key in parameter.when.keys() - self.keys:
-                if as_tuple(usual.get(key)) not in parameter.when[key]:
-                    raise UserError(f"{parameter.name} never applies: {key} is {shown(usual.get(key))}")
-
-    def corners(self) -> Iterator[tuple[dict[str, Any], Run]]:
-        """Yield trials at the ends of ranges, always the same ones, each with its run."""
-        draw = random.Random(0)
-        for _ in range(CORNERS):
-            params = self.ask(lambda parameter: draw.choice(parameter.extremes))
-            try:
-                yield params, self.make_run(params)
-            except UserError as error:
-                trial = ", ".join(f"{name} = {value}" for name, value in self.named(params).items())
-                raise UserError(f"{error}, with {trial}") from None
-
-    def _usual_fields(self, base: str) -> dict[str, Any]:
-        """Return the base's fields with the fixed ones and the environment's, not yet checked as a run."""
-        fields = join_fields(base, self.fixed)
-        env = fields.get("env", ENVIRONMENTS[0])
-        return {**as_fields(Run()), **with_layout(read_fields(Run, with_environment(env, fields)))}

@@ -9,8 +9,8 @@ Files are checked here once; readers of a `Search` rely on it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+import random
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,23 +18,23 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Interval, MinLen
 from optuna.study import StudyDirection
-from pydantic import AfterValidator, BeforeValidator
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from pneuma.analysis.intervals import interquartile_mean
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.config import Run, Steps
-from pneuma.env.fields import ENVIRONMENTS, read_field
+from pneuma.config import Run, Steps, as_fields, make_run
+from pneuma.env.fields import ENVIRONMENTS, read_field, read_fields, with_environment, with_layout
 from pneuma.errors import UserError, unknown_name
 from pneuma.presets import ARENA, BASES, TEXT, checked_world, world_fields
 from pneuma.sb3_names import own_fields
-from pneuma.schema import Table, TomlFile, passes, read_model, read_toml, shown, wrong
+from pneuma.schema import Table, passes, read_model, read_toml, shown, wrong
 from pneuma.search import FIRST_SEED
 from pneuma.search.samplers import BY_SEED, NO_PRUNER, TPE, Pruner, Sampler
-from pneuma.search.space import FIXABLE, Parameters, Space, named
+from pneuma.search.space import FIXABLE, Parameter, Parameters, named
 from pneuma.study.identity import files_beside
 from pneuma.study.shipped import find_file, studies_folder
-from pneuma.study.spec import PRESETS, Fields
-from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, read_seeds
+from pneuma.study.spec import PRESETS, Fields, does_nothing, join_fields, unread_fields
+from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, as_tuple, read_seeds
 
 OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {
     "mean": np.mean,
@@ -44,6 +44,8 @@ OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {
 }
 """Functions that combine the outcomes of a trial's seeds."""
 DIRECTIONS = ("maximize", "minimize")
+CORNERS = 256
+"""Trials with which a space is checked before any training."""
 SETTABLE = tuple(name for name in FIXABLE if name not in ("env", "env_module", "env_kwargs", "wrappers"))
 """Fields that `--set` may set; by which an environment is made stands in the search's file alone."""
 
@@ -77,39 +79,37 @@ def _known_base(value: Any) -> Any:
     return value
 
 
-class SearchFile(Table):
-    """The whole file."""
+class Search(Table):
+    """A search, in one of `pneuma.presets.WORLDS`; docs/search.md tells the keys of its file.
+
+    Attributes:
+        start: the search begins with a trial of each: of a base's values, or of these.
+        warm_start: another search, with whose best trials this one goes on, as many as a generation has.
+        generation: number of trials that are suggested before their results are reported.
+        run: fields of all trials, on top of those that the base names.
+        objectives: several for a search of the Pareto front.
+        space: parameters in the order in which they are suggested, each after those that it depends on.
+    """
 
     title: Annotated[str, MinLen(1)]
     section: str = ""
     about: Annotated[str, AfterValidator(lambda text: " ".join(text.split()))] = ""
     base: Annotated[str, OneOf(tuple(BASES))]
     start: tuple[Annotated[Fields | str, BeforeValidator(_known_base)], ...] = ()
-    """The search begins with a trial of each: of a base's values, or of these."""
     warm_start: str = ""
-    """Another search, with whose best trials this one goes on, as many as a generation has."""
     generation: Annotated[int, Interval(ge=1, le=256)] = 8
-    """Number of trials that are suggested before their results are reported."""
     run: Fields = {}
-    """Fields of all trials."""
     objectives: Annotated[dict[str, Objective], MinLen(1), BeforeValidator(named)]
-    """Several for a search of the Pareto front."""
     space: Parameters
     sampler: Sampler = TPE
     sampler_seed: Annotated[int, Interval(ge=0)] = 0
     pruner: Pruner = NO_PRUNER
     presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], Budget], MinLen(1)]
 
-
-@dataclass(frozen=True)
-class Search:
-    """A search in one of `pneuma.presets.WORLDS`."""
-
-    name: str
-    file: TomlFile
-    spec: SearchFile
-    space: Space
-    world: str = TEXT
+    # what its file has no key for
+    name: str = Field("", exclude=True)
+    path: Path = Field(Path(), exclude=True)
+    world: str = Field(TEXT, exclude=True)
 
     @property
     def label(self) -> str:
@@ -118,27 +118,85 @@ class Search:
     @property
     def has_worlds(self) -> bool:
         """Return whether it can be run in several worlds, as its file sets no environment."""
-        return self.spec.run.get("env", ENVIRONMENTS[0]) == ENVIRONMENTS[0]
+        return self.world != TEXT or self.run.get("env", ENVIRONMENTS[0]) == ENVIRONMENTS[0]
 
     @property
-    def title(self) -> str:
-        return self.spec.title + (f" ({self.world})" if self.has_worlds else "")
+    def full_title(self) -> str:
+        return self.title + (f" ({self.world})" if self.has_worlds else "")
 
     @property
-    def objectives(self) -> tuple[Objective, ...]:
-        return tuple(self.spec.objectives.values())
+    def sought(self) -> tuple[Objective, ...]:
+        return tuple(self.objectives.values())
 
     @property
     def directions(self) -> list[StudyDirection]:
-        return [StudyDirection[objective.direction.upper()] for objective in self.objectives]
+        return [StudyDirection[objective.direction.upper()] for objective in self.sought]
 
     @property
     def first_trials(self) -> tuple[dict[str, Any], ...]:
         """What the search starts with; parameters that are left out are suggested."""
-        usual = self.space.params_of
         return tuple(
-            usual(start) if isinstance(start, str) else self.space.find(start) for start in self.spec.start
+            self.params_of(start) if isinstance(start, str) else self.find(start) for start in self.start
         )
+
+    # --- Trials
+
+    def ask(self, suggest: Callable[[Parameter], Any]) -> dict[str, Any]:
+        """Suggest a value for each parameter that applies; return them by name."""
+        usual = self._usual_fields(self.base)
+        params: dict[str, Any] = {}
+        for name, parameter in self.space.items():
+            if parameter.counts({**usual, **self.fields(params), **params}):
+                params[name] = suggest(parameter)
+        return params
+
+    def fields(self, params: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the fields of the run that a trial sets on top of the base."""
+        found = {name: self.space[name].choices.get(value, value) for name, value in params.items()}
+        return {**self.run, **found}
+
+    def make_run(self, params: Mapping[str, Any], **over: Any) -> Run:
+        return make_run({**join_fields(self.base, self.fields(params)), **over})
+
+    def params_of(self, base: str) -> dict[str, Any]:
+        """Return the parameters for the fields of another base, as far as the space contains them."""
+        return self.find(self._usual_fields(base))
+
+    def find(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the parameters for some fields of a run, as far as the space contains them."""
+        params: dict[str, Any] = {}
+        for name, parameter in self.space.items():
+            for param in parameter.find(given.get(name)):
+                if parameter.counts({**given, **params}):
+                    params[name] = param
+        return params
+
+    def holds(self, params: Mapping[str, Any]) -> bool:
+        """Return whether all parameters of a trial are in the space."""
+        return all(name in self.space and self.space[name].holds(param) for name, param in params.items())
+
+    def in_words(self, params: Mapping[str, Any]) -> dict[str, Any]:
+        """Return parameters with their choices in words."""
+        return {name: self.space[name].in_words(param) for name, param in params.items()}
+
+    def corners(self) -> Iterator[tuple[dict[str, Any], Run]]:
+        """Yield trials at the ends of ranges, always the same ones, each with its run."""
+        draw = random.Random(0)
+        for _ in range(CORNERS):
+            params = self.ask(lambda parameter: draw.choice(parameter.extremes))
+            try:
+                yield params, self.make_run(params)
+            except UserError as error:
+                trial = ", ".join(f"{name} = {value}" for name, value in self.in_words(params).items())
+                raise UserError(f"{error}, with {trial}") from None
+
+    def _usual_fields(self, base: str) -> dict[str, Any]:
+        """Return a base's fields with those of all trials and the environment's, not yet checked as a run."""
+        fields = join_fields(base, self.run)
+        env = fields.get("env", ENVIRONMENTS[0])
+        return {**as_fields(Run()), **with_layout(read_fields(Run, with_environment(env, fields)))}
+
+    # --- The same search with other fields
 
     def in_world(self, world: str) -> Search:
         """Return the search in one of `WORLDS`.
@@ -151,7 +209,7 @@ class Search:
             )
         if world == self.world:
             return self
-        return replace(self._with(world_fields(world, self.space.keys | {*self.space.fixed})), world=world)
+        return self._with(world_fields(world, {*self.space, *self.run})).model_copy(update={"world": world})
 
     def with_settings(self, settings: Mapping[str, Any]) -> Search:
         """Return the search with more fields that all trials share; each must be read by some."""
@@ -162,13 +220,34 @@ class Search:
         return self._with({key: read_field(Run, key, value) for key, value in over.items()}, over)
 
     def _with(self, over: Mapping[str, Any], unread: Iterable[str] = ()) -> Search:
-        space = replace(self.space, fixed={**self.space.fixed, **over})
+        changed = self.model_copy(update={"run": {**self.run, **over}})
         try:
-            space.check(unread)
+            changed.check(unread)
         except UserError as error:
             changes = ", ".join(f"{key} = {shown(value)}" for key, value in over.items())
             raise UserError(f"search {self.name} with {changes}: {error}") from None
-        return replace(self, space=space)
+        return changed
+
+    def check(self, unread: Iterable[str] = ()) -> None:
+        """Refuse a space whose corners make no valid run, or that has parameters without effect.
+
+        `unread` fields of all trials are refused if no run reads them.
+        """
+        for key in self.run.keys() & self.space.keys():
+            raise UserError(f"{key} is searched by [space.{key}]")
+        corners = list(self.corners())
+        having = {key: [run for params, run in corners if key in params] for key in self.space}
+        for key, runs in {**having, **dict.fromkeys(unread, [run for _, run in corners])}.items():
+            if runs and unread_fields(runs, [key]):
+                raise UserError(does_nothing(key, runs))
+
+    def check_when(self) -> None:
+        """Refuse a parameter that never applies, because a field that is not searched has another value."""
+        usual = self._usual_fields(self.base)
+        for name, parameter in self.space.items():
+            for key in parameter.when.keys() - self.space.keys():
+                if as_tuple(usual.get(key)) not in parameter.when[key]:
+                    raise UserError(f"{name} never applies: {key} is {shown(usual.get(key))}")
 
 
 def load_search(name: str, world: str | None = None, settings: Mapping[str, Any] | None = None) -> Search:
@@ -184,35 +263,37 @@ def load_search(name: str, world: str | None = None, settings: Mapping[str, Any]
 
 def check_budget(search: Search, budget: Budget) -> None:
     """Refuse a budget that an objective cannot use."""
-    for objective in search.objectives:
+    for objective in search.sought:
         if objective.over_seeds == "deviation" and len(budget.seeds) < 2:
             raise UserError(f"objective {objective.name}: a deviation needs --seeds 2 at least")
 
 
 def read_search(path: Path) -> Search:
     file = read_toml(path)
-    said = read_model(SearchFile, file)
-    parameters = []
-    for name, each in said.space.items():
+    search = read_model(Search, file)
+    space = {}
+    for name, each in search.space.items():
         found = {key: files_beside(path, {name: value})[name] for key, value in each.choices.items()}
-        parameters.append(each.model_copy(update={"choices": found}))
-    space = Space(tuple(parameters), files_beside(path, said.run), said.base)
-    if (beside := path.parent / f"{said.warm_start}.toml").is_file():
-        said = said.model_copy(update={"warm_start": str(beside)})
-    for key, value in (pair for start in said.start if isinstance(start, dict) for pair in start.items()):
-        if key not in space.find({key: value}):
+        space[name] = each.model_copy(update={"choices": found})
+    own = {"name": path.stem, "path": path, "run": files_beside(path, search.run), "space": space}
+    if (beside := path.parent / f"{search.warm_start}.toml").is_file():
+        own["warm_start"] = str(beside)
+    search = search.model_copy(update=own)
+    for key, value in (pair for start in search.start if isinstance(start, dict) for pair in start.items()):
+        if key not in search.find({key: value}):
             raise file.mistake((), f"start: {key} = {shown(value)} is not in the space", "start")
     try:
-        space.check(unread=said.run)
-        space.check_when()  # `--set` may leave out a part of the space, a file may not
+        search.check(unread=search.run)
+        search.check_when()  # `--set` may leave out a part of the space, a file may not
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
-    for table, name in (("pruner", said.pruner.name), ("sampler", said.sampler.name)):
-        if len(said.objectives) > 1 and (name == "cmaes" or table == "pruner" and name):
+    pruner, several = search.pruner.name, len(search.objectives) > 1
+    for table, name in (("pruner", pruner), ("sampler", search.sampler.name)):
+        if several and (name == "cmaes" or table == "pruner" and name):
             raise file.mistake((table,), f"{name} goes with one objective alone", "name")
-    for sought in said.objectives.values():
-        if sought.over_seeds == "deviation" and said.pruner.name:
-            raise file.mistake(("pruner",), f"{said.pruner.name} does not go with a deviation", "name")
-        if sought.over_seeds != "mean" and said.pruner.name == BY_SEED:
+    for sought in search.sought:
+        if sought.over_seeds == "deviation" and pruner:
+            raise file.mistake(("pruner",), f"{pruner} does not go with a deviation", "name")
+        if sought.over_seeds != "mean" and pruner == BY_SEED:
             raise file.mistake(("pruner",), f"{BY_SEED} goes with a mean over seeds alone", "name")
-    return Search(path.stem, file, said, space)
+    return search

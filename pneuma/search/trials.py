@@ -62,10 +62,10 @@ def run_search(
     search that cannot be run here is refused before anything is trained. Raises `Unfinished` when a run
     crashed; trials that ended before are stored.
     """
-    runs = [search.space.make_run({}), *(run for _, run in search.space.corners())]
+    runs = [search.make_run({}), *(run for _, run in search.corners())]
     check_budget(search, budget)
     check_environments(runs)
-    for objective, env in product(search.objectives, sorted({run.env for run in runs})):
+    for objective, env in product(search.sought, sorted({run.env for run in runs})):
         check_outcome(objective.outcome, [env])
     steps = common_steps(runs, budget.steps)
     if steps != budget.steps:
@@ -97,7 +97,7 @@ class Round:
 def rounds(task: Task) -> list[Round]:
     """Return the rounds of each generation: between its pruner's evaluations, or seed by seed."""
     seeds = task.budget.seeds
-    if task.search.spec.pruner.name == BY_SEED:
+    if task.search.pruner.name == BY_SEED:
         return [Round((seed,)) for seed in seeds]
     return [Round(seeds, pause) for pause in (*pauses(task), EVALUATIONS)]
 
@@ -107,7 +107,7 @@ def pauses(task: Task) -> list[int]:
 
     Training pauses there, so that all trials of a generation are compared with the same earlier ones.
     """
-    name, given = task.search.spec.pruner.name, task.search.spec.pruner.arguments
+    name, given = task.search.pruner.name, task.search.pruner.arguments
     if name == "median":
         first, every = int(given["n_warmup_steps"]), int(given["interval_steps"])
         return [k for k in range(1, EVALUATIONS) if k >= first and (k - first) % every == 0]
@@ -123,7 +123,7 @@ def conduct(record: Record, train: Train, outcomes: Outcomes, say: Callable[[str
 
     `say` tells which are trained or stopped. Raises `Unfinished` when a run crashed.
     """
-    task, size = record.task, record.task.search.spec.generation
+    task, size = record.task, record.task.search.generation
     trained: list[Cell] = []
     for first in range(0, task.budget.trials, size):
         for number in range(first, first + size):  # whole, so that a longer search has the same trials
@@ -157,8 +157,8 @@ def _goes_on(record: Record, number: int) -> bool:
 
 def _suggest(record: Record, number: int) -> None:
     """Suggest a trial that has not begun; one that waits is suggested as it was enqueued."""
-    task, study, space = record.task, record.study, record.task.search.space
-    with _entry(record, f"sampler {task.search.spec.sampler.name}"):
+    task, study, search = record.task, record.study, record.task.search
+    with _entry(record, f"sampler {task.search.sampler.name}"):
         waits = [trial.state == TrialState.WAITING for trial in record.begun[number : number + 1]]
         if waits == [False]:
             return
@@ -168,9 +168,9 @@ def _suggest(record: Record, number: int) -> None:
         about: dict[str, Any] = {"seeds": [*task.budget.seeds], "run_ids": []}
         try:
             for name, value in given.items():
-                if not space.holds({name: value}):
+                if not search.holds({name: value}):
                     raise UserError(f"was enqueued with {name} = {shown(value)}, which is not in its space")
-            space.ask(lambda parameter: trial._suggest(parameter.name, parameter.distribution))
+            search.ask(lambda parameter: trial._suggest(parameter.name, parameter.distribution))
             cells = _cells(task, number, trial.params)
             about |= {"run_ids": [cell.run_id for cell in cells], "config_id": config_id(cells[0].run)}
         except UserError as error:
@@ -181,9 +181,9 @@ def _suggest(record: Record, number: int) -> None:
 
 def _sampler(task: Task, number: int) -> BaseSampler:
     """Return the sampler of a trial, with its seed."""
-    spec, name = task.search.spec, task.search.name
-    stream = f"{name}/{spec.sampler_seed}" if spec.sampler_seed else name
-    return make_sampler(spec.sampler, stream_seed(stream, "sampler", number) % 2**32)
+    search, stream = task.search, task.search.name
+    stream += f"/{search.sampler_seed}" if search.sampler_seed else ""
+    return make_sampler(search.sampler, stream_seed(stream, "sampler", number) % 2**32)
 
 
 @contextmanager
@@ -202,7 +202,7 @@ def _entry(record: Record, what: str) -> Iterator[None]:
 
 
 def _cells(task: Task, number: int, params: Mapping[str, Any]) -> list[Cell]:
-    run = task.search.space.make_run(params, steps=task.budget.steps)
+    run = task.search.make_run(params, steps=task.budget.steps)
     runs = [replace(run, seed=seed) for seed in task.budget.seeds]
     return [Cell(f"trial-{number:03}", one.seed, one, run_id(one)) for one in runs]
 
@@ -226,10 +226,10 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
     name = f"search-{task.search.label}"
     study = Study.without_file(
         name,
-        task.search.title,
+        task.search.full_title,
         [cell.condition for cell in cells],
-        section=task.search.spec.section,
-        about=task.search.spec.about,
+        section=task.search.section,
+        about=task.search.about,
         world=task.search.world,
     )
     return Plan(study, tuple(cells), tuple(rounding_notes((task.budget.steps, cell.run) for cell in cells)))
@@ -244,10 +244,10 @@ def _compare(record: Record, part: Round, number: int, cells: Sequence[Cell], ou
     A round whose last value is in the log was decided when it was written.
     """
     task, last = record.task, record.begun[number].last_step
-    several = len(task.search.objectives) > 1
+    several = len(task.search.sought) > 1
     if several or not (found := _values(task, part, cells, outcomes, -1 if last is None else last)):
         return
-    with _entry(record, f"pruner {task.search.spec.pruner.name}"):
+    with _entry(record, f"pruner {task.search.pruner.name}"):
         if not _goes_on(record, number) or (trial := record.begun[number]).last_step != last:
             return  # another process was faster
         for step, value in found.items():
@@ -263,8 +263,8 @@ def _values(
     task: Task, part: Round, cells: Sequence[Cell], outcomes: Outcomes, last: int
 ) -> dict[int, float]:
     """Return a trial's values of a round by the pruner's steps, from those after `last` on."""
-    sought, seeds = task.search.objectives[0], task.budget.seeds
-    if task.search.spec.pruner.name == BY_SEED:
+    sought, seeds = task.search.sought[0], task.budget.seeds
+    if task.search.pruner.name == BY_SEED:
         places = [place for place in map(seeds.index, part.seeds) if place > last]
         return {place: outcomes.read(cells[place], sought.outcome) for place in places}
     steps = {number: step for number, step in part.steps(cells[0].run).items() if number > last}
@@ -278,7 +278,7 @@ def _end(record: Record, number: int, cells: Sequence[Cell], outcomes: Outcomes)
     """Tell the study what a trial came to, unless that is told already."""
     if not _goes_on(record, number):
         return
-    objectives, notes = record.task.search.objectives, [record.begun[number].user_attrs.get("note", "")]
+    objectives, notes = record.task.search.sought, [record.begun[number].user_attrs.get("note", "")]
     diverged = sum(map(outcomes.diverged, cells))
     values = [
         objective_value(each, np.array([outcomes.read(cell, each.outcome) for cell in cells]), diverged > 0)
@@ -292,7 +292,7 @@ def _end(record: Record, number: int, cells: Sequence[Cell], outcomes: Outcomes)
     if diverged:
         notes.append(f"{diverged} of {len(cells)} runs diverged")
     failed = lacking or not values
-    with _entry(record, f"sampler {record.task.search.spec.sampler.name}"):
+    with _entry(record, f"sampler {record.task.search.sampler.name}"):
         if not _goes_on(record, number):
             return  # another process was faster
         if note := "; ".join(filter(None, notes)):

@@ -47,7 +47,7 @@ def counted_outcome(search: Search, run: Row, name: str) -> float:
     if run.status == "diverged":
         minimized = any(
             (one.outcome, one.direction) == (name, "minimize") and one.over_seeds != "deviation"
-            for one in search.objectives
+            for one in search.sought
         )
         worst = find_outcome(name).bounds[minimized]
         if np.isfinite(worst):

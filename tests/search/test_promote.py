@@ -59,7 +59,10 @@ def ids_of(trial: FrozenTrial) -> tuple[str, ...]:
 def alike(make_task: MakeTask) -> list[Record]:
     """Return two searches that were tuned alike: of Adam, and of SGD with another horizon."""
     tasks = {name: make_task(8, more=fixed) for name, fixed in TUNED_ALIKE.items()}
-    return [record(replace(own, search=replace(own.search, name=name))) for name, own in tasks.items()]
+    return [
+        record(replace(own, search=own.search.model_copy(update={"name": name})))
+        for name, own in tasks.items()
+    ]
 
 
 def test_the_promoted_condition_is_the_trial(make_task: MakeTask, tmp_path: Path) -> None:

@@ -68,27 +68,27 @@ def write(tmp_path: Path) -> Load:
 
 def test_a_search_is_read_whole(write: Load) -> None:
     search = write(GOOD)
-    assert search.spec.presets["quick"].seeds == (1000, 1001)
-    assert [p.name for p in search.space.parameters] == [
+    assert search.presets["quick"].seeds == (1000, 1001)
+    assert [*search.space] == [
         "learning_rate", "epochs", "optimizer", "momentum", "actor",
     ]  # fmt: skip
     assert search.first_trials == (
         {"learning_rate": 3e-4, "epochs": 10, "optimizer": "adam", "actor": "[128]"},
         {"learning_rate": 3e-4, "optimizer": "adam", "actor": "[128]"},  # 15 epochs are outside
     )
-    assert search.space.fields({"optimizer": "sgd", "momentum": 0.5, "actor": "[32]"}) == {
+    assert search.fields({"optimizer": "sgd", "momentum": 0.5, "actor": "[32]"}) == {
         "gradient_limit": 0.5, "optimizer": "sgd", "momentum": 0.5, "actor": (32,),
     }  # fmt: skip
 
 
 def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
-    space = write(GOOD).space
+    search = write(GOOD)
     for optimizer in ("adam", "sgd"):
 
         def suggest(parameter: Parameter, chosen: str = optimizer) -> object:
             return chosen if parameter.name == "optimizer" else parameter.extremes[0]
 
-        asked = space.ask(suggest)
+        asked = search.ask(suggest)
         assert ("momentum" in asked) == (optimizer == "sgd")
 
 
@@ -145,8 +145,8 @@ def test_mistakes_are_refused_by_name(write: Load, old: str, new: str, told: str
 
 def test_a_search_in_the_published_codes_world(write: Load) -> None:
     there = write(GOOD).in_world("godot")
-    assert (there.name, there.label, there.title) == ("mine", "mine-godot", "A search (godot)")
-    assert there.space.fixed == {  # the search sets the actor itself
+    assert (there.name, there.label, there.full_title) == ("mine", "mine-godot", "A search (godot)")
+    assert there.run == {  # the search sets the actor itself
         "gradient_limit": 0.5, "env": "pneuma/PneumaGodot-v0", "clip_range": 0.2,
     }  # fmt: skip
 
@@ -169,7 +169,7 @@ def test_a_search_is_found_by_its_path_a_shipped_name_or_its_name_here_and_is_in
     assert found[0].space == found[1].space == found[2].space
     assert (load_search("ppo").label, load_search("ppo", "text").label) == ("ppo-arena", "ppo-text")
     (tmp_path / "ppo.toml").write_text(GOOD)
-    assert load_search("ppo").spec.title != "A search"
+    assert load_search("ppo").title != "A search"
     with pytest.raises(UserError, match="a shipped search is called ppo"):
         load_search("ppo.toml")
 
@@ -178,7 +178,7 @@ def test_a_search_of_another_environment_has_no_world(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(GOOD.replace("gradient_limit = 0.5", 'gradient_limit = 0.5\nenv = "CartPole-v1"', 1))
     search = load_search(str(path))
-    assert (search.label, search.title) == ("mine", "A search")
+    assert (search.label, search.full_title) == ("mine", "A search")
     for world in WORLDS:
         with pytest.raises(UserError, match=f"--world {world}: search mine is in one environment alone"):
             load_search(str(path), world)

@@ -76,7 +76,7 @@ def test_training_pauses_where_the_pruner_decides(
     (trial, *_) = solve(task, asked=asked)
     assert [part.pause for part in rounds(task)] == [*pauses, 20]
     steps = [until[trial.run_ids[0]] for until in asked]
-    run = task.search.space.make_run(trial.params, steps=2048)
+    run = task.search.make_run(trial.params, steps=2048)
     evaluated = sorted(evaluation_updates(run))  # 32 updates of 64 steps
     assert steps == [64 * evaluated[pause - 1] for pause in pauses] + [0]
 
@@ -141,7 +141,7 @@ def test_a_run_that_diverges_after_a_pause_had_its_values_there(
 ) -> None:
     """So that what a pruner decided at the pause is decided again once the run's end is known."""
     task = make_task()
-    run = task.search.space.make_run({"learning_rate": 1e-3, "activation": "tanh"}, steps=2048)
+    run = task.search.make_run({"learning_rate": 1e-3, "activation": "tanh"}, steps=2048)
     cell = Cell("trial-000", 1000, run, "0" * 16)
     monkeypatch.setattr(Store, "status", lambda *_: Status("diverged", 250))
     monkeypatch.setattr(values, "stored_row", lambda *_: _Row("diverged"))
