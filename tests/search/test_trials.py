@@ -12,8 +12,9 @@ import pytest
 from pneuma.engines import loop
 from pneuma.engines.loop import evaluation_updates
 from pneuma.search import values
+from pneuma.search.spec import OVER_SEEDS
 from pneuma.search.trials import rounds
-from pneuma.search.values import Outcomes
+from pneuma.search.values import Outcomes, over_seeds
 from pneuma.study.plan import Cell
 from pneuma.study.store import Status, Store
 
@@ -126,6 +127,11 @@ def test_wilcoxon_compares_seed_by_seed(make_task: MakeTask) -> None:
     trained = {name for until in asked for name in until}
     for trial in pruned:
         assert sum(name in trained for name in trial.run_ids) == len(trial.reports)
+
+
+def test_over_seeds_by_hand() -> None:
+    found = {name: over_seeds(name, np.array([1.0, 2, 3, 8])) for name in OVER_SEEDS}
+    assert found == pytest.approx({"mean": 3.5, "median": 2.5, "iqm": 2.5, "deviation": math.sqrt(29 / 3)})
 
 
 @dataclass(frozen=True)
