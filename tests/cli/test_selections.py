@@ -150,6 +150,9 @@ def test_after_a_quick_training_the_published_runs_are_told_and_shown_by_an_opti
     told, runs = compare("--seeds", "300..309")
     assert runs == fresh[1]
     assert f": {fresh[0]} runs of 1,000,000 steps (published; none was trained in " in told
+    _finish(store, seeds=(9000,), steps=1_000_000)
+    told = compare("--steps", "1e6")[0]
+    assert f"{every[0] + 2} runs of 1,000,000 steps ({every[0]} of them published" in told
 
 
 # --- Conditions with changed fields ----------------------------------------------------------------
