@@ -212,14 +212,17 @@ def player_stats(characters: Characters, classes: Sequence[str], weapons: Sequen
 
 
 def monster_stats(
-    characters: Characters, level: Level, players: np.ndarray, magic: bool = False
+    characters: Characters, levels: Sequence[Level], players: np.ndarray, magic: bool
 ) -> np.ndarray:
-    """Return the stats of each monster of a level, shape (M,), dtype `state.MONSTER_STATS`."""
-    stats = np.zeros(len(level.monsters), state.MONSTER_STATS)
-    for row, (kind, _, _) in zip(stats, level.monsters, strict=True):
-        _fill_monster(row, characters.monsters[kind])
+    """Return the stats of each monster of each level, (L, M) `state.MONSTER_STATS`."""
+    kinds = dict(
+        zip(characters.monsters, np.zeros(len(characters.monsters), state.MONSTER_STATS), strict=True)
+    )
+    for name, row in kinds.items():
+        _fill_monster(row, characters.monsters[name])
         row["reach_squared"] = _reach(row, players, magic) ** 2
-    return stats
+    rows = [[kinds[kind].item() for kind, _, _ in level.monsters] for level in levels]
+    return np.array(rows, state.MONSTER_STATS)
 
 
 def fastest(players: np.ndarray, monsters: np.ndarray) -> float:

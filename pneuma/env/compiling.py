@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import random
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -31,23 +32,27 @@ KERNEL_SOURCES = (
 DIGEST = hashlib.sha256(b"".join((PACKAGE / name).read_bytes() for name in KERNEL_SOURCES)).hexdigest()[:16]
 
 
-def cached(*signature: Any, using: Any = njit, **options: Any) -> Callable[[Any], Any]:
+def cached(*signature: Any, using: Any = njit, notice: str = "", **options: Any) -> Callable[[Any], Any]:
     """Return `njit`, or `cfunc`, with its cache; where no folder can be written, each process compiles anew.
 
     Numba writes beside the code, in the user's cache, or in NUMBA_CACHE_DIR; in some containers it can write
-    to none of them.
+    to none of them. A person at a terminal is shown the notice if nothing was kept.
     """
 
     def compiled(function: Any) -> Any:
+        kept, can_keep = {}, True
         try:
             cache = typed_cache(function)
         except RuntimeError:  # no such folder
-            return using(*signature, **options)(function)
-        try:
-            cache._cache_file._load_index()
-        except Exception:  # it names a class that is gone, and is read whole before its age is seen
-            cache.flush()
-        return using(*signature, cache=True, **options)(function)
+            can_keep = False
+        else:
+            try:
+                kept = cache._cache_file._load_index()
+            except Exception:  # it names a class that is gone, and is read whole before its age is seen
+                cache.flush()
+        if notice and not kept and sys.stderr.isatty():
+            print(notice, file=sys.stderr)
+        return using(*signature, cache=can_keep, **options)(function)
 
     return compiled
 

@@ -11,13 +11,10 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 
 from pneuma.env.fields import ENVIRONMENTS, arguments_table, make_env_config
-from pneuma.env.kernel import announce_compiling
 from pneuma.env.slots import chosen_starts, ending_info
 from pneuma.env.watch import Rendering, keys_to_action
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
-
-announce_compiling()
 
 
 class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
-import sys
 from functools import cache
 from typing import Any
 
 import numba
 from llvmlite import binding
-from numba.core import event, types
+from numba.core import types
 
-from pneuma.env.compiling import cached, entry, inlined, typed_pointer
+from pneuma.env.compiling import cached, entry, typed_pointer
 from pneuma.env.observe import observe_player
 from pneuma.env.reward import share_reward, write_reward
 from pneuma.env.rules import RUNNING, begin_episode, record_step, step_world
@@ -22,6 +20,7 @@ GO_ON = -2
 RESET, STEP, RECORD = 0, 1, 2
 """What `run_worlds` does; `STEP | RECORD` at once unless rewards are computed outside."""
 SYMBOL = "pneuma_run_worlds"
+NOTICE = "Compiling the rules of the world: some ten seconds, once a version."
 _STATE, _ACTIONS = typed_pointer(numba.from_dtype(HANDLE)), typed_pointer(types.int64)
 run_worlds: Any = types.ExternalFunction(SYMBOL, types.int64(types.uintp, _ACTIONS, types.int64))
 """`_run_worlds` for compiled functions, by its name: `run_worlds(handle.ctypes.data, actions.ctypes, RESET)`.
@@ -34,8 +33,8 @@ Inlined it would be compiled again with each of them, 12 s a time. `load_rules` 
 def load_rules() -> None:
     """Compile `_run_worlds`, or load it."""
     signature = types.int64(_STATE, _ACTIONS, types.int64)
-    compiled = cached(signature, using=numba.cfunc, error_model="numpy", _nrt=False)(_run_worlds)
-    binding.add_symbol(SYMBOL, compiled.address)
+    compile_rules = cached(signature, using=numba.cfunc, notice=NOTICE, error_model="numpy", _nrt=False)
+    binding.add_symbol(SYMBOL, compile_rules(_run_worlds).address)
 
 
 @entry
@@ -61,7 +60,7 @@ def _run_worlds(handle: Any, actions: Any, work: int) -> int:
     for w in range(s.worlds.shape[0]):
         if work & STEP:
             for p in range(s.players.shape[1]):
-                _clear(s.events[w, p])
+                s.events[w, p] = s.no_events[0]
                 s.slots[w, p].ending = RUNNING
             if s.worlds[w].ending != RUNNING:
                 continue
@@ -81,36 +80,3 @@ def _run_worlds(handle: Any, actions: Any, work: int) -> int:
         if work & RECORD:
             record_step(s, w, taken)
     return ended
-
-
-@cache
-def announce_compiling() -> None:
-    """From now on tell a person at a terminal when the rules are compiled, as nothing else happens then."""
-    event.register("numba:run_pass", _Announcer())  # type: ignore[no-untyped-call]
-
-
-class _Announcer(event.Listener):
-    told = False
-
-    def on_start(self, event: Any) -> None:
-        if event.data["qualname"] == _run_worlds.__qualname__ and not self.told and sys.stderr.isatty():
-            self.told = True
-            print("Compiling the rules of the world: some ten seconds, once a version.", file=sys.stderr)
-
-    def on_end(self, event: Any) -> None:
-        pass
-
-
-@inlined
-def _clear(event: Array) -> None:
-    event.reward = 0.0
-    event.xp_gained = 0.0
-    event.hp_lost = 0.0
-    event.hp_gained = 0.0
-    event.hits = 0
-    event.kills = 0
-    event.notices = 0
-    event.contacts = 0
-    event.died = 0
-    event.present = 0
-    event.distance = math.inf

@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from pneuma.env.fields import EnvConfig
+from pneuma.env.fields import OBSERVATIONS, EnvConfig
 from pneuma.env.level import RANDOM, Level
 from pneuma.errors import UserError, unknown_name
 
-LAYOUT_THESIS, LAYOUT_PYGAME, LAYOUT_GODOT = 0, 1, 2
-LAYOUTS = {"thesis": LAYOUT_THESIS, "pygame": LAYOUT_PYGAME, "godot": LAYOUT_GODOT}
+LAYOUT_THESIS, LAYOUT_PYGAME, LAYOUT_GODOT = range(len(OBSERVATIONS))
 MOST_XP = 1e9
 """Bound of XP, in points, that is kept through episodes."""
 
@@ -46,7 +45,7 @@ def fill_scales(
 ) -> None:
     """Write layout and scales into rows of `state.SETTINGS`, `PLAYER_STATS` and `MONSTER_STATS`."""
     perceived, rows = perceived_kinds(config, levels)
-    settings["layout"] = LAYOUTS[config.observation]
+    settings["layout"] = OBSERVATIONS.index(config.observation)
     settings["fixed_order"] = config.order == "fixed"
     settings["perceived"] = rows
     monsters["perceived"] = perceived

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,23 +80,22 @@ def refuse_bad_places(level: Level, players: np.ndarray, monsters: np.ndarray, c
         for i, ((name, x, y), kind) in enumerate(zip(level.monsters, monsters, strict=True))
     ]
     bodies = starts + others
-    trees = (rules.SOLID,) if config.trees == "wall" else ()
-    coast = (rules.COAST,) if config.coast == "wall" else ()
+    trees = (level.terrain == rules.SOLID) & (config.trees == "wall")
+    coast = level.terrain == rules.COAST
     stopped = others if config.terrain_stops == "all" else []
     left, top, right, bottom = level.grid
     for body in bodies:
         if (body.low < (left, top)).any() or (body.high > (right, bottom)).any():
             raise body.refusal(level, "reaches beyond the grid")
     side = 2 * float(max(players["half_width"].max(), players["half_height"].max()))
-    open_tiles = ~np.isin(level.terrain, (*trees, rules.COAST))  # players drown in a deadly sea
-    lost = first_cut_off(level, open_tiles, side, len(stopped))
+    lost = first_cut_off(level, ~(trees | coast), side, len(stopped))  # players drown in a deadly sea
     if lost is not None:
         who = [*starts[:: len(shapes)], *others][lost].who
         raise UserError(f"level {level.name}: {who} is walled in or off the land, for a body of {side:g} px")
     for body in starts:
-        _refuse_terrain(level, body, (*trees, *coast))
+        _refuse_terrain(level, body, trees | coast & (config.coast == "wall"))
     for body in stopped:
-        _refuse_terrain(level, body, (*trees, rules.COAST))
+        _refuse_terrain(level, body, trees | coast)
     if config.bodies == "block":
         low, high = (np.array([getattr(each, edge) for each in bodies]) for edge in ("low", "high"))
         for body in bodies if config.players > 1 else others:
@@ -121,12 +119,12 @@ class _Body:
         )
 
 
-def _refuse_terrain(level: Level, body: _Body, stops: Sequence[int]) -> None:
+def _refuse_terrain(level: Level, body: _Body, closed: np.ndarray) -> None:
     corner = (level.left, level.top)
     first = np.floor((body.low - corner) / level.tile).astype(int)
     last = np.ceil((body.high - corner) / level.tile).astype(int)
-    under = level.terrain[first[1] : last[1], first[0] : last[0]]
-    for row, column in np.argwhere(np.isin(under, stops)).tolist():
+    under = closed[first[1] : last[1], first[0] : last[0]]
+    for row, column in np.argwhere(under).tolist() if under.any() else ():
         place = f"row {first[1] + row + 1}, column {first[0] + column + 1}"
         raise body.refusal(level, f"overlaps the tile in {place}: it would be stuck there")
 

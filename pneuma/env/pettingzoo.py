@@ -11,12 +11,9 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.kernel import announce_compiling
 from pneuma.env.slots import Slots, chosen_starts, ending_info
 from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Worlds
-
-announce_compiling()
 
 
 class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):

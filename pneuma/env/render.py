@@ -12,6 +12,7 @@ from math import ceil, inf
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from pneuma.env import rules, sprites
 from pneuma.env.characters import FACINGS, TICKS_PER_STEP
@@ -21,7 +22,7 @@ from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 CAMERAS = ("map", "follow")
-SEA = "3d83c9"
+SEA = "#3d83c9"
 
 VIEW = (15 * sprites.TILE, 11 * sprites.TILE)
 """Width and height, in art pixels, of what the following camera shows."""
@@ -95,8 +96,8 @@ class Renderer:
         self._size = width * self._factor, height * self._factor
         self._panel_factor = min(max(self._size[0] // PANEL_WIDTH, 1), 3)
         strip = (PANEL_LINE + 2 * PANEL_GAP) * self._panel_factor // 2 * 2  # videos need even sides
-        self._panel = (strip, self._size[0], 3) if panel else None
-        self.size = self._size[0], self._size[1] + (strip if panel else 0)
+        self._panel = strip if panel else 0
+        self.size = self._size[0], self._size[1] + self._panel
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
@@ -121,24 +122,26 @@ class Renderer:
     def frame(self, world: int = 0, player: int = 0) -> np.ndarray:
         """Return the frame of one world, (height, width, 3) uint8, with one of its players in view."""
         self.background, self._obstacles = self._scene(int(self.worlds.worlds["level"][world]))
-        left, top, width, height = self._window(world, player)
-        canvas = self.background[top : top + height, left : left + width].copy()
-        self._draw(canvas, world, left, top)
-        frame = sprites.centred(sprites.enlarge(canvas, self._factor), self._size, SEA)
-        return np.concatenate([self._strip(world, player), frame]) if self._panel else frame
+        left, top = self._corner(world, player)
+        width, height = (side // self._factor for side in self._size)
+        canvas = Image.new("RGB", (width, height), SEA)
+        canvas.paste(Image.fromarray(self.background), (-left, -top))
+        items = [*self._obstacles, *self._monsters(world), *self._bars(world), *self._players(world)]
+        for item in sorted(items, key=lambda item: item.foot):
+            sprites.blend(canvas, item.picture, item.left - left, item.top - top)
+        frame = np.asarray(canvas.resize(self._size, Image.Resampling.NEAREST))
+        return np.concatenate([self._strip(world, player), frame]) if self._panel else frame.copy()
 
     # --- Cameras ---------------------------------------------------------------------------------
 
-    def _window(self, world: int, player: int) -> tuple[int, int, int, int]:
-        """Return left, top, width and height of what the camera shows of the level, in art pixels."""
+    def _corner(self, world: int, player: int) -> tuple[int, int]:
+        """Return left and top of what the camera shows of the level, in art pixels."""
         if self.camera == "map":
-            return self.shown
+            return self.shown[:2]
         row = self.worlds.players[world, player]
         x, y = self._place(row["x"], row["y"])
         rows, columns = self.background.shape[:2]
-        left, width = _clamp(x, VIEW[0], columns)
-        top, height = _clamp(y, VIEW[1], rows)
-        return left, top, width, height
+        return _clamp(x, VIEW[0], columns), _clamp(y, VIEW[1], rows)
 
     def _place(self, x: float, y: float) -> tuple[int, int]:
         level = self.worlds.level
@@ -146,14 +149,6 @@ class Renderer:
         return int((x - level.left) * scale // 1), int((y - level.top) * scale // 1)
 
     # --- What stands in the world ----------------------------------------------------------------
-
-    def _draw(self, canvas: np.ndarray, world: int, left: int, top: int) -> None:
-        height, width = canvas.shape[:2]
-        items = [*self._obstacles, *self._monsters(world), *self._bars(world), *self._players(world)]
-        for item in sorted(items, key=lambda item: item.foot):
-            across, down = item.left - left, item.top - top
-            if -item.picture.shape[1] < across < width and -item.picture.shape[0] < down < height:
-                sprites.blend(canvas, item.picture, across, down)
 
     def _monsters(self, world: int) -> Iterator[Item]:
         level = int(self.worlds.worlds["level"][world])
@@ -266,13 +261,14 @@ class Renderer:
     # --- The strip above -------------------------------------------------------------------------
 
     def _strip(self, world: int, player: int) -> np.ndarray:
-        strip = np.full(self._panel or (), sprites.rgb(sprites.PLATE), np.uint8)
+        strip = Image.new("RGB", (self._size[0], self._panel), f"#{sprites.PLATE}")
         left, factor = PANEL_GAP, self._panel_factor
         for picture in self._pieces(world, player):
             down = PANEL_GAP + (PANEL_LINE - picture.shape[0]) // 2
-            sprites.blend(strip, sprites.enlarge(picture, factor), left * factor, down * factor)
+            enlarged = picture.repeat(factor, 1).repeat(factor, 0)
+            sprites.blend(strip, enlarged, left * factor, down * factor)
             left += picture.shape[1] + PANEL_GAP
-        return strip
+        return np.asarray(strip)
 
     def _pieces(self, world: int, player: int) -> list[np.ndarray]:
         """Return the pictures in the strip, one after the other; those without room are cut off."""
@@ -337,8 +333,8 @@ def _player_picture(index: int, player: Any, flash: str) -> np.ndarray:
     return sprites.player_picture(index, facing, "stride" if phase else "stand", flash)
 
 
-def _clamp(centre: int, length: int, available: int) -> tuple[int, int]:
-    """Return start and length of a window around a centre, moved to stay within the map."""
+def _clamp(centre: int, length: int, available: int) -> int:
+    """Return the start of a window around a centre, moved to stay within the map if that is larger."""
     if length >= available:
-        return 0, available
-    return min(max(centre - length // 2, 0), available - length), length
+        return (available - length) // 2
+    return min(max(centre - length // 2, 0), available - length)

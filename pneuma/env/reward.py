@@ -19,18 +19,12 @@ from typing import Any
 import numpy as np
 
 from pneuma.env.compiling import inlined
+from pneuma.env.fields import REWARDS
 from pneuma.env.state import Array
 from pneuma.errors import OwnCodeError, UserError
 from pneuma.own_modules import load_module
 
-REWARD_THESIS, REWARD_PYGAME, REWARD_GODOT, REWARD_KILLS, REWARD_SIGMOID, REWARD_CUSTOM = 0, 1, 2, 3, 4, 5
-REWARD_CODES = {
-    "thesis": REWARD_THESIS,
-    "pygame": REWARD_PYGAME,
-    "godot": REWARD_GODOT,
-    "kills": REWARD_KILLS,
-    "distance-sigmoid": REWARD_SIGMOID,
-}
+THESIS, PYGAME, _GODOT, KILLS, SIGMOID = range(len(REWARDS))
 SIGMOID_MIDDLE, SIGMOID_WIDTH = 150.0, 50.0  # pixels
 
 PARTS = ("xp", "hp", "xp_gained", "hp_lost", "notices", "contacts")
@@ -109,15 +103,15 @@ def reward_parts(events: np.ndarray, players: np.ndarray, stats: np.ndarray) -> 
 @inlined
 def write_reward(player: Array, stats: Array, event: Array) -> None:
     """Write a player's reward by its formula."""
-    if stats.reward == REWARD_THESIS:
+    if stats.reward == THESIS:
         event.reward = player.xp - player.hp / stats.hp
-    elif stats.reward == REWARD_PYGAME:
+    elif stats.reward == PYGAME:
         event.reward = player.xp + player.hp / stats.hp
-    elif stats.reward == REWARD_KILLS:
+    elif stats.reward == KILLS:
         event.reward = event.xp_gained - event.hp_lost / stats.hp
-    elif stats.reward == REWARD_SIGMOID:
+    elif stats.reward == SIGMOID:
         event.reward = event.xp_gained + _closeness(event.distance)
-    # REWARD_GODOT has been kept event by event by the rules; REWARD_CUSTOM is computed outside.
+    # Godot's has been kept event by event by the rules; a user's own is computed outside.
 
 
 @inlined

@@ -183,39 +183,15 @@ def _glyphs() -> dict[str, np.ndarray]:
 # --- What can be done with pictures --------------------------------------------------------------
 
 
-def blend(canvas: np.ndarray, picture: np.ndarray, left: int, top: int) -> None:
-    """Paint a picture onto an RGB canvas, shape (height, width, 3); parts outside are cut off."""
-    first_row, first_column = max(-top, 0), max(-left, 0)
-    last_row = min(picture.shape[0], canvas.shape[0] - top)
-    last_column = min(picture.shape[1], canvas.shape[1] - left)
-    if last_row <= first_row or last_column <= first_column:
-        return
-    piece = picture[first_row:last_row, first_column:last_column]
-    under = canvas[top + first_row : top + last_row, left + first_column : left + last_column]
-    opacity = piece[..., 3:].astype(np.uint16)
-    under[...] = (under * (255 - opacity) + piece[..., :3] * opacity + 127) // 255
-
-
-def enlarge(picture: np.ndarray, factor: int) -> np.ndarray:
-    return picture.repeat(factor, 1).repeat(factor, 0)
+def blend(canvas: Image.Image, picture: np.ndarray, left: int, top: int) -> None:
+    """Paint a picture onto an RGB canvas; parts outside are cut off."""
+    image = Image.fromarray(picture)
+    canvas.paste(image, (left, top), image)
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
     red, green, blue = bytes.fromhex(colour)
     return red, green, blue
-
-
-def centred(picture: np.ndarray, size: tuple[int, int], colour: str) -> np.ndarray:
-    """Return a picture cropped, or padded with a colour, to a width and height."""
-    width, height = size
-    if picture.shape[:2] == (height, width):
-        return picture
-    frame = np.empty((height, width, 3), np.uint8)
-    frame[...] = rgb(colour)
-    part = picture[:height, :width]
-    top, left = (height - part.shape[0]) // 2, (width - part.shape[1]) // 2
-    frame[top : top + part.shape[0], left : left + part.shape[1]] = part
-    return frame
 
 
 def _flashed(picture: np.ndarray, colour: str) -> np.ndarray:

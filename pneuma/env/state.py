@@ -265,6 +265,7 @@ class State(NamedTuple):
     slots: Annotated[Array, SLOT, "N P"]
     tallies: Annotated[Array, TALLY, "N"]
     taken: Annotated[Array, np.int64, "N A"]  # how often players who lived took each action
+    no_events: Annotated[Array, EVENTS, "1"]  # of a step in which nothing happens
 
 
 def _kinds() -> dict[str, tuple[np.dtype[Any], list[str]]]:
@@ -292,7 +293,7 @@ def allocate(given: Mapping[str, np.ndarray], **sizes: int) -> State:
 
 
 def make_handle(state: State) -> np.ndarray:
-    """Return addresses and shapes of all arrays, (21,) HANDLE, with which the kernels are called.
+    """Return addresses and shapes of all arrays, (22,) HANDLE, with which the kernels are called.
 
     Passing one small array to a compiled function instead of all arrays saves most of the time of a call. The
     arrays must outlive the handle.

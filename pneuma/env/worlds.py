@@ -13,12 +13,12 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import seeding
 
-from pneuma.env import characters, kernel, rules, state
-from pneuma.env.fields import DASH, WEAPON_NAMES, EnvConfig, action_names, make_env_config
+from pneuma.env import characters, fields, kernel, rules, state
+from pneuma.env.fields import EnvConfig, make_env_config
 from pneuma.env.layouts import fill_scales, observation_space
 from pneuma.env.level import Level, refuse_bad_places
 from pneuma.env.load_level import load_levels
-from pneuma.env.reward import REWARD_CODES, REWARD_CUSTOM, custom_rewards, load_reward, present
+from pneuma.env.reward import custom_rewards, load_reward, present
 from pneuma.errors import UserError
 
 ENDINGS = ("running", "killed", "cleared", "time-limit")
@@ -47,18 +47,16 @@ class Worlds:
         config = self.config = make_env_config(vars(config or EnvConfig()))  # checked, however it was made
         cast = characters.load_characters(config.characters)
         self._stats = _both_weapons(cast, config)
-        self.action_names = action_names(config)
+        self.action_names = fields.action_names(config)
         self.levels = load_levels(config, characters.monster_codes(cast))
         rewards = _one_each(config.reward, config)
-        self._stats["reward"] = 2 * [REWARD_CODES.get(name, REWARD_CUSTOM) for name in rewards]
+        codes = {name: code for code, name in enumerate(fields.REWARDS)}
+        self._stats["reward"] = 2 * [codes.get(name, -1) for name in rewards]
         self._custom = [
             (name, load_reward(name), [p for p, reward in enumerate(rewards) if reward == name])
-            for name in dict.fromkeys(rewards)
-            if ":" in name
+            for name in dict.fromkeys(fields.own_rewards(rewards))
         ]
-        self.monster_stats = np.stack(
-            [characters.monster_stats(cast, level, self._stats, config.magic) for level in self.levels]
-        )
+        self.monster_stats = characters.monster_stats(cast, self.levels, self._stats, config.magic)
         for level, kinds in zip(self.levels, self.monster_stats, strict=True):
             refuse_bad_places(level, self.player_stats, kinds, config)
         self._refuse_lonely(config)
@@ -82,6 +80,8 @@ class Worlds:
         first_monsters["hp"] = self.monster_stats["hp"]
         homes = np.array([[place for _, *place in level.monsters] for level in self.levels], np.float64)
         first_monsters["x"], first_monsters["y"] = np.moveaxis(homes.reshape(levels, monsters, 2), 2, 0)
+        no_events = np.zeros(1, state.EVENTS)
+        no_events["distance"] = np.inf
         given = {
             "player_stats": self._stats,
             "monster_stats": self.monster_stats,
@@ -90,6 +90,7 @@ class Worlds:
             "starts": np.array([level.starts for level in self.levels]),
             "first_players": first_players,
             "first_monsters": first_monsters,
+            "no_events": no_events,
         }
         arrays = self._arrays = state.allocate(
             given, N=count, P=players, M=monsters, B=players + monsters, A=actions, F=self.space.shape[0]
@@ -100,7 +101,7 @@ class Worlds:
         fresh = np.random.SeedSequence()
         self.worlds["key"] = fresh.generate_state(count, np.uint64)  # until they are seeded
         self.players["x"], self.players["y"] = self.level.starts[0]  # on the grid, also before a reset
-        self.events["distance"] = np.inf
+        self.events[:] = no_events
         self.slots["begins"] = 1.0
         self._none = np.zeros((count, players), np.int64)  # actions that a reset does not read
         self._take_addresses()
@@ -165,9 +166,9 @@ class Worlds:
         row["monster_stops"] = (trees | 1 << rules.COAST if config.terrain_stops == "all" else 0) | bodies
         slow = any((level.terrain == rules.SLOW).any() for level in self.levels)
         row["slow_factor"] = config.slow_factor if slow else 1.0
-        row["dash"] = self.action_names.index(DASH) if config.dash else -1
+        row["dash"] = self.action_names.index(fields.DASH) if config.dash else -1
         row["dash_ticks"], row["dash_cooldown"] = characters.DASH_TICKS, characters.DASH_COOLDOWN
-        row["hold"] = self.action_names.index(WEAPON_NAMES[0]) if config.second_weapon else -1
+        row["hold"] = self.action_names.index(fields.WEAPON_NAMES[0]) if config.second_weapon else -1
         row["shared_reward"] = config.shared_reward and not self._custom
         row["blow_on_entry"] = config.blow == "entry"
         row["credit_near"] = config.kill_credit == "near"
