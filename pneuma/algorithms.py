@@ -71,20 +71,12 @@ VALUE_BASED = tuple(name for name, fields in ALGORITHM_FIELDS.items() if "explor
 OF_ALGORITHMS = frozenset(key for keys in ALGORITHM_FIELDS.values() for key in keys)
 
 _DQN_DEFAULTS: dict[str, Any] = {
-    "buffer_size": 100_000,
-    "learning_starts": 100,
-    "train_every": 4,
-    "gradient_steps": 1,
-    "target_every": 10_000,
-    "exploration": 0.05,
-    "exploration_fraction": 0.1,
-}
+    "buffer_size": 100_000, "learning_starts": 100, "train_every": 4, "gradient_steps": 1,
+    "target_every": 10_000, "exploration": 0.05, "exploration_fraction": 0.1,
+}  # fmt: skip
 _TABLE_DEFAULTS: dict[str, Any] = {
-    "exploration": 0.1,
-    "exploration_fraction": 0.0,
-    "action_slip": 0.0,
-    "reward_noise": 0.0,
-}
+    "exploration": 0.1, "exploration_fraction": 0.0, "action_slip": 0.0, "reward_noise": 0.0,
+}  # fmt: skip
 
 ALGORITHM_DEFAULTS: dict[str, dict[str, Any]] = {
     "trpo": {"target_kl": 0.01, "conjugate_steps": 15, "line_search_steps": 10},
@@ -105,13 +97,8 @@ OPTIMIZER_FIELDS: dict[str, tuple[str, ...]] = {
 """The fields that each optimizer reads; the others are None in a resolved run."""
 
 OPTIMIZER_DEFAULTS: dict[str, Any] = {
-    "betas": (0.9, 0.999),
-    "epsilon": 1e-5,
-    "momentum": 0.0,
-    "dampening": 0.0,
-    "smoothing": 0.99,
-    "utility_decay": 0.999,
-    "noise": 0.001,
-}
+    "betas": (0.9, 0.999), "epsilon": 1e-5, "momentum": 0.0, "dampening": 0.0, "smoothing": 0.99,
+    "utility_decay": 0.999, "noise": 0.001,
+}  # fmt: skip
 
 OF_OPTIMIZERS = frozenset(key for keys in OPTIMIZER_FIELDS.values() for key in keys)

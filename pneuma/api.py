@@ -93,16 +93,8 @@ def run_study(
             f"{len(unwell)} of {len(outcomes)} runs did not end: {cell.condition} seed {cell.seed} "
             f"{status.name} {unwell[0].reason}; see {store.run_folder(cell.run_id) / 'error.txt'}"
         )
-    seeds = sorted({cell.seed for cell in planned.cells})
-    return open_data(
-        study,
-        results,
-        steps=planned.steps,
-        seeds=seeds,
-        conditions=conditions,
-        settings=settings,
-        world=world,
-    )
+    shown: Any = {"steps": planned.steps, "seeds": sorted({cell.seed for cell in planned.cells})}
+    return open_data(study, results, **shown, conditions=conditions, settings=settings, world=world)
 
 
 def plan_study(
@@ -165,16 +157,9 @@ def open_data(
 ) -> StudyData:
     """Open a study's finished runs of one budget, stored or published.
 
-    Args:
-        study: its name, or the path of its file.
-        results: the results folder; PNEUMA_RESULTS or ./results when left out.
-        steps: agent steps of each run; default: those last trained here, or of most conditions and runs.
-        seeds: a count or a list of seeds; default: all.
-        conditions: names of conditions; default: all.
-        settings: fields that are set in every condition.
-        world: a key of `pneuma.presets.WORLDS`; default: the arena where the study is run in it.
-        any_version: whether runs that other versions of your modules, the rules or an engine made count, too.
-        say: is told what is shown, and what else is stored.
+    Arguments are those of `run_study`. Left out, `seeds` are all, and `steps` those last trained here, or of
+    most conditions and runs. With `any_version`, runs that other versions of your modules, the rules or an
+    engine made count, too. `say` is told what is shown, and what else is stored.
 
     Raises:
         UserError: when nothing of the study is stored with so many steps, or no run has finished.
@@ -189,14 +174,9 @@ def open_data(
 def compare(
     study: StudyData | Where, a: str, b: str, outcomes: Sequence[str] = (), results: Where | None = None
 ) -> pd.DataFrame:
-    """Compare two conditions of a study, as `pneuma study compare` does.
+    """Compare condition a of a study, or of opened data, with b, as `pneuma study compare` does.
 
-    Args:
-        study: opened data, or what `open_data` takes.
-        a: a condition.
-        b: the condition that it is compared with.
-        outcomes: names from docs/outcomes.md; default: the usual three.
-        results: the results folder; PNEUMA_RESULTS or ./results when left out.
+    Outcomes are names from docs/outcomes.md; left out, the usual three.
 
     Returns:
         A row for each outcome: means, their difference with its interval, `p_better`, and counts of runs.
@@ -204,11 +184,10 @@ def compare(
     Raises:
         UserError: for unknown names, or outcomes that cannot be compared.
     """
-    from pneuma.analysis.study_data import StudyData
     from pneuma.analysis.summaries import compare_conditions
 
-    data = study if isinstance(study, StudyData) else open_data(study, results)
-    return compare_conditions(data, a, b, (outcomes,) if isinstance(outcomes, str) else tuple(outcomes))
+    names = (outcomes,) if isinstance(outcomes, str) else tuple(outcomes)
+    return compare_conditions(_opened(study, results), a, b, names)
 
 
 def plot(
@@ -224,20 +203,15 @@ def plot(
         study: opened data, or what `open_data` takes.
         quantity: as `pneuma study plot --quantity` takes it; default: the first of the study's figure.
         ax: default: matplotlib's current axes.
-        results: the results folder; PNEUMA_RESULTS or ./results when left out.
+        results: as of `run_study`.
         how: `band`, `window`, `x`, `center` and `log`, as the options are called.
 
     Returns:
         The axes, with a legend.
-
-    Raises:
-        UserError: for a quantity, band or axis that the study's data do not have.
     """
-    from pneuma.analysis.study_data import StudyData
     from pneuma.figures.curves import plot_curves
 
-    data = study if isinstance(study, StudyData) else open_data(study, results)
-    return plot_curves(data, quantity, ax, **how)
+    return plot_curves(_opened(study, results), quantity, ax, **how)
 
 
 def promote(
@@ -252,15 +226,9 @@ def promote(
 ) -> pd.DataFrame:
     """Train winners of searches and their bases on fresh seeds; return what each gained in each objective.
 
-    Args:
-        searches: names of searches, or paths of their files; several must have been tuned alike.
-        results: the results folder; PNEUMA_RESULTS or ./results when left out.
-        seeds: a count or a list of seeds that no search has used.
-        steps: agent steps of each run, instead of the searches'.
-        trial: which trial of a single search, instead of the best.
-        world: a key of `pneuma.presets.WORLDS` in which they were searched; default: the arena.
-        workers: number of runs that train at once; default: one per core.
-        quiet: show no progress.
+    Searches are names, or paths of files; several must have been tuned alike. Seeds are such that no search
+    has used, and `steps` left out are the searches'. `trial` is one of a single search, instead of the best,
+    and `world` the one in which they were searched. Other arguments are those of `run_study`.
 
     Returns:
         The frame of `pneuma.search.promote.gains`: a row for each winner and objective.
@@ -270,13 +238,13 @@ def promote(
     """
     from pneuma.search import promote as promotion
 
-    selection = _selection(seeds, steps, (), None)
+    selection, store = _selection(seeds, steps, (), None), _store(results)
     assert selection.seeds is not None
     names = [os.fspath(search) for search in searches]
-    promoted = promotion.promote(_store(results), names, selection.seeds, selection.steps, trial, world)
-    promoted.plan(_store(results))
-    path = promoted.path(_store(results))
-    data = run_study(path, results, seeds=promoted.seeds, steps=promoted.steps, workers=workers, quiet=quiet)
+    promoted = promotion.promote(store, names, selection.seeds, selection.steps, trial, world)
+    promoted.plan(store)
+    fixed: Any = {"seeds": promoted.seeds, "steps": promoted.steps}
+    data = run_study(promoted.path(store), results, **fixed, workers=workers, quiet=quiet)
     return promotion.gains(promoted.winners, data)
 
 
@@ -287,7 +255,7 @@ def load_policy(
 
     Args:
         run_id: the run's id, or its first digits if no other begins so.
-        results: the results folder; PNEUMA_RESULTS or ./results when left out.
+        results: as of `run_study`.
         trust: use files, modules, and arguments of its environment, that the run names.
 
     Returns:
@@ -343,9 +311,6 @@ def evaluate(
     Returns:
         The columns of a run's evaluations: share_killed, score, return, length, died and so on. Those that
         begin with `argmax` are present if best actions were played.
-
-    Raises:
-        UserError: for an unknown environment or world, or invalid actions.
     """
     from pneuma.engines.evaluation import Evaluation, OwnAgent
     from pneuma.engines.policy import Policy, check_fits
@@ -358,6 +323,12 @@ def evaluate(
         return evaluation.evaluate(agent, 0)
     row = evaluation.evaluate(OwnAgent(agent, best, int(evaluation.worlds.action_space.n)), 0)
     return row if best else {name: value for name, value in row.items() if not name.startswith("argmax")}
+
+
+def _opened(study: StudyData | Where, results: Where | None) -> StudyData:
+    from pneuma.analysis.study_data import StudyData
+
+    return study if isinstance(study, StudyData) else open_data(study, results)
 
 
 def _store(results: Where | None) -> Store:

@@ -109,14 +109,6 @@ def create_whole(path: Path, data: bytes) -> None:
         written.unlink(missing_ok=True)
 
 
-def read_json(path: Path) -> dict[str, Any] | None:
-    """Return the object in a JSON file; None if there is no such file or it holds something else."""
-    try:
-        return parse_json(read_whole(path))
-    except (OSError, ValueError):
-        return None
-
-
 def parse_json(data: bytes | str) -> dict[str, Any]:
     """Parse a JSON object; ValueError for anything else."""
     try:

@@ -121,8 +121,6 @@ def setting_words(settings: Mapping[str, Any]) -> list[str]:
 
 
 LONGEST_NAME = 100
-
-
 MOST_SEEDS = 10_000
 SEEDS_ALLOWED = f"a count from 1 to {MOST_SEEDS}, or a list of different seeds from 0 to {2**32 - 1}"
 
@@ -159,11 +157,6 @@ def settings_name(settings: Mapping[str, Any], *more: str) -> str:
     if len(name) > LONGEST_NAME:
         name = f"{name[:LONGEST_NAME]}-{hashlib.sha256(whole.encode(errors='replace')).hexdigest()[:6]}"
     return name
-
-
-def as_tuple(value: Any) -> Any:
-    """Return a list, as JSON and TOML have it, as a tuple; other values unchanged."""
-    return tuple(value) if isinstance(value, list) else value
 
 
 def read_value(text: str) -> Any:

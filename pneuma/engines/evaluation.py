@@ -16,8 +16,8 @@ import numpy as np
 
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run, evaluation_config, stream_seed
-from pneuma.engines.mlp import ACTIVATION_CODES, choose, flat
-from pneuma.engines.policy import Policy, sizes
+from pneuma.engines.mlp import choose, network
+from pneuma.engines.policy import Policy
 from pneuma.env import rules
 from pneuma.env.fields import MOST_STEPS, own_rewards
 from pneuma.env.players import RandomPlayer
@@ -144,10 +144,10 @@ class Evaluation:
         actions = np.zeros(self.worlds.players.shape, np.int64)
         rows = actions.reshape(-1)
         if isinstance(policy, Policy) and self._is_compiled(policy):
-            network = flat(policy.actor), sizes(policy.actor), ACTIVATION_CODES[policy.activation]
+            actor = network(policy.actor, policy.activation)
 
             def compute(plays: np.ndarray) -> np.ndarray:
-                choose(*network, observations, generator.random(drawn, np.float32), plays, rows)
+                choose(actor, observations, generator.random(drawn, np.float32), plays, rows)
                 return actions
 
             return compute

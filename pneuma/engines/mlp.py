@@ -8,15 +8,13 @@ output is summed input by input, without fused multiply-adds, and tanh and exp a
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
 
+from pneuma.engines.policy import Layers, sizes
 from pneuma.env.compiling import cached, inlined, typed_arrays, typed_codegen, typed_intrinsic, typed_void
-
-if TYPE_CHECKING:
-    from pneuma.engines.policy import Layers
 
 ACTIVATION_CODES = {"tanh": 0, "relu": 1, "leaky-relu": 2}
 
@@ -25,6 +23,8 @@ LEAKY_SLOPE = 0.01
 ROWS, COLUMNS, LANES = 4, 16, 8
 """Outputs of a tile, whose sums fit into the registers of a processor with vectors of `LANES` numbers."""
 
+Network = tuple[np.ndarray, np.ndarray, int]
+"""Weights, widths, and the code of the hidden layers' activation."""
 kernel: Any = cached(error_model="numpy")
 
 
@@ -44,6 +44,11 @@ def flat(layers: Layers) -> np.ndarray:
         blocks = joined.reshape(*joined.shape[:2], -1, COLUMNS).swapaxes(1, 2)
         parts.append(blocks.reshape(len(joined), -1))
     return np.concatenate(parts, axis=1)
+
+
+def network(layers: Layers, activation: str) -> Network:
+    """Return layers as `choose` takes them."""
+    return flat(layers), sizes(layers), ACTIVATION_CODES[activation]
 
 
 # --- The forward pass ----------------------------------------------------------------------------
@@ -215,15 +220,14 @@ def most_probable(outputs: Any, row: int, actions: int) -> int:
 
 
 @kernel
-def choose(
-    weights: Any, widths: Any, activation: int, observations: Any, draws: Any, plays: Any, chosen: Any
-) -> None:
+def choose(network: Any, observations: Any, draws: Any, plays: Any, chosen: Any) -> None:
     """Choose an action in every row that plays: a drawn one in the first rows, else the most probable.
 
-    Row i of the observations, (rows, features), is of policy i % policies of the actors' weights, (policies,
-    numbers). `draws` has a number in [0, 1) for each of the first rows. Rows that do not play cost nothing.
-    The actions are written into `chosen`, (rows,) int64.
+    Row i of the observations, (rows, features), is of policy i % policies of the network's weights. `draws`
+    has a number in [0, 1) for each of the first rows. Rows that do not play cost nothing. The actions are
+    written into `chosen`, (rows,) int64.
     """
+    weights, widths, activation = network
     policies, actions = len(weights), widths[-1]
     rows = np.empty(len(plays), np.int64)
     scratch = room(widths, len(plays))

@@ -18,9 +18,8 @@ from pydantic import AfterValidator, BeforeValidator, model_validator
 from pneuma.config import Run
 from pneuma.env.fields import read_field
 from pneuma.errors import UserError, unknown_name
-from pneuma.schema import Table, shown, wrong
+from pneuma.schema import Table, plain, shown, wrong
 from pneuma.study.spec import PLANNED
-from pneuma.values import as_tuple
 
 FIXABLE = tuple(item.name for item in fields(Run) if item.name not in PLANNED)
 """Fields that a search may fix for all its trials."""
@@ -119,14 +118,14 @@ class Parameter(Table):
     def find(self, value: Any) -> list[Any]:
         """Return what a field's value is in trials; nothing if it is not in the space."""
         if self.choices:
-            return [param for param, choice in self.choices.items() if choice == as_tuple(value)]
+            return [param for param, choice in self.choices.items() if choice == plain(value)]
         return [value] if self.holds(value) else []
 
     def in_words(self, param: Any) -> Any:
         return _name(param) if self.choices else param
 
     def counts(self, known: Mapping[str, Any]) -> bool:
-        return all(as_tuple(known.get(name)) in values for name, values in self.when.items())
+        return all(plain(known.get(name)) in values for name, values in self.when.items())
 
 
 def _param(value: Any) -> Any:

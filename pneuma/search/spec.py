@@ -27,14 +27,14 @@ from pneuma.env.fields import ENVIRONMENTS, read_field, read_fields, with_enviro
 from pneuma.errors import UserError, unknown_name
 from pneuma.presets import ARENA, BASES, TEXT, checked_world, world_fields
 from pneuma.sb3_names import own_fields
-from pneuma.schema import Table, passes, read_model, read_toml, shown, wrong
+from pneuma.schema import Table, passes, plain, read_model, read_toml, shown, wrong
 from pneuma.search import FIRST_SEED
 from pneuma.search.samplers import BY_SEED, NO_PRUNER, TPE, Pruner, Sampler
 from pneuma.search.space import FIXABLE, Parameter, Parameters, named
 from pneuma.study.identity import files_beside
 from pneuma.study.shipped import find_file, studies_folder
 from pneuma.study.spec import PRESETS, Fields, does_nothing, join_fields, unread_fields
-from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, as_tuple, read_seeds
+from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, read_seeds
 
 OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {
     "mean": np.mean,
@@ -246,7 +246,7 @@ class Search(Table):
         usual = self._usual_fields(self.base)
         for name, parameter in self.space.items():
             for key in parameter.when.keys() - self.space.keys():
-                if as_tuple(usual.get(key)) not in parameter.when[key]:
+                if plain(usual.get(key)) not in parameter.when[key]:
                     raise UserError(f"{name} never applies: {key} is {shown(usual.get(key))}")
 
 

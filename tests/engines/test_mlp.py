@@ -14,7 +14,7 @@ import pytest
 
 from pneuma.engines import mlp
 from pneuma.engines.batched.rollout import value_of
-from pneuma.engines.policy import Layers, Policy, sizes
+from pneuma.engines.policy import Layers, Policy
 
 from .trained import random_layers
 
@@ -31,10 +31,10 @@ def observations(rows: int) -> np.ndarray:
 
 
 def outputs(layers: Layers, rows: int) -> np.ndarray:
-    weights, widths = mlp.flat(layers)[0], sizes(layers)
+    weights, widths, code = mlp.network(layers, "tanh")
     scratch = mlp.room(widths, rows)
     scratch[0, :rows, : widths[0]] = observations(rows)
-    return np.array(mlp.forward(weights, widths, mlp.ACTIVATION_CODES["tanh"], rows, scratch)[:rows, :5])
+    return np.array(mlp.forward(weights[0], widths, code, rows, scratch)[:rows, :5])
 
 
 def floats(low: float, high: float, every: int) -> np.ndarray:

@@ -18,8 +18,7 @@ CHOOSE = """
 import numpy as np
 from pneuma.config import env_config, make_run
 from pneuma.engines.batched import rollout
-from pneuma.engines.mlp import flat
-from pneuma.engines.policy import sizes
+from pneuma.engines.mlp import network
 from pneuma.env.worlds import Worlds
 worlds = Worlds(1, env_config(make_run({})))
 features = worlds.observations.shape[2]
@@ -27,11 +26,10 @@ layers = (  # one unit, tanh(1), then logits
     (np.zeros((features, 1), np.float32), np.ones(1, np.float32)),
     (np.array([[9, -9]], np.float32), np.zeros(2, np.float32)),
 )
-weights, widths = flat(layers), sizes(layers)
 filled = rollout.empty_rollout(1, 1, features)
 draws = np.full(1, 0.5, np.float32)
 chosen = np.zeros((1, 1), np.int64)
-rollout._choose(worlds.handle, weights, widths, 0, draws, filled, 0, chosen)
+rollout._choose(worlds.handle, network(layers, "tanh"), draws, filled, 0, chosen)
 print(filled.actions[0, 0], *rollout._choose.stats.cache_hits.values())
 """
 

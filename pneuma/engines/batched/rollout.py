@@ -2,7 +2,7 @@
 
 worlds, actor and random numbers → observations, actions, rewards, ends, finished episodes
 
-A whole rollout runs without Python, unless a user's own reward must be called after each step. Slot i is
+A whole rollout runs without Python, unless environments or rewards are not Pneuma's own. Slot i is
 player i % P of world i // P. The rounding of rewards is as in `pneuma.env.sb3`.
 """
 
@@ -15,9 +15,10 @@ import numpy as np
 
 from pneuma.config import Run, env_config, stream_seed
 from pneuma.engines.environment import slot_seeds
-from pneuma.engines.mlp import ACTIVATION_CODES, choose, flat, forward, room
+from pneuma.engines.gymnasium_env import GymnasiumSlots
+from pneuma.engines.mlp import Network, choose, forward, network, room
 from pneuma.engines.normalization import Scaling
-from pneuma.engines.policy import Layers, sizes
+from pneuma.engines.policy import Layers
 from pneuma.env import rules
 from pneuma.env.compiling import cached
 from pneuma.env.fields import own_rewards
@@ -34,8 +35,6 @@ ENDED = np.dtype(
 )  # fmt: skip
 """A finished episode; `step` counts steps of the rollout from 1."""
 
-Network = tuple[np.ndarray, np.ndarray, int]
-"""An actor as compiled functions take it: its weights, widths, and the code of its activation."""
 _WORLDS = ("worlds", "players", "monsters")
 kernel: Any = cached(error_model="numpy")
 
@@ -118,20 +117,19 @@ class Collector:
         slots, features = self.observations.shape
         rollout = empty_rollout(slots, self._run.horizon, features)
         draws = self.generator.random((self._run.horizon, slots), np.float32)
-        network = flat(actor), sizes(actor), ACTIVATION_CODES[self._run.activation]
-        count = self._play(network, draws, rollout)
+        count = self._play(network(actor, self._run.activation), draws, rollout)
         rollout.last_observations[:], rollout.last_ends[:] = self.observations, self.begins
         return rollout.cut(count)
 
-    def _play(self, network: Network, draws: np.ndarray, rollout: Rollout) -> int:
+    def _play(self, actor: Network, draws: np.ndarray, rollout: Rollout) -> int:
         """Fill in a rollout; return the number of endings."""
         handle, usual_starts = self.worlds.handle, self.worlds.usual_starts
         if not own_rewards(self._run.reward):
-            return _play(handle, *network, draws, usual_starts, rollout)
+            return _play(handle, actor, draws, usual_starts, rollout)
         chosen = np.zeros(self.worlds.players.shape, np.int64)
         count = 0
         for step, draw in enumerate(draws):  # as `_play` does: a user's reward is plain Python
-            _choose(handle, *network, draw, rollout, step, chosen)
+            _choose(handle, actor, draw, rollout, step, chosen)
             self.worlds.advance(chosen)
             count = _keep_step(handle, usual_starts, rollout, step, count, chosen)
         return count
@@ -165,43 +163,90 @@ class Collector:
             self.worlds.observe()
 
 
+class GymnasiumCollector(Collector):
+    """Gymnasium's environments in a run's slots, of which each step is Python."""
+
+    layout = "seeds and actions"
+
+    def _set_up(self) -> None:
+        self.slots = GymnasiumSlots(self._run, slot_seeds(self._run), training=True)
+        self.actions = int(self.slots.action_space.n)  # type: ignore[union-attr, arg-type]
+
+    @property
+    def observations(self) -> np.ndarray:
+        return self.slots.seen
+
+    @property
+    def begins(self) -> np.ndarray:
+        return self.slots.lengths == 0
+
+    @property
+    def scaling(self) -> Scaling | None:
+        return self.slots.scaling
+
+    def _play(self, actor: Network, draws: np.ndarray, rollout: Rollout) -> int:
+        slots, plays, endings = self.slots, np.ones(draws.shape[1], np.bool_), 0
+        for step, draw in enumerate(draws):
+            seen, chosen = rollout.observations[:, step], rollout.actions[:, step]
+            seen[:], rollout.starts[:, step] = slots.seen, self.begins
+            choose(actor, seen, draw, plays, chosen)
+            rollout.rewards[:, step], terminated, truncated = slots.step(chosen)
+            for slot in np.flatnonzero(terminated | truncated):
+                ending = rules.TIME_LIMIT if truncated[slot] else rules.RUNNING
+                rollout.ended[endings] = (slot, 0, step + 1, 0.0, 0, 0, 0.0, ending)
+                rollout.terminal_observations[endings] = slots.terminal[slot]
+                endings += 1
+        return endings
+
+    def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
+        rows, self.slots.finished = self.slots.finished, []
+        return rows
+
+    def saved_state(self) -> dict[str, np.ndarray]:
+        return {f"worlds/{name}": array for name, array in self.slots.saved_state().items()}
+
+    def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
+        self.slots.restore_state({name: saved[f"worlds/{name}"] for name in self.slots.saved_state()})
+
+    def fork(self) -> None:
+        """Continue with random streams of the run's own, from each slot's next episode on."""
+        self.slots.reseed(slot_seeds(self._run))
+
+
 def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.ndarray:
     """Return the critic's values of a few observations: (K, features) -> (K,) float32."""
-    widths, count = sizes(critic), len(observations)
+    weights, widths, code = network(critic, activation)
+    count = len(observations)
     scratch = room(widths, count)
     scratch[0, :count, : widths[0]] = observations
-    return np.array(forward(flat(critic)[0], widths, ACTIVATION_CODES[activation], count, scratch)[:count, 0])
+    return np.array(forward(weights[0], widths, code, count, scratch)[:count, 0])
 
 
 @kernel
-def _play(
-    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, usual_starts: Any, rollout: Any
-) -> int:
+def _play(handle: Any, actor: Any, draws: Any, usual_starts: Any, rollout: Any) -> int:
     s = open_state(handle)
     chosen = np.zeros((s.players.shape[0], s.players.shape[1]), np.int64)
     count = 0
     for step in range(draws.shape[0]):
-        _choose(handle, weights, widths, activation, draws[step], rollout, step, chosen)
+        _choose(handle, actor, draws[step], rollout, step, chosen)
         run_worlds(handle.ctypes.data, chosen.ctypes, STEP | RECORD)
         count = _keep_step(handle, usual_starts, rollout, step, count, chosen)
     return count
 
 
 @kernel
-def _choose(
-    handle: Any, weights: Any, widths: Any, activation: int, draws: Any, rollout: Any, step: int, chosen: Any
-) -> None:
+def _choose(handle: Any, actor: Any, draws: Any, rollout: Any, step: int, chosen: Any) -> None:
     """Record what each slot observes and draw its action; idle slots observe zeros."""
     s = open_state(handle)
     players = s.players.shape[1]
     for i in range(len(draws)):
         slot = s.slots[i // players, i % players]
         if not slot.idle:
-            for j in range(widths[0]):  # a slice would compile the text of an error
+            for j in range(s.observations.shape[2]):  # a slice would compile the text of an error
                 rollout.observations[i, step, j] = s.observations[i // players, i % players, j]
         rollout.starts[i, step] = slot.begins
     seen, actions = rollout.observations[:, step], rollout.actions[:, step]
-    choose(weights, widths, activation, seen, draws, np.ones(len(draws), np.bool_), actions)
+    choose(actor, seen, draws, np.ones(len(draws), np.bool_), actions)
     for i in range(len(draws)):
         chosen[i // players, i % players] = actions[i]
 

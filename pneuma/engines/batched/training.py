@@ -12,9 +12,8 @@ import jax
 import numpy as np
 
 from pneuma.config import Run, is_gymnasium_id, stream_seed
-from pneuma.engines.batched.gymnasium_rollout import GymnasiumCollector
 from pneuma.engines.batched.learner import Learner
-from pneuma.engines.batched.rollout import Collector
+from pneuma.engines.batched.rollout import Collector, GymnasiumCollector
 from pneuma.engines.loop import ResumableTrainer, begins_fork
 from pneuma.engines.policy import Policy, overflows
 from pneuma.engines.records import Checkpoint, Records
