@@ -26,7 +26,7 @@ from pneuma.study.plan import Selection
 from pneuma.study.provenance import processors
 from pneuma.study.rows import Row
 from pneuma.study.shipped import CLAIMS_FILE
-from pneuma.study.spec import CLAIMS, Amount, Preset, Study
+from pneuma.study.spec import CLAIMS, Amount, Preset, Study, results_words
 from pneuma.values import shown_seeds
 
 TRAIN_WITH = "train with:"
@@ -153,13 +153,14 @@ def find_claim_runs(
     index: RunIndex, claims: ClaimList, wanted: Wanted = lambda claim, world: True
 ) -> Iterator[ClaimRuns]:
     """Yield the runs of each claim that is asked for, in each of its worlds, in the list's order."""
-    rest = " --unpublished" if index.store.published(shipped=False) else ""
+    rest = results_words(index.store.root)
+    rest += ["--unpublished"] if index.store.published(shipped=False) else []
     for claim in claims.claims.values():
         for world in filter(partial(wanted, claim), claim.worlds):
             study = claims.studies[claim.study].in_world(world)
             data = find_runs(index, study, Selection(conditions=claim.compared))
             commands = _commands(claims, claim, data.study)
-            fix = f"{TRAIN_WITH} {' && '.join(shlex.join(words) + rest for words in commands)}"
+            fix = f"{TRAIN_WITH} {' && '.join(shlex.join([*words, *rest]) for words in commands)}"
             runs = ClaimRuns(claim, world, data, fix, index.problems)
             yield replace(runs, data=finished_rows(index, replace(data, runs=_fixed(runs))))
 

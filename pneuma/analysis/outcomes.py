@@ -24,6 +24,7 @@ from pneuma.config import is_gymnasium_id
 from pneuma.env.fields import ACTION_NAMES, ENVIRONMENTS
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.rows import Row
+from pneuma.study.series import STATISTICS
 
 Bounds = tuple[float, float]
 ANYTHING, POSITIVE, SHARE = (-np.inf, np.inf), (0.0, np.inf), (0.0, 1.0)
@@ -207,7 +208,8 @@ def _evaluated(
 def _trained(
     words: str, unit: str, better: str, bounds: Bounds, quantity: str, statistic: str = "last"
 ) -> Outcome:
-    """Return the outcome that is a statistic of a training curve; NaN without a value."""
+    """Return the outcome that is one of `STATISTICS` of a training curve; NaN without a value."""
+    assert statistic in STATISTICS, f"{statistic}: not one of {', '.join(STATISTICS)}"
     return Outcome(words, unit, better, bounds, quantity, lambda run: run.statistic(quantity, statistic))
 
 

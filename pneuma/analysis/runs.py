@@ -193,7 +193,7 @@ def read_runs(index: RunIndex, data: StudyData, say: Say = lambda message: None)
     if left_out := len(data.runs) - len(found.runs):
         say(f"Note: {left_out} of {len(data.runs)} runs are not finished or damaged, and left out.")
     if not len(found.runs):
-        train = f": run `{run_command(data.study)}` first" if data.configurations else ""
+        train = f": run `{run_command(data.study, index.store.root)}` first" if data.configurations else ""
         raise UserError(f"no finished run of study {data.where} is in {index.store.root}{train}")
     return found
 
@@ -255,7 +255,7 @@ def _nothing(index: RunIndex, data: StudyData) -> str:
     """Return that no runs are stored, what to run, and what is stored that differs in one field."""
     others = [*_elsewhere(index, data.study), *_changed(index, data)]
     stored = f" Stored are: {'; '.join(others)}." if others else ""
-    train = f"run `{run_command(data.study)}` first, or give --results"
+    train = f"run `{run_command(data.study, index.store.root)}` first, or give --results"
     lacking = {name for fields in data.fields.values() for name in own_files(fields, missing=True)}
     if lacking:
         train = f"{', '.join(sorted(lacking))} is not found, by which its runs are known; {train}"

@@ -21,7 +21,6 @@ from pneuma.cli.output import (
     wrote,
 )
 from pneuma.errors import UserError, counted, unknown_name
-from pneuma.figures import FIGURE_KINDS
 from pneuma.study.quantities import (
     ACTION_QUANTITIES,
     CURVE_QUANTITIES,
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
     from pneuma.analysis.study_data import StudyData
     from pneuma.figures.grid import Page
 
+FIGURE_KINDS = ("curves", "summary", "profile")
 EVERY_QUANTITY, ACTIONS = "all", "actions"
 _ENDINGS = ", ".join(EXPORT_SUFFIXES)
 PUBLISHED_CURVES = (

@@ -365,5 +365,10 @@ def asked_words(study: Study) -> list[str]:
     return [study.file, *world_option(study.world, study.worlds), *setting_words(study.settings)]
 
 
-def run_command(study: Study) -> str:
-    return shlex.join(["pneuma", "study", "run", *asked_words(study)])
+def run_command(study: Study, results: Path = Path("results")) -> str:
+    return shlex.join(["pneuma", "study", "run", *asked_words(study), *results_words(results)])
+
+
+def results_words(folder: Path) -> list[str]:
+    """Return the option that names a results folder, unless it is the usual one."""
+    return [] if folder == Path("results") else ["--results", str(folder)]

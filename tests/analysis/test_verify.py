@@ -57,5 +57,6 @@ def test_the_document_has_every_claim_in_its_worlds(
     assert alone == first
     assert missing["reason"] == (
         "no runs: middle, 8 seeds of 1,024 steps; "
-        f"train with: pneuma study run {tmp_path / 'mine.toml'} --preset claims --world text"
+        f"train with: pneuma study run {tmp_path / 'mine.toml'} --preset claims --world text "
+        f"--results {tmp_path / 'results'}"
     )

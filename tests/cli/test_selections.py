@@ -90,7 +90,7 @@ def test_a_changed_field_is_another_question(store: Store) -> None:
     assert told.startswith("activation in the arena with learning_rate = 0.001: 4 runs of 1,024 steps")
     words = ("study", "status", "activation", "--set", "gamma=0.5", "--results", store.root)
     assert "has no runs in" in (told := refused(*words))
-    assert "run `pneuma study run activation --set=gamma=0.5` first" in told
+    assert "run `pneuma study run activation --set=gamma=0.5 --results" in told
     assert "2 runs (--set=gamma=0.99)" in told  # all else is as asked
 
 
@@ -244,7 +244,8 @@ def test_a_file_in_this_folder_is_found_by_its_name_before_and_after_it_was_run(
     for verb in READERS:
         code, out, told = typed(verb)
         assert (code, out) == (2, ""), verb
-        assert f"has no runs in {store.root}: run `pneuma study run {file}` first" in told, verb
+        train = f"run `pneuma study run {file} --results {store.root}` first"
+        assert f"has no runs in {store.root}: {train}" in told, verb
     assert not store.root.exists() and [*tmp_path.iterdir()] == [file]
     ids = _finish(store, "own", "godot", conditions=())
     for name in ("own", "own.toml", str(file)):
