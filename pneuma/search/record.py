@@ -189,18 +189,19 @@ def open_record(store: Store, task: Task, say: Callable[[str], None]) -> Record:
 
 
 def begin_record(path: Path, task: Task, store: Store) -> Record:
-    """Return the record in a journal; a new one is made the task's."""
+    """Return the record in a journal; one that is new, or that Optuna began, is made the task's."""
     search, storage = task.search, JournalStorage(journal := Journal(path))
     with journal.together(), warnings.catch_warnings(action="ignore", category=ExperimentalWarning):
         if not storage.get_all_studies():  # `load_if_exists` would write a line each time
+            storage.create_new_study([*search.directions], search.name)
+        study = _study_in(storage, path, search)
+        study.pruner = make_pruner(search.pruner)
+        if ABOUT not in study.user_attrs:
             about = {"search": search.name, "digest": task.digest, "identity": task.identity}
-            study = optuna.create_study(study_name=search.name, storage=storage, directions=search.directions)
             study.set_user_attr(ABOUT, {**about, "trials_asked": task.budget.trials})
             study.set_metric_names([f"{each.outcome}, {each.over_seeds}" for each in search.sought])
             for params in (*search.first_trials, *_warm_start(search, store)):
                 study.enqueue_trial(params)
-        study = _study_in(storage, path, search)
-        study.pruner = make_pruner(search.pruner)
         about = study.user_attrs[ABOUT]
         if about["digest"] == task.digest and about["trials_asked"] < task.budget.trials:
             study.set_user_attr(ABOUT, {**about, "trials_asked": task.budget.trials})
@@ -260,7 +261,8 @@ def _read_latest(paths: Sequence[Path], search: Search, published: bool = False)
     for path in paths:
         with _read_soundly(path):
             study = _study_in(JournalStorage(journal := Journal(path)), path, search)
-            about = study.user_attrs[ABOUT]
+            if (about := study.user_attrs.get(ABOUT)) is None:
+                raise UserError(f"{path}: no trial was begun yet: `pneuma search run` it first")
             identity = about["identity"]
             budget = Budget(trials=about["trials_asked"], seeds=identity["seeds"], steps=identity["steps"])
             record = Record(Task(search, budget), study, journal, published)

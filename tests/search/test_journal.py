@@ -185,6 +185,18 @@ def test_what_optuna_enqueues_is_the_next_trial(make_task: MakeTask, store: Stor
     assert told[5].note == "was enqueued with learning_rate = 9.0, which is not in its space"
 
 
+def test_a_study_that_optuna_began_is_gone_on_with(make_task: MakeTask, store: Store) -> None:
+    path = log_path(store, make_task().search.label)
+    path.parent.mkdir(parents=True)
+    storage = JournalStorage(JournalFileBackend(str(path)))
+    study = optuna.create_study(study_name="formula", storage=storage, direction="maximize")
+    study.enqueue_trial({"learning_rate": 2e-3, "activation": "relu"})
+    with pytest.raises(UserError, match="no trial was begun yet"):
+        read_record(store, "formula", "text")
+    told, _ = search(make_task(4), store)
+    assert told[0].params == {"learning_rate": 2e-3, "activation": "relu"}
+
+
 def test_a_search_starts_warm_with_the_best_trials_of_another(make_task: MakeTask, store: Store) -> None:
     found = search(make_task(8), store)[0]
     Path("formula.toml").rename("other.toml")
