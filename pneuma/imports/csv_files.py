@@ -11,13 +11,14 @@ import io
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from pneuma.errors import UserError, counted
 from pneuma.files import read_whole
-from pneuma.imports.logs import AGENT_STEPS, ImportedRun, Log, file_facts, find_study_name, store_logs
+from pneuma.imports.logs import AGENT_STEPS, ImportedRun, Log, file_facts, store_logs
 from pneuma.imports.points import ONE_EPISODE
 from pneuma.study.quantities import TAGS
 from pneuma.study.series import TRAILING_EPISODES
@@ -49,8 +50,7 @@ def import_csv(
     """
     paths = [path.resolve() for path in paths]
     places = [path.with_suffix("") if len(paths) == 1 else path.parent for path in paths]
-    study = find_study_name(places, name, store, SOURCE)
-    return store_logs(study, [*_read_all(paths, step, returns, averaged_over)], store, SOURCE)
+    return store_logs(_read_all(paths, step, returns, averaged_over), store, SOURCE, places, name)
 
 
 def _read_all(paths: Sequence[Path], step: str, returns: str, averaged_over: int | None) -> Iterator[Log]:
@@ -72,9 +72,8 @@ def _read_all(paths: Sequence[Path], step: str, returns: str, averaged_over: int
                 metric = column.rpartition(" - ")[2]
                 told = {ONE_EPISODE[0]: 1, MEANS[0]: TRAILING_EPISODES}.get(metric, averaged_over)
                 over = told or TRAILING_EPISODES
-                guess = (
-                    f"its returns are taken for means of {over} episodes; --averaged-over N tells otherwise"
-                )
+                guess = f"its returns are taken for means of {over} episodes;"
+                guess += " --averaged-over N tells otherwise"
                 points = {(ONE_EPISODE if over == 1 else MEANS)[0]: _logged(frame, at, column, not name)}
                 yield _log((name or path.stem,), [path], points, over, [*notes, *[guess] * (not told)])
     for place, read in monitors.items():
@@ -103,17 +102,12 @@ def _log(
             notes.append(f"{tag}: {counted(again, 'step')} that came again; the last value counts")
     files = [file_facts(read_whole(path)) for path in paths]
     hashes = [file["sha256"] for file in files]
-    provenance = {
-        "imported": SOURCE,
-        "import_version": IMPORT_VERSION,
-        "averaged_over": averaged_over,
-        "files": files,
-    }
+    about = {"import_version": IMPORT_VERSION, "averaged_over": averaged_over, "files": files}
 
     def identify(condition: str, seed: int) -> str:
         return repr([SOURCE, IMPORT_VERSION, averaged_over, condition, seed, hashes, sorted(columns)])
 
-    return Log(parts, pd.concat(tables, ignore_index=True), identify, provenance, notes)
+    return Log(parts, pd.concat(tables, ignore_index=True), identify, {"imported": SOURCE, **about}, notes)
 
 
 def _return_columns(path: Path, frame: pd.DataFrame, step: str, returns: str) -> dict[str, str]:
@@ -141,15 +135,12 @@ def _read_table(path: Path) -> tuple[pd.DataFrame, list[str]]:
         text = read_whole(path).decode("utf-8-sig")
         if text.startswith("#"):  # what a monitor says of its environment
             text = text.partition("\n")[2]
-        head = text.partition("\n")[0]
-        separator = max(",;\t", key=head.count)
-        frame = pd.read_csv(
-            io.StringIO(text), sep=separator, dtype=str, keep_default_na=False, index_col=False
-        )
+        separator = max(",;\t", key=text.partition("\n")[0].count)
+        how: Any = {"sep": separator, "dtype": str, "keep_default_na": False, "index_col": False}
+        frame = pd.read_csv(io.StringIO(text), **how)
     except (OSError, ValueError) as error:
-        raise UserError(
-            f"{path}: cannot be read as CSV ({getattr(error, 'strerror', None) or error})"
-        ) from None
+        why = getattr(error, "strerror", None) or error
+        raise UserError(f"{path}: cannot be read as CSV ({why})") from None
     frame.columns = frame.columns.str.strip()
     commas = any(column.str.fullmatch(r"\s*[+-]?\d+,\d+\s*").any() for _, column in frame.items())
     return frame, ["decimal commas are read as points"] if commas else []

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -70,9 +70,15 @@ class ImportedRun:
 
 
 def store_logs(
-    study: str, logs: Sequence[Log], store: Store, source: str
+    read: Iterable[Log], store: Store, source: str, places: Sequence[Path], name: str | None
 ) -> tuple[str, list[ImportedRun], list[str]]:
-    """Store logs as a study; return its name, the runs that have points, and notes for the user."""
+    """Store logs as a study; return its name, the runs that have points, and notes for the user.
+
+    They are read once the name is known to be free: without one, the study is called as the folder that
+    contains all their places.
+    """
+    study = _find_study_name(places, name, store, source)
+    logs = [*read]
     named, notes = name_runs([log.parts for log in logs])
     runs: dict[str, ImportedRun] = {}
     for (condition, seed), log in sorted(zip(named, logs, strict=True), key=lambda pair: pair[0]):
@@ -114,8 +120,7 @@ def _store_run(run: ImportedRun, store: Store, source: str) -> None:
     store.save_run(run.run_id, status, files)
 
 
-def find_study_name(folders: Sequence[Path], name: str | None, store: Store, source: str) -> str:
-    """Return the name of a study of logs, by default that of the folder that contains all of them."""
+def _find_study_name(folders: Sequence[Path], name: str | None, store: Store, source: str) -> str:
     if name is None:
         shared = os.path.commonpath([folder.resolve() for folder in folders])
         name = re.sub(r"[^A-Za-z0-9._-]+", "-", Path(shared).name).strip("-.")

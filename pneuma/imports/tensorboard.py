@@ -16,7 +16,7 @@ import pandas as pd
 
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.files import read_whole
-from pneuma.imports.logs import ImportedRun, Log, file_facts, find_study_name, store_logs
+from pneuma.imports.logs import ImportedRun, Log, file_facts, store_logs
 from pneuma.study.store import Store
 
 SOURCE, IMPORT_VERSION = "tensorboard", 3
@@ -40,9 +40,8 @@ def import_tensorboard(
     Each folder contains NAME_1/, NAME_2/, … with event files, at any depth, or event files itself. All files
     are read before anything is written.
     """
-    study = find_study_name(folders, name, store, SOURCE)
-    logs = [_read_log(parts, paths) for parts, paths in find_logs(folders).items()]
-    return store_logs(study, logs, store, SOURCE)
+    logs = (_read_log(parts, paths) for parts, paths in find_logs(folders).items())
+    return store_logs(logs, store, SOURCE, folders, name)
 
 
 def find_logs(folders: Sequence[Path]) -> dict[tuple[str, ...], list[Path]]:
