@@ -172,9 +172,8 @@ def evaluation_updates(run: Run) -> set[int]:
 
 def evaluation_episodes(run: Run) -> int:
     """Return how many episodes an evaluation plays with sampled actions."""
-    return (
-        SHORT_EPISODES if _is_short(run) and run.evaluation_episodes == EPISODES else run.evaluation_episodes
-    )
+    fewer = _is_short(run) and run.evaluation_episodes == EPISODES
+    return SHORT_EPISODES if fewer else run.evaluation_episodes
 
 
 def _is_short(run: Run) -> bool:

@@ -75,8 +75,8 @@ class Normalization:
         self._returns[over] = 0.0
         return np.clip(rewards / np.sqrt(self._returned.var + EPSILON), -CLIP, CLIP)
 
-    def _see(self, observations: np.ndarray) -> None:
-        if self._run.normalize_observations:
+    def _see(self, observations: np.ndarray, learn: bool = True) -> None:
+        if learn and self._run.normalize_observations:
             self._observed.update(observations)
         self.seen = scaling(observations) if (scaling := self.scaling) else observations
 
@@ -98,4 +98,4 @@ class Normalization:
             for name, theirs in MOMENTS.items():
                 setattr(each, theirs, saved[f"{of}_{name}"].copy())
         self._returns = saved["discounted"].copy()
-        self.seen = scaling(observations) if (scaling := self.scaling) else observations
+        self._see(observations, learn=False)

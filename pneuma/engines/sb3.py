@@ -19,7 +19,6 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from torch import nn
 
-from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run
 from pneuma.engines.environment import make_vec_env, slot_seeds
 from pneuma.engines.gymnasium_env import choices_of
@@ -29,6 +28,7 @@ from pneuma.engines.records import EPISODE_COLUMNS, NAN, Checkpoint, Records, ac
 from pneuma.engines.sb3_learners import (
     Learner,
     critic_names,
+    has_finite_weights,
     linear_layers,
     logged_losses,
     make_model,
@@ -117,8 +117,9 @@ def learn_from_rollout(model: Any, run: Run) -> dict[str, float]:
             model.train()
     except (ValueError, RuntimeError):
         met = model.rollout_buffer.observations
-        sound = all(bool(torch.isfinite(parameter).all()) for parameter in model.policy.parameters())
-        if sound and not overflows(extract_policy(model, run), met.reshape(-1, met.shape[-1])):
+        if has_finite_weights(model) and not overflows(
+            extract_policy(model, run), met.reshape(-1, met.shape[-1])
+        ):
             raise
         return {}
     return logged_losses(model)
@@ -154,15 +155,10 @@ class GradientNorms:
     """
 
     def __init__(self, model: Learner, run: Run) -> None:
-        named = [
-            (name, parameter)
-            for name, parameter in model.policy.named_parameters()
-            if "q_net_target" not in name
-        ]
-        self._parameters = [parameter for _, parameter in named]
+        named = {name: p for name, p in model.policy.named_parameters() if "q_net_target" not in name}
+        self._parameters = [*named.values()]
         of_actor = ("policy_net", "action_net", "log_std")
-        self._is_actor = torch.tensor([any(part in name for part in of_actor) for name, _ in named])
-        self._in_parts = run.algorithm not in VALUE_BASED
+        self._is_actor = torch.tensor([any(part in name for part in of_actor) for name in named])
         self._norms: list[torch.Tensor] = []
         self._limit = run.gradient_limit if run.clip == "separate" else None
         self._optimizer = None if isinstance(model, TRPO) else model.policy.optimizer
@@ -188,11 +184,9 @@ class GradientNorms:
     def _clip_parts(self, *_: Any) -> None:
         if self._limit is None:
             return
+        both = [*zip(self._parameters, self._is_actor, strict=True)]
         for actor in (True, False):
-            part = [
-                p for p, is_actor in zip(self._parameters, self._is_actor, strict=True) if is_actor == actor
-            ]
-            nn.utils.clip_grad_norm_(part, self._limit)
+            nn.utils.clip_grad_norm_([p for p, is_actor in both if is_actor == actor], self._limit)
 
     def means(self) -> dict[str, float]:
         """Return the mean norms over the update's minibatches.
@@ -204,8 +198,8 @@ class GradientNorms:
         squares = torch.stack(self._norms).double() ** 2  # (minibatches, parameters)
         actor, critic = squares[:, self._is_actor].sum(1), squares[:, ~self._is_actor].sum(1)
         parts = {"grad_norm": actor + critic, "grad_norm_actor": actor, "grad_norm_critic": critic}
-        norms = {name: float(square.sqrt().mean()) for name, square in parts.items()}
-        return norms if self._in_parts else {"grad_norm": norms["grad_norm"]}
+        told = parts if self._is_actor.any() else ["grad_norm"]
+        return {name: float(parts[name].sqrt().mean()) for name in told}
 
 
 # --- Rollouts --------------------------------------------------------------------------------------
@@ -270,6 +264,4 @@ def is_finite(metrics: Mapping[str, float], model: Learner) -> bool:
         watched = ["value_loss", "grad_norm"] if model._n_updates else []
     if isinstance(model, TRPO):
         watched.remove("grad_norm")
-    with torch.no_grad():
-        total = sum(float(parameter.abs().sum()) for parameter in model.policy.parameters())
-    return bool(np.isfinite([*(metrics[name] for name in watched), total]).all())
+    return bool(np.isfinite([metrics[name] for name in watched]).all()) and has_finite_weights(model)

@@ -98,6 +98,10 @@ def _linear(network: nn.Module) -> list[nn.Linear]:
     return [layer for layer in network.children() if isinstance(layer, nn.Linear)]
 
 
+def has_finite_weights(model: Any) -> bool:
+    return all(bool(torch.isfinite(parameter).all()) for parameter in model.policy.parameters())
+
+
 def scheduled(run: Run, name: str) -> Any:
     """Return a field's value, or the schedule by which it falls; a .zip then needs nothing of Pneuma."""
     value = getattr(run, name)
@@ -276,9 +280,9 @@ def _restore_replay(model: DQN, arrays: Mapping[str, np.ndarray], numbers: Mappi
 
 def critic_names(model: Learner) -> tuple[str, ...]:
     """Return the prefixes of the names of the critic's arrays, including those of its optimizer."""
-    named = [name for name, _ in model.policy.named_parameters()]
-    critic = [name for name in named if "value_net" in name]
-    return (*(f"policy/{name}" for name in critic), *(f"optimizer/{named.index(name)}/" for name in critic))
+    named = enumerate(name for name, _ in model.policy.named_parameters())
+    of_critic = [(f"policy/{name}", f"optimizer/{i}/") for i, name in named if "value_net" in name]
+    return tuple(name for both in of_critic for name in both)
 
 
 def _copy(tensor: torch.Tensor) -> np.ndarray:

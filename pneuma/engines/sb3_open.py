@@ -29,7 +29,7 @@ from pneuma.engines.gymnasium_env import blamed, load_class, make_env
 from pneuma.engines.gymnasium_evaluation import BEST_EPISODES, Evaluation
 from pneuma.engines.loop import Trainer
 from pneuma.engines.records import Records, Row, episode_row, evaluation_row, metrics_row
-from pneuma.engines.sb3_learners import LEARNERS, learner_arguments, logged_losses
+from pneuma.engines.sb3_learners import LEARNERS, has_finite_weights, learner_arguments, logged_losses
 from pneuma.errors import UserError
 
 OURS = ("env", "policy", "seed", "device", "learning_rate", "gamma", "tensorboard_log", "_init_setup_model")
@@ -37,9 +37,7 @@ OURS = ("env", "policy", "seed", "device", "learning_rate", "gamma", "tensorboar
 
 
 def learner_class(run: Run) -> Any:
-    if run.algorithm in LEARNERS:
-        return LEARNERS[run.algorithm]
-    return load_class(OPEN_LEARNERS[run.algorithm])
+    return LEARNERS.get(run.algorithm) or load_class(OPEN_LEARNERS[run.algorithm])
 
 
 def check_learner(run: Run) -> None:
@@ -77,8 +75,7 @@ def _make_learner(run: Run, env: VecEnv, build: bool = True) -> Any:
     given = json.loads(run.algorithm_kwargs or "{}")
     for_policy = {**arguments.get("policy_kwargs", {}), **given.pop("policy_kwargs", {})}
     arguments |= {**given, "policy_kwargs": {key: _named(key, each) for key, each in for_policy.items()}}
-    if "_init_setup_model" in signature(kind).parameters:
-        arguments["_init_setup_model"] = build
+    arguments["_init_setup_model"] = build
     known = signature(kind).parameters
     with blamed(f"{run.algorithm} in {run.env}"):
         return kind(
@@ -129,8 +126,7 @@ class OpenTrainer(Trainer):
                 model.learn(left, callback=self._callbacks, reset_num_timesteps=False)
         records.metrics.append(metrics_row(after, logged_losses(model)))
         records.episodes.extend(self._episodes.take())
-        with torch.no_grad():
-            return all(bool(torch.isfinite(each).all()) for each in model.policy.parameters())
+        return has_finite_weights(model)
 
     def evaluate(self, step: int) -> Row:
         """Return one row of `EVALUATION_COLUMNS`, of the same seeds each time."""
@@ -139,8 +135,12 @@ class OpenTrainer(Trainer):
         return evaluation_row(step, drawn, lengths, best, self._random)
 
     def _play(self, episodes: int, deterministic: bool) -> tuple[list[float], list[int]]:
-        generators = torch.get_rng_state(), np.random.get_state()
-        with closing(_environments(self.run, 1, self._seed)) as env, blamed(f"{self.run.env} in evaluation"):
+        before = np.random.get_state()
+        with (
+            torch.random.fork_rng(devices=[]),
+            closing(_environments(self.run, 1, self._seed)) as env,
+            blamed(f"{self.run.env} in evaluation"),
+        ):
             if isinstance(env, VecNormalize) and isinstance(self._env, VecNormalize):
                 env.training, env.norm_reward = False, False
                 if self.run.normalize_observations:
@@ -149,8 +149,7 @@ class OpenTrainer(Trainer):
             found: Any = evaluate_policy(
                 self._model, env, episodes, deterministic, return_episode_rewards=True
             )
-        torch.set_rng_state(generators[0])
-        np.random.set_state(generators[1])
+        np.random.set_state(before)
         return found
 
     def policy(self) -> None:

@@ -70,12 +70,8 @@ class TableTrainer(ResumableTrainer):
         action = self._choose(taken)
         next_place, reward, ended, _, _ = self.env.step(np.int64(action))
         updated = int(self._generator.integers(len(self.tables)))
-        error = temporal_difference(
-            self.tables,
-            updated,
-            (self._place, action, reward, None if ended else int(next_place)),
-            self.run.gamma,
-        )
+        step = self._place, action, reward, None if ended else int(next_place)
+        error = temporal_difference(self.tables, updated, step, self.run.gamma)
         self.tables[updated, self._place, action] += self.run.learning_rate * error
         self._return, self._length, self._place = self._return + reward, self._length + 1, int(next_place)
         if ended:
@@ -107,8 +103,6 @@ class TableTrainer(ResumableTrainer):
         return Checkpoint(step, {"tables": self.tables.copy()}, numbers, records.copy())
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        if checkpoint.arrays["tables"].shape != self.tables.shape:
-            raise ValueError("it is of another number of tables")
         self.tables = checkpoint.arrays["tables"].copy()
         self._generator.bit_generator.state = checkpoint.numbers["actions"]
         self.env.np_random.bit_generator.state = checkpoint.numbers["world"]
@@ -117,8 +111,7 @@ class TableTrainer(ResumableTrainer):
 
 
 def _make_env(run: Run) -> MailmanEnv:
-    assert run.action_slip is not None and run.reward_noise is not None
-    return MailmanEnv(run.action_slip, run.reward_noise)
+    return MailmanEnv(run.action_slip or 0.0, run.reward_noise or 0.0)
 
 
 def temporal_difference(
@@ -139,9 +132,8 @@ def temporal_difference(
 
 def exploration_rate(run: Run, taken: int) -> float:
     """Return the probability of a random action after so many steps; it falls linearly, then stays."""
-    assert run.exploration is not None and run.exploration_fraction is not None
-    falling = run.exploration_fraction * run.steps
-    return run.exploration if taken >= falling else 1 + (run.exploration - 1) * taken / falling
+    least, falling = run.exploration or 0.0, (run.exploration_fraction or 0.0) * run.steps
+    return least if taken >= falling else 1 + (least - 1) * taken / falling
 
 
 # --- Evaluation -----------------------------------------------------------------------------------
