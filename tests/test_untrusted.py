@@ -65,18 +65,6 @@ def test_untrusted_what_is_no_ordinary_file_is_never_waited_for_nor_read(store: 
         assert call(*command, "--results", store.root).code in (0, 2)
 
 
-def test_untrusted_a_table_that_unpacks_to_too_much_is_refused() -> None:
-    sink = pa.BufferOutputStream()
-    pq.write_table(pa.table({"step": pa.array(np.zeros(70_000_000, np.int8))}), sink, compression="zstd")
-    data = sink.getvalue().to_pybytes()
-    assert len(data) < 1_000_000
-    with pytest.raises(ValueError, match="unpacks to more than 512 MB"):
-        from_parquet(data)
-    for broken in (data[:-9], b"", b"PAR1" * 4):
-        with pytest.raises(ValueError, match="no table that can be read"):
-            from_parquet(broken)
-
-
 def _packed(table: pa.Table, **options: Any) -> bytes:
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd", **options)
@@ -118,6 +106,9 @@ BOMBS: dict[str, tuple[Callable[[], bytes], str]] = {
         "is packed otherwise",
     ),
     "a footer that lies": (_lying, "unpacks to more than 1 MB"),
+    "zeros": (lambda: _packed(pa.table({"step": np.zeros(2**21, np.int8)})), "unpacks to more than 1 MB"),
+    "one that was cut off": (lambda: _packed(NUMBERS)[:-9], "no table that can be read"),
+    "marks alone": (lambda: b"PAR1" * 4, "no table that can be read"),
     "pages of another kind": (lambda: _packed(NUMBERS, data_page_version="2.0"), "no table that can be read"),
 }  # fmt: skip
 
@@ -237,8 +228,7 @@ def _forged(data: StudyData, store: Store, about: dict[str, Any], column: str, v
     ("about", "column", "values"),
     [({"schema": 2}, "", None), ({"listing": {"runs": 3}}, "", None), ({"listing": 3}, "", None),
      ({}, "run_id", "../.."), ({}, "config_id", "x"), ({}, "status", "planned"), ({}, "steps", 0),
-     ({}, "end", None), ({}, "entropy", "x"), ({}, "entropy", [[1.0] * 200]),
-     ({}, "return last", "x"), ({}, "evaluations", [[{"a": 1.0}]]), ({}, "seed", None)],
+     ({}, "end", None), ({}, "return last", "x"), ({}, "evaluations", [[{"a": 1.0}]]), ({}, "seed", None)],
 )  # fmt: skip
 def test_untrusted_a_published_table_that_makes_no_sense_is_one_line(
     store: Store, about: dict[str, Any], column: str, values: Any, tmp_path: Path
@@ -254,10 +244,8 @@ def test_untrusted_a_published_table_that_makes_no_sense_is_one_line(
 
 
 @pytest.mark.parametrize(("column", "text"), [("fields", "["), ("provenance", "{"), ("signs", "{}")])
-def test_untrusted_text_in_a_table_that_is_no_document_is_one_line(
-    store: Store, column: str, text: str, tmp_path: Path
-) -> None:
-    clone = Store(tmp_path / "clone")
+def test_untrusted_text_that_is_no_document_is_one_line(store: Store, column: str, text: str) -> None:
+    clone = Store(store.root / "clone")
     _forged(study_of(store, ONE), clone, {}, column, text)
     for command in ("summary", "status"):
         told = call("study", command, "mine", "--results", clone.root)
@@ -278,18 +266,10 @@ ODD_CELLS: dict[str, tuple[str, pa.Array]] = {
     "a curve of text": ("entropy", _one(pa.array(["x"] * 200))),
     "a curve of lists": ("entropy", _one(pa.array([[1.0]] * 200))),
     "a curve of nothing": ("entropy", _one(pa.nulls(200))),
-    "a curve of yes and no": ("entropy", _one(pa.array([True] * 200))),
     "evaluations of text": ("evaluations", _evaluations(step=STEPS, share_killed=pa.array(["x", "y"]))),
-    "evaluations of lists": ("evaluations", _evaluations(step=STEPS, share_killed=pa.array([[1.0], [2.0]]))),
-    "evaluations of yes and no": (
-        "evaluations",
-        _evaluations(step=STEPS, share_killed=pa.array([True, False])),
-    ),
+    "evaluations of yes": ("evaluations", _evaluations(step=STEPS, share_killed=pa.array([True, True]))),
     "evaluations of times": ("evaluations", _evaluations(step=TIMES, share_killed=SHARES)),
-    "evaluations at no step": (
-        "evaluations",
-        _evaluations(step=pa.nulls(2), share_killed=SHARES),
-    ),
+    "evaluations at no step": ("evaluations", _evaluations(step=pa.nulls(2), share_killed=SHARES)),
     "a list of parents": ("fields", pa.array([json.dumps({"steps": 1000, "parent": ["a"]})])),
     "a step of text": ("fields", pa.array([json.dumps({"steps": 1000, "fork_step": "a"})])),
     "a table in a list": ("fields", pa.array([json.dumps({"steps": 1000, "reward": [{"a": 1}]})])),
