@@ -167,7 +167,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
             if state.worlds["ending"][0]:
                 raise ResetNeeded("the episode has ended: call reset first")
             return observation, self._reward(), False, False, info
-        info |= ending_info(state, 0)
+        info |= ending_info(state)
         truncated = bool(state.truncated[0])
         return observation, self._reward(), not truncated, truncated, info
 

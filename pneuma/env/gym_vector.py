@@ -16,10 +16,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.slots import Slots, chosen_starts, ending_info
+from pneuma.env.slots import chosen_starts, ending_info, make_slots
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Worlds
-from pneuma.errors import UserError
 
 
 class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -47,15 +45,10 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         camera: str = "map",
         **settings: object,
     ) -> None:
-        config = make_env_config(settings, env_id)
-        if num_envs < 1 or num_envs % config.players:
-            allowed = f"a multiple of the {config.players} players in a world"
-            raise UserError(f"num_envs = {num_envs} is not allowed: {allowed}")
-        self.num_envs = num_envs
+        self.slots = make_slots(num_envs, make_env_config(settings, env_id))
+        self.state, self.num_envs = self.slots.worlds, num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
-        self.state = Worlds(num_envs // config.players, config)
-        self.slots = Slots(self.state)
         self._set_up_rendering(self.state, render_mode, camera)
         self.single_observation_space = self.state.slot_space
         self.single_action_space = self.state.action_space
@@ -136,12 +129,10 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def _final(self, over: np.ndarray) -> dict[str, Any]:
         """Return the infos of the slots that ended, in Gymnasium's form for this autoreset mode."""
         infos: dict[str, Any] = {}
-        for slot in np.flatnonzero(over):
-            world, player = divmod(int(slot), self.slots.players)
-            info = ending_info(self.state, world, player)
+        for slot in np.flatnonzero(over).tolist():
+            info = ending_info(self.state, slot)
             if self.autoreset_mode == AutoresetMode.SAME_STEP:
-                final = self.state.observations[world, player].copy()
-                mask = self.state.masks[world, player].copy()
-                info = {"final_obs": final, "final_info": {"action_mask": mask, **info}}
-            infos = self._add_info(infos, info, int(slot))
+                info["action_mask"] = self.slots.masks[slot]
+                info = {"final_obs": self.slots.observations[slot], "final_info": info}
+            infos = self._add_info(infos, info, slot)
         return infos

@@ -102,7 +102,7 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         infos = self._masks(acting)
         for agent in acting:
             if terminations[agent] or truncations[agent]:
-                infos[agent] |= ending_info(self.worlds, 0, self._index[agent])
+                infos[agent] |= ending_info(self.worlds, self._index[agent])
         self.agents = [agent for agent in acting if not (terminations[agent] or truncations[agent])]
         self._show()
         return self._observations(acting), rewards, terminations, truncations, infos

@@ -10,10 +10,9 @@ from gymnasium.utils import seeding
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.slots import Slots, chosen_starts, ending_info
+from pneuma.env.slots import chosen_starts, ending_info, make_slots
 from pneuma.env.state import LAYOUT_DIGEST, as_bytes
 from pneuma.env.watch import Rendering
-from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 
@@ -70,16 +69,15 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
     ) -> None:
         config = make_env_config(settings, env_id)
         if isinstance(seeds, int | np.integer):
-            if seeds < 1 or seeds % config.players:
-                allowed = f"a multiple of the {config.players} players in a world"
-                raise UserError(f"{seeds} slots are not allowed: {allowed}")
+            self.slots = make_slots(int(seeds), config)
             first = int(seeding.np_random()[0].integers(2**62)) if seed is None else int(seed)
-            seeds = [first + i for i in range(int(seeds) // config.players)]
-        elif seed is not None or not len(seeds):
+            seeds = range(first, first + len(self.slots.worlds))
+        elif seed is None:
+            self.slots = make_slots(len(seeds) * config.players, config)
+        else:
             raise UserError(f"seeds = {seeds}, seed = {seed}: give seeds, or a number of slots and a seed")
-        self.state = Worlds(len(seeds), config)
+        self.state = self.slots.worlds
         self.state.seed(seeds)
-        self.slots = Slots(self.state)
         self._set_up_rendering(self.state, render_mode, camera)
         VecEnv.__init__(self, self.slots.count, self.state.slot_space, self.state.action_space)
         self.metadata = {**Rendering.metadata, **self.metadata}  # type: ignore[misc]
@@ -128,15 +126,14 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         return slots.observations, rewards, dones, infos
 
     def _end(self, slot: int) -> dict[str, Any]:
-        world, player = divmod(slot, self.slots.players)
-        info = ending_info(self.state, world, player)
+        info = ending_info(self.state, slot)
         book = self.slots.book[slot]
         length, total = int(book["lengths"]), float(book["returns"])
         if self.keep_finished:
             place = {"slot": slot, "episode": int(book["episodes"]) - 1}
             step = int(self._steps_taken[0]) * self.num_envs
             self.finished.append({**place, "step": step, "return": total, "length": length, **info})
-        info["terminal_observation"] = self.state.observations[world, player].copy()
+        info["terminal_observation"] = self.slots.observations[slot]
         info["TimeLimit.truncated"] = bool(self.slots.truncated[slot])
         info["episode"] = {"r": total, "l": length}
         return info

@@ -9,7 +9,9 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 
 from pneuma.env import rules
+from pneuma.env.fields import EnvConfig
 from pneuma.env.worlds import ENDINGS, Worlds
+from pneuma.errors import UserError
 
 
 class Slots:
@@ -80,11 +82,19 @@ class Slots:
         return masks
 
 
-def ending_info(state: Worlds, world: int, player: int = 0) -> dict[str, Any]:
-    """Describe how a world's episode ended for a player."""
-    row = state.players[world, player]
+def make_slots(count: int, config: EnvConfig) -> Slots:
+    """Return the slots of so many worlds that they have this number of players."""
+    if count < 1 or count % config.players:
+        allowed = f"a multiple of the {config.players} players in a world"
+        raise UserError(f"{count} slots are not allowed: {allowed}")
+    return Slots(Worlds(count // config.players, config))
+
+
+def ending_info(state: Worlds, slot: int = 0) -> dict[str, Any]:
+    """Describe how a slot's episode ended."""
+    row = state.players.reshape(-1)[slot]
     return {
-        "ending": ENDINGS[state.slots["ending"][world, player]],
+        "ending": ENDINGS[state.slots.reshape(-1)["ending"][slot]],
         "kills": int(row["kills"]),
         "xp": float(row["xp"]),
         "hp": float(row["hp"]),

@@ -20,20 +20,15 @@ import numpy as np
 from gymnasium import spaces
 
 from pneuma.errors import UserError
-from pneuma.godot.wire import (
-    FINAL,
-    PORT,
-    START_SECONDS,
-    TRUNCATED,
-    UNREADABLE,
-    flag,
-    number,
-    numbers,
-    receive,
-    send,
-    whole,
-)
+from pneuma.godot import wire
 
+PORT = 11008
+TRUNCATED = ("truncated", "TimeLimit.truncated")
+"""Keys of an episode's last info for whether a time limit ended it; the second is Stable-Baselines3's."""
+FINAL = ("final_observation", "terminal_observation")
+"""Keys of its last observation; the second is Stable-Baselines3's."""
+START_SECONDS = 60
+"""Seconds that a trainer waits for a game to start."""
 SILENT_SECONDS = 5
 """Seconds after which a trainer says that it waits for a game."""
 ANSWER_SECONDS = 10
@@ -102,7 +97,7 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
     def close(self) -> None:
         if self._connection:
             with suppress(OSError):
-                send(self._connection, {"type": "close"})
+                wire.send(self._connection, {"type": "close"})
             self._connection.close()
         if self._process and self._process.stdin:
             self._process.stdin.close()
@@ -134,7 +129,7 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
                 )
             self._connection = self._accept(listening)
         with suppress(OSError):  # the next question tells
-            send(self._connection, {"type": "handshake", "major_version": "0", "minor_version": "7"})
+            wire.send(self._connection, {"type": "handshake", "major_version": "0", "minor_version": "7"})
         self._ask({"type": "env_info"}, "env_info", self._set_spaces)
 
     def _accept(self, listening: socket.socket) -> socket.socket:
@@ -161,8 +156,8 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
             raise UserError(f"{self._name}: was ended")
         try:
             self._connection.settimeout(ANSWER_SECONDS)
-            send(self._connection, message)
-            answer = receive(self._connection, ANSWER_SECONDS)
+            wire.send(self._connection, message)
+            answer = wire.receive(self._connection, ANSWER_SECONDS)
             if answer.get("type") == kind:
                 return read(answer)
             said = reprlib.repr(answer.get("type"))
@@ -171,7 +166,7 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
             problem = f"did not answer {message['type']!r} within {ANSWER_SECONDS} s"
         except (EOFError, OSError):
             problem = f"ended at {message['type']!r}"
-        except UNREADABLE as error:
+        except wire.UNREADABLE as error:
             problem = f"answered {message['type']!r} with what is no message: {type(error).__name__}: {error}"
         self.close()
         raise UserError(f"{self._name}: {problem}")
@@ -183,27 +178,28 @@ class GodotGame(gymnasium.Env[np.ndarray, Any]):
         )
 
     def _read_step(self, answer: Mapping[str, Any]) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        obs, reward, done = self._seen(answer["obs"][0]), number(answer["reward"][0]), flag(answer["done"][0])
+        obs, reward = self._seen(answer["obs"][0]), wire.number(answer["reward"][0])
+        done = wire.flag(answer["done"][0])
         info = dict(answer.get("info", [{}])[0])
-        truncated = done and any([flag(info.pop(key, False)) for key in TRUNCATED])
+        truncated = done and any([wire.flag(info.pop(key, False)) for key in TRUNCATED])
         last = [self._seen(info.pop(key)) for key in FINAL if key in info]
         self._begun = obs if done else None
         return (last[0] if done and last else obs), reward, done and not truncated, truncated, info
 
     def _seen(self, sent: Any) -> np.ndarray:
         """Return an observation, sent by its name or as its numbers alone."""
-        return numbers(sent["obs"] if isinstance(sent, Mapping) else sent, self._features)
+        return wire.numbers(sent["obs"] if isinstance(sent, Mapping) else sent, self._features)
 
     def _set_spaces(self, env_info: Mapping[str, Any]) -> None:
         try:
             ((action, acts),) = _first(env_info["action_space"]).items()
             ((key, seen),) = _first(env_info["observation_space"]).items()
-            (self._features,) = (whole(size, 1, MOST_NUMBERS) for size in seen["size"])
-            size, _ = whole(acts["size"], 1, MOST_NUMBERS), whole(env_info["n_agents"], 1, 1)
+            (self._features,) = (wire.whole(size, 1, MOST_NUMBERS) for size in seen["size"])
+            size, _ = wire.whole(acts["size"], 1, MOST_NUMBERS), wire.whole(env_info["n_agents"], 1, 1)
             discrete = {"discrete": True, "continuous": False}[acts["action_type"]]
             if (key, seen["space"]) != ("obs", "box"):
                 raise ValueError(key)
-        except UNREADABLE:
+        except wire.UNREADABLE:
             asked = ("n_agents", "action_space", "observation_space")
             has = reprlib.repr({name: env_info.get(name) for name in asked})
             self.close()

@@ -16,18 +16,11 @@ import numpy as np
 
 from pneuma.files import parse_json
 
-PORT = 11008
-START_SECONDS = 60
-"""Seconds that one end waits for the other to start."""
 MOST_BYTES = 64 * 2**20
 """Most bytes of a message."""
 LARGEST = float(np.finfo(np.float32).max)
 UNREADABLE = (LookupError, TypeError, ValueError, AttributeError)
 """What reading a message raises if it is not as the protocol says."""
-TRUNCATED = ("truncated", "TimeLimit.truncated")
-"""Keys of an episode's last info for whether a time limit ended it; the second is Stable-Baselines3's."""
-FINAL = ("final_observation", "terminal_observation")
-"""Keys of its last observation; the second is Stable-Baselines3's."""
 
 
 def send(connection: socket.socket, message: Mapping[str, Any]) -> None:
@@ -43,7 +36,7 @@ def send(connection: socket.socket, message: Mapping[str, Any]) -> None:
     connection.sendall(len(data).to_bytes(4, "little") + data)
 
 
-def receive(connection: socket.socket, seconds: float | None = None) -> dict[str, Any]:
+def receive(connection: socket.socket, seconds: float) -> dict[str, Any]:
     """Return the next message, which must be there, as a whole, within some seconds.
 
     Raises:
@@ -51,18 +44,17 @@ def receive(connection: socket.socket, seconds: float | None = None) -> dict[str
         TimeoutError: when the time is over.
         ValueError: for an invalid message.
     """
-    until = None if seconds is None else time.monotonic() + seconds
+    until = time.monotonic() + seconds
     size = int.from_bytes(_exactly(connection, 4, until), "little")
     if size > MOST_BYTES:
         raise ValueError(f"a message of {size:,} bytes; the most is {MOST_BYTES:,}")
     return parse_json(bytes(_exactly(connection, size, until)))
 
 
-def _exactly(connection: socket.socket, size: int, until: float | None) -> bytearray:
+def _exactly(connection: socket.socket, size: int, until: float) -> bytearray:
     parts = bytearray()
     while len(parts) < size:
-        left = None if until is None else until - time.monotonic()
-        if left is not None and left <= 0:
+        if (left := until - time.monotonic()) <= 0:
             raise TimeoutError
         connection.settimeout(left)
         part = connection.recv(min(size - len(parts), 1 << 16))
@@ -94,9 +86,9 @@ def flag(sent: object) -> bool:
     return sent if isinstance(sent, bool) else bool(whole(sent, 0, 1))
 
 
-def numbers(sent: object, size: int, low: float = -LARGEST, high: float = LARGEST) -> np.ndarray:
+def numbers(sent: object, size: int) -> np.ndarray:
     """Return a list of `size` numbers as (size,) float32; errors are those of `number`."""
     values = sent if isinstance(sent, list) else [sent]
     if len(values) != size:
         raise ValueError(f"{len(values):,} numbers where {size:,} belong")
-    return np.array([number(value, low, high) for value in values], np.float32)
+    return np.array([number(value) for value in values], np.float32)
