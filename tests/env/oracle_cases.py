@@ -16,7 +16,6 @@ import numpy as np
 from hypothesis import reject
 from hypothesis import strategies as st
 
-from pneuma.env.characters import load_characters
 from pneuma.env.fields import REWARDS, EnvConfig, make_env_config
 from pneuma.env.rules import ATTACK, DOWN, LEFT, RIGHT, UP
 from pneuma.env.worlds import Worlds
@@ -24,7 +23,7 @@ from pneuma.errors import UserError
 from pneuma.values import OneOf
 
 from .oracle import Oracle
-from .oracle_maps import GRASS, KINDS, SAND, Map, maps, settle
+from .oracle_maps import GRASS, KINDS, SAND, Map, maps
 from .oracle_parts import Player
 
 CLASSES = ("base", "tank", "mage", "warrior")
@@ -190,7 +189,7 @@ def cases(draw: st.DrawFn) -> Case:
 def make_worlds(case: Case, folder: Path) -> Worlds:
     """Write the case's files to a folder of its own and set up its worlds.
 
-    Who has no room is moved; where obstacles wall somebody in, they are left out.
+    Where lakes and obstacles wall somebody in, they are left out.
     """
     settings = dict(case.settings)
     folder.mkdir(parents=True)
@@ -198,10 +197,7 @@ def make_worlds(case: Case, folder: Path) -> Worlds:
     if case.characters not in ("", "pygame"):
         (folder / "characters.toml").write_text(case.characters)
         settings["characters"] = str(folder / "characters.toml")
-    classes = settings.get("classes", "base")
-    names = [classes] if isinstance(classes, str) else classes
-    settled = settle(case.level, load_characters(settings["characters"]).model_dump(exclude_none=True), names)
-    for number, level in enumerate((settled, replace(settled, lakes=(), obstacles=()))):
+    for number, level in enumerate((case.level, replace(case.level, lakes=(), obstacles=()))):
         settings["level"] = level.write(folder / f"level{number}")
         try:
             return Worlds(case.count, make_env_config(settings))

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
@@ -14,11 +12,12 @@ from hypothesis import strategies as st
 KINDS = {"bamboo": 390, "spirit": 391, "raccoon": 392, "squid": 393}
 START, OBSTACLE, WATER, GRASS, SAND = 400, 395, 0, 2, 3
 CROWD = 30
+REACH = 47.5
+"""No drawn body reaches further from the middle of the square in which it begins."""
+CELL = 2 * REACH
 
 Tile = tuple[int, int]
 Place = tuple[float, float]
-Extent = tuple[float, float, float, float]
-"""Left, top, right and bottom of a body, from its position."""
 
 
 @dataclass(frozen=True)
@@ -62,88 +61,25 @@ class Map:
 
 @st.composite
 def maps(draw: st.DrawFn) -> Map:
-    """Draw a level with most of its start places and monsters around one point; they may overlap."""
+    """Draw a level whose start places and monsters are around one point, with some room between."""
     least, most = draw(st.sampled_from([(12, 20), (12, 20), (6, 8)]))  # now and then hardly any room
     columns, rows = draw(st.integers(least, most)), draw(st.integers(least, most))
     tile = draw(st.sampled_from([64.0, 64.0, 40.0, 48.0, 50.5, 96.0]))
-    shore = draw(st.integers(0, 2))
     tiles = st.lists(st.tuples(st.integers(0, columns - 1), st.integers(0, rows - 1)), max_size=12)
-    far = (columns * tile, rows * tile)
-
-    def within(shares: tuple[int, int]) -> Place:
-        x, y = (f * share / 999 for share, f in zip(shares, far, strict=True))
-        return x, y
-
-    def near(offset: tuple[int, int]) -> Place:
-        x, y = (min(max(h + third / 3, 0.0), f) for h, third, f in zip(hub, offset, far, strict=True))
-        return x, y
-
-    anywhere = st.tuples(st.integers(0, 999), st.integers(0, 999)).map(within)
-    hub = draw(anywhere)
-    around = st.tuples(st.integers(-450, 450), st.integers(-450, 450)).map(near)
-    place = st.one_of(around, around, around, anywhere)
-    starts = draw(st.lists(place, min_size=1, max_size=3))
+    across, down = int(columns * tile / CELL), int(rows * tile / CELL)
+    x, y = draw(st.integers(0, across - 1)), draw(st.integers(0, down - 1))
+    cells = sorted(np.ndindex(across, down), key=lambda cell: max(abs(cell[0] - x), abs(cell[1] - y)))
     crowded = draw(st.sampled_from([False, False, True]))
-    kinds = st.tuples(st.sampled_from(sorted(KINDS)), place)
-    monsters = draw(st.lists(kinds, min_size=6 if crowded else 1, max_size=CROWD if crowded else 6))
+    count = draw(st.integers(2, min(CROWD if crowded else 8, len(cells))))
+    off_centre = st.integers(-9, 9).map(lambda third: CELL / 2 + third / 3)
+    chosen = draw(st.permutations(cells[: 3 * count // 2]))[:count]
+    places = [(column * CELL + draw(off_centre), row * CELL + draw(off_centre)) for column, row in chosen]
+    starts = draw(st.integers(1, min(3, count - 1)))
+    kinds = st.sampled_from(sorted(KINDS))
+    corners = itertools.product((-REACH, -REACH / 3, REACH / 3, REACH), repeat=2)
+    under = [(int((x + dx) // tile), int((y + dy) // tile)) for dx, dy in corners for x, y in places]
     return Map(
-        columns, rows, tile, shore=shore, lakes=tuple(draw(tiles)[:4]), obstacles=tuple(draw(tiles)),
-        sand=tuple(draw(tiles)), starts=tuple(starts), monsters=tuple((kind, *at) for kind, at in monsters),
+        columns, rows, tile, shore=draw(st.integers(0, 2)), lakes=tuple(draw(tiles)[:4]),
+        obstacles=tuple(draw(tiles)), sand=tuple(draw(tiles)), starts=tuple(places[:starts]),
+        monsters=tuple((draw(kinds), *place) for place in places[starts:]), clear=frozenset(under),
     )  # fmt: skip
-
-
-def settle(level: Map, cast: Mapping[str, Any], classes: Sequence[str]) -> Map:
-    """Return a level in which everybody has room: within the grid, on open tiles, and clear of others.
-
-    Who has none where the level has him gets the nearest of some places around, or is left out. At any
-    start place any of the players may begin.
-    """
-    bodies = [_extent(cast["players"][name]) for name in classes]
-    lefts, tops, rights, bottoms = zip(*bodies, strict=True)
-    player = min(lefts), min(tops), max(rights), max(bottoms)
-    wanted = [("", player, place) for place in level.starts]
-    wanted += [(kind, _extent(cast["monsters"][kind]), (x, y)) for kind, x, y in level.monsters]
-    taken: list[tuple[str, Place, Extent]] = []
-    for kind, extent, place in wanted:
-        for x, y in _around(place):
-            box = extent[0] + x, extent[1] + y, extent[2] + x, extent[3] + y
-            if _on_grid(level, box) and not any(_overlap(box, other) for _, _, other in taken):
-                taken.append((kind, (x, y), box))
-                break
-    tiles = [tile for _, _, box in taken for tile in _tiles(level, box)]
-    return replace(
-        level,
-        starts=tuple(place for kind, place, _ in taken if not kind),
-        monsters=tuple((kind, *place) for kind, place, _ in taken if kind),
-        clear=frozenset(tiles),
-    )
-
-
-def _extent(character: Mapping[str, Any]) -> Extent:
-    (width, height), (x, y) = character["body"], character.get("body_at", (0, 0))
-    return x - width / 2, y - height / 2, x + width / 2, y + height / 2
-
-
-def _around(place: Place) -> Iterator[Place]:
-    """Yield a place, then others around it, further and further off."""
-    yield place
-    for ring in range(1, 40):
-        for across, down in itertools.product((-1, 0, 1), repeat=2):
-            yield place[0] + 10.3 * ring * across, place[1] + 10.3 * ring * down
-
-
-def _on_grid(level: Map, box: Extent) -> bool:
-    right, bottom = level.columns * level.tile, level.rows * level.tile
-    return box[0] >= 0 and box[1] >= 0 and box[2] <= right and box[3] <= bottom
-
-
-def _overlap(one: Extent, other: Extent) -> bool:
-    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
-
-
-def _tiles(level: Map, box: Extent) -> Iterator[Tile]:
-    """Yield the tiles that a box lies on or touches."""
-    first, above, last, below = (int(side // level.tile) for side in box)
-    for column in range(first, min(last, level.columns - 1) + 1):
-        for row in range(above, min(below, level.rows - 1) + 1):
-            yield column, row

@@ -304,7 +304,7 @@ def test_it_steps_and_notes_episodes_as_a_monitored_dummy_vec_env_of_single_envi
         *told, infos = ours.step(actions)
         *expected, their_infos = theirs.step(actions)
         assert_same(tuple(told), tuple(expected))
-        for slot in np.flatnonzero(told[2]).tolist():
+        for slot in np.flatnonzero(np.asarray(told[2])).tolist():
             episode = their_infos[slot].pop("episode")
             episodes.append((slot, N * number, episode["l"], episode["r"]))
             del infos[slot]["episode"], their_infos[slot]["action_mask"]

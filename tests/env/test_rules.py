@@ -181,6 +181,17 @@ def test_clearing_the_level_costs_1_xp(arena: str) -> None:
     assert (pair.told("xp"), pair.told("reward"), pair.worlds.ending(0)) == ([4], [4], "cleared")  # 4 + 1 - 1
 
 
+def test_who_drowns_in_the_first_tick_pays_nothing_and_shares_the_reward(arena: str) -> None:
+    pair = stage(
+        arena, facing=LEFT, players=2, coast="deadly", bodies="pass", reward="kills", shared_reward=True
+    )
+    pair.put(x=(-574.0, 0.0))  # the land begins at -576
+    pair.play((LEFT, UP))
+    assert (pair.told("x"), pair.told("y"), pair.told("present")) == ([-579, 0], [0, -40], [0, 8])
+    assert (pair.told("xp"), pair.told("hp_lost")) == ([0, 0], [100, 0])
+    assert pair.told("reward") == [-0.5, -0.5]
+
+
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
