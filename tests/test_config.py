@@ -116,6 +116,41 @@ def test_whole_numbers_are_whole_however_they_are_written() -> None:
     assert repr(make_run({"entropy_coefficient": -0.0}).entropy_coefficient) == "0.0"
 
 
+PAIR: dict[str, Any] = {"players": 2, "learners": "independent"}
+
+
+@pytest.mark.parametrize(
+    ("fields", "told"),
+    [
+        ({**PAIR, "engine": "sb3"}, "learners = independent is not allowed: sb3 trains one policy for all"),
+        (
+            {**PAIR, "algorithm": "a2c"},
+            "learners = independent is not allowed: a2c trains one policy for all",
+        ),
+        (
+            {"optimizer": "upgd", "engine": "sb3"},
+            "optimizer = upgd is not allowed: the engine sb3 has no UPGD",
+        ),
+        ({"algorithm": "qr-dqn"}, "algorithm = qr-dqn is not allowed in pneuma/Pneuma-v0: only in other"),
+        ({"algorithm": "q-learning"}, 'algorithm = "q-learning" is not allowed in pneuma/Pneuma-v0: one of'),
+        ({"algorithm": "dqn", "engine": "batched"}, 'engine = "batched" is not allowed: it cannot train'),
+        ({"value_baseline": False, "engine": "batched"}, "train advantages without a baseline; sb3 can"),
+        (
+            {"algorithm": "dqn", "train_every": 3},
+            "train_every = 3 is not allowed: horizon = 256 is no multiple",
+        ),
+        ({"held_out_levels": 3}, "held_out_levels = 3 is not allowed: thesis is not of random:train"),
+        (
+            {"algorithm": "dqn", "fork_reset": "critic"},
+            "fork_reset = critic is not allowed: dqn has no critic",
+        ),
+    ],
+)
+def test_what_does_not_go_together_is_refused(fields: dict[str, Any], told: str) -> None:
+    with pytest.raises(UserError, match=told):
+        make_run(fields)
+
+
 # --- Random streams -------------------------------------------------------------------------------
 
 

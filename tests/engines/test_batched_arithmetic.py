@@ -6,7 +6,7 @@ gradient norms and parameters are compared.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +22,7 @@ from pneuma.engines.batched.learner import Learner
 from pneuma.engines.batched.rollout import Rollout, advantages
 from pneuma.engines.batched.training import BatchedTrainer
 from pneuma.engines.environment import make_vec_env
-from pneuma.engines.policy import dead_share
+from pneuma.engines.policy import Policy, dead_share
 from pneuma.engines.records import Records
 
 from .trained import SMALL, rollouts_of
@@ -165,21 +165,10 @@ def test_advantages_worked_out_by_hand() -> None:
 def test_a_policy_whose_logits_overflow_at_the_end_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where more updates follow, the next one shows it in its losses."""
     run = make_run({**SMALL, "activation": "leaky-relu", "steps": 128})
-    trainer, records = BatchedTrainer(run), Records()
-    monkeypatch.setattr(trainer.learners[0], "learn_from", _with_huge_weights(trainer.learners[0]))
-    half = run.steps_per_update
-    assert run.updates == 2
+    trainer, records, half = BatchedTrainer(run), Records(), run.steps_per_update
+    (learner,) = trainer.learners
+    huge = jax.tree.map(lambda leaf: np.full_like(leaf, 1e20), learner.networks["actor"])
+    monkeypatch.setattr(
+        learner, "policy", lambda: Policy("leaky-relu", huge, ())
+    )  # two layers make no number
     assert trainer.update(0, half, records) and not trainer.update(half, 2 * half, records)
-
-
-def _with_huge_weights(learner: Learner) -> Callable[[Rollout, float], dict[str, float]]:
-    """Return what learns as ever and leaves weights of 1e20, of which two layers make what is no number."""
-    learn_from, sound = learner.learn_from, learner.networks
-
-    def learn(rollout: Rollout, left: float) -> dict[str, float]:
-        learner.networks = sound
-        told = learn_from(rollout, left)
-        learner.networks = jax.tree.map(lambda leaf: np.full_like(leaf, 1e20), learner.networks)
-        return told
-
-    return learn

@@ -17,14 +17,11 @@ from pneuma.engines.policy import Policy
 from pneuma.env.players import Hunter
 from pneuma.presets import BASES
 
+from .trained import constant
+
 
 def run_of(**settings: object) -> Run:
     return make_run({**BASES["table-6-2"], "evaluation_episodes": 24, **settings})
-
-
-def constant_policy(logits: list[float]) -> Policy:
-    layer = (np.zeros((60, 5), np.float32), np.array(logits, np.float32))
-    return Policy("tanh", (layer,), (layer,))
 
 
 @pytest.fixture(scope="module")
@@ -48,16 +45,16 @@ def test_score_is_zero_for_the_random_player_and_one_where_all_are_killed(evalua
 
 def test_a_certain_policy_plays_each_start_the_same_way_sampled_or_not(evaluation: Evaluation) -> None:
     # Nothing in the world is random but the start place, so episode lengths must agree by place.
-    evaluation.evaluate(constant_policy([50, 0, 0, 0, 0]), 100)  # always down
+    evaluation.evaluate(constant([50, 0, 0, 0, 0], 60), 100)  # always down
     worlds = evaluation.worlds.worlds
     by_place = dict(zip(worlds["start"][24:].tolist(), worlds["steps"][24:].tolist(), strict=True))
     assert worlds["steps"][:24].tolist() == [by_place[place] for place in worlds["start"][:24].tolist()]
 
 
 def test_evaluating_again_gives_the_same_row_whatever_went_before(evaluation: Evaluation) -> None:
-    policy = constant_policy([0.3, 0.1, 0.0, 0.2, 0.4])
+    policy = constant([0.3, 0.1, 0.0, 0.2, 0.4], 60)
     first = evaluation.evaluate(policy, 500)
-    evaluation.evaluate(constant_policy([1, 0, 0, 0, 0]), 600)
+    evaluation.evaluate(constant([1, 0, 0, 0, 0], 60), 600)
     np.random.seed(1)
     assert evaluation.evaluate(policy, 500) == first
     assert Evaluation(run_of(seed=3)).evaluate(policy, 500) == first
@@ -67,7 +64,7 @@ def test_evaluating_again_gives_the_same_row_whatever_went_before(evaluation: Ev
 def test_evaluation_worlds_are_none_of_the_training_worlds() -> None:
     run = run_of(seed=3, slots=16, minibatch=64)
     evaluation = Evaluation(run)
-    evaluation.evaluate(constant_policy([0, 0, 0, 0, 0]), 1)
+    evaluation.evaluate(constant([0, 0, 0, 0, 0], 60), 1)
     training = set(make_vec_env(run).state.worlds["key"].tolist())
     held_out = set(evaluation.worlds.worlds["key"].tolist())
     assert len(training) == 16
@@ -131,7 +128,7 @@ def test_the_commonest_action_is_counted_over_all_steps_of_the_sampled_episodes(
         return ended
 
     monkeypatch.setattr(evaluation.worlds, "advance", counting)
-    policy = constant_policy([math.log(12), math.log(2), math.log(2), math.log(2), math.log(2)])
+    policy = constant([math.log(12), math.log(2), math.log(2), math.log(2), math.log(2)], 60)
     told = evaluation.evaluate(policy, 7)["commonest_action"]
     assert told == counts.max() / counts.sum() == counts[0] / counts.sum()
     assert told == pytest.approx(0.6, abs=0.05)
@@ -156,13 +153,6 @@ def test_compiled_play_is_what_numpy_plays(
 # --- Estimated values of actions beside true ones -------------------------------------------------
 
 
-def always(action: int, value: float) -> Policy:
-    """One action in every state, said to be worth `value`."""
-    bias = np.zeros(5, np.float32)
-    bias[action] = value
-    return Policy("tanh", ((np.zeros((60, 5), np.float32), bias),), (), 0.1)
-
-
 @pytest.mark.parametrize("gamma", [0.0, 0.5, 0.9])
 def test_a_constant_reward_is_worth_the_geometric_series(
     gamma: float, monkeypatch: pytest.MonkeyPatch
@@ -177,7 +167,7 @@ def test_a_constant_reward_is_worth_the_geometric_series(
         return ended
 
     monkeypatch.setattr(values.worlds, "step", paid)
-    told = values.measure(always(1, 7.0))
+    told = values.measure(constant([0, 7, 0, 0, 0], 60, critic=(), exploration=0.1))
     assert told["q_estimate"] == 7.0
     assert told["q_true"] == pytest.approx(1 / (1 - gamma), rel=0.011)
     assert told["q_true"] <= 1 / (1 - gamma)

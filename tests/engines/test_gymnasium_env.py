@@ -23,7 +23,7 @@ from pneuma.errors import UserError
 from pneuma.study.identity import describe_user_code, run_id
 
 from . import own_envs
-from .trained import CORRIDOR, OTHERS, bits, run_of, train
+from .trained import CORRIDOR, OTHERS, bits, constant, run_of, train
 
 
 def corridor(**arguments: Any) -> Run:
@@ -134,8 +134,7 @@ def test_wrappers_that_learn_begin_anew_in_each_evaluation() -> None:
 
 def test_evaluations_count_successes_and_a_random_player() -> None:
     """Five steps right: four that cost 0.1 to 0.11, and one that pays 1."""
-    right = Policy("tanh", ((np.zeros((2, 2), np.float32), np.array([-9, 9], np.float32)),), ())
-    row = Evaluation(corridor()).evaluate(right, 0)
+    row = Evaluation(corridor()).evaluate(constant([-9, 9], 2), 0)
     assert row["length"] == 5 and row["success"] == 1.0 and 0.55 < row["return"] <= 0.6
     assert row["random_return"] < row["return"] and np.isnan(row["share_killed"])
 

@@ -129,11 +129,5 @@ def test_each_plays_by_its_own_policy_compiled_or_not(monkeypatch: pytest.Monkey
     assert compiled == pytest.approx(other, nan_ok=True)
 
 
-@pytest.mark.parametrize(("key", "value"), [("engine", "sb3"), ("algorithm", "a2c")])
-def test_what_cannot_learn_apart_is_refused(key: str, value: str) -> None:
-    with pytest.raises(UserError, match=f"{value} trains one policy for all players"):
-        run_of("team", **{key: value})
-
-
 def test_one_player_alone_has_one_policy() -> None:
     assert run_of("team", players=1) == run_of("team", players=1, learners="shared")

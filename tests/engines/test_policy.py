@@ -14,7 +14,7 @@ from pneuma.engines.normalization import Scaling
 from pneuma.engines.policy import Policy, dead_share, read_sound_policy
 from pneuma.errors import UserError
 
-from .trained import random_layers
+from . import trained
 
 
 def tiny(activation: str) -> Policy:
@@ -27,9 +27,7 @@ def tiny(activation: str) -> Policy:
 
 def constant(outputs: Any, **parts: Any) -> Policy:
     """A policy of one feature that always gives the same outputs, as read from its file."""
-    bias = np.array(outputs, np.float32)
-    layers, value = ((np.zeros((1, len(bias)), np.float32), bias),), ((np.zeros((1, 1), "f4"), bias[:1]),)
-    return read_sound_policy(Policy("tanh", layers, **{"critic": value, **parts}).to_bytes())
+    return read_sound_policy(trained.constant(outputs, 1, **parts).to_bytes())
 
 
 def drawn_by(policy: Policy) -> np.ndarray:
@@ -125,7 +123,7 @@ def test_stable_baselines3_evaluates_a_stored_policy() -> None:
 
 
 def test_what_is_no_policy_is_refused() -> None:
-    policy = Policy("tanh", random_layers((9, 8, 5)), random_layers((9, 7, 1)))
+    policy = Policy("tanh", trained.random_layers((9, 8, 5)), trained.random_layers((9, 7, 1)))
     assert read_sound_policy(policy.to_bytes()).to_bytes() == policy.to_bytes()
     (hidden, head), (_, critic_head) = policy.actor, policy.critic
     wrong: list[dict[str, Any]] = [

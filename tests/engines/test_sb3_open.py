@@ -118,8 +118,3 @@ def test_what_is_not_used_does_not_move_an_id() -> None:
 def test_what_cannot_learn_is_told_before_training(given: dict[str, Any], told: str) -> None:
     with pytest.raises(UserError, match=told):
         check_environment(make_run({**SHORT, **given}))
-
-
-def test_pneumas_own_worlds_keep_their_learners() -> None:
-    with pytest.raises(UserError, match=r"algorithm = qr-dqn is not allowed in pneuma/Pneuma-v0"):
-        make_run({"algorithm": "qr-dqn"})

@@ -10,7 +10,6 @@ import pytest
 from pneuma.config import make_run
 from pneuma.engines.batched.optimizers import initial_state, upgd, upgd_noise
 from pneuma.engines.batched.update import run_numbers
-from pneuma.errors import UserError
 
 SETTINGS: dict[str, Any] = {
     "optimizer": "upgd", "learning_rate": 0.1, "utility_decay": 0.5, "noise": 0.0, "weight_decay": 0.1,
@@ -47,11 +46,6 @@ def test_steps_are_those_of_the_papers_formulas() -> None:
         weights = (1 - 0.1 * 0.5) * weights - 2 * 0.1 * (1 - useful) * (adapted + 0.1 * noise)
         parameters, state = upgd((gradient.astype(np.float32),), parameters, state, numbers)
         assert np.asarray(parameters[0]) == pytest.approx(weights, abs=1e-4), step
-
-
-def test_the_reference_engine_has_no_upgd() -> None:
-    with pytest.raises(UserError, match="optimizer = upgd is not allowed: the engine sb3 has no UPGD"):
-        make_run({**SETTINGS, "engine": "sb3"})
 
 
 def test_without_a_gradient_only_noise_moves_weights_and_half_of_it() -> None:
