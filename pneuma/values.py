@@ -120,6 +120,12 @@ def setting_words(settings: Mapping[str, Any]) -> list[str]:
     return [f"--set={key}={plain(value)}" for key, value in settings.items()]
 
 
+def read_settings(words: Iterable[str]) -> dict[str, Any]:
+    """Return the changed fields that `setting_words` gave as words."""
+    pairs = (word.removeprefix("--set=").split("=", 1) for word in words)
+    return {key: read_value(value) for key, value in pairs}
+
+
 LONGEST_NAME = 100
 MOST_SEEDS = 10_000
 SEEDS_ALLOWED = f"a count from 1 to {MOST_SEEDS}, or a list of different seeds from 0 to {2**32 - 1}"

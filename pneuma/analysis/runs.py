@@ -30,7 +30,7 @@ from pneuma.study.plan import Selection, configure
 from pneuma.study.shipped import list_studies
 from pneuma.study.spec import Study, load_study, run_command
 from pneuma.study.store import FINISHED
-from pneuma.values import setting_words
+from pneuma.values import read_settings, setting_words
 
 ALL = Selection()
 Fields = Mapping[str, Mapping[str, Any]]
@@ -115,8 +115,8 @@ def choose_runs(index: RunIndex, data: StudyData, picked: Selection = ALL) -> St
             for steps, each in budgets.items()
             if picked.seeds is None or each["seed"].isin(picked.seeds).any()
         }
-        budget, last_here = _usual_budget(index, study, having or budgets)
-    elif len(chosen := _of_budget(data, picked.steps)):
+        budget, last_here = _usual_budget(index, data, having or budgets)
+    elif len(chosen := runs_of_budget(data, picked.steps)):
         budgets, budget = {**budgets, picked.steps: chosen}, picked.steps
     else:
         known = ", ".join(f"{steps:,}" for steps in budgets)
@@ -152,13 +152,13 @@ def _by_budget(data: StudyData) -> dict[int, pd.DataFrame]:
     known = [preset.steps for preset in data.study.presets.values()]
     found: dict[int, pd.DataFrame] = {}
     for steps in dict.fromkeys([*known, *sorted({*data.runs["steps"]})]):
-        runs = _of_budget(data, steps)
+        runs = runs_of_budget(data, steps)
         if len(runs) and not any({*runs.index} <= {*others.index} for others in found.values()):
             found[steps] = runs
     return found
 
 
-def _of_budget(data: StudyData, steps: int) -> pd.DataFrame:
+def runs_of_budget(data: StudyData, steps: int) -> pd.DataFrame:
     """Return the runs of one budget: so many steps, rounded up, or what a preset of it says instead."""
     amounts = dict.fromkeys(data.configurations, steps)
     for preset in data.study.presets.values():
@@ -168,11 +168,13 @@ def _of_budget(data: StudyData, steps: int) -> pd.DataFrame:
     return data.runs[data.runs["steps"] == data.runs["condition"].map(budgets)]
 
 
-def _usual_budget(index: RunIndex, study: Study, budgets: Mapping[int, pd.DataFrame]) -> tuple[int, bool]:
+def _usual_budget(index: RunIndex, data: StudyData, budgets: Mapping[int, pd.DataFrame]) -> tuple[int, bool]:
     """Return the budget that is shown without --steps, and whether it is that of the last run here."""
-    last = index.store.last_steps(study.name, study.variant)
-    if last is not None and last in budgets:
-        return last, True
+    for last in index.store.noted_steps(data.study.name).get(data.study.variant, [])[-1:]:
+        runs = {*runs_of_budget(data, last).index}
+        for steps, each in budgets.items():
+            if runs and runs <= {*each.index}:
+                return steps, True
     published = {steps: runs for steps, runs in budgets.items() if (runs["where"] != "").any()}
     sizes = {steps: (runs["condition"].nunique(), len(runs)) for steps, runs in budgets.items()}
     return max(published or budgets, key=sizes.__getitem__), False
@@ -219,22 +221,27 @@ def open_study(
 
 
 def studies_here(index: RunIndex, world: str | None = None) -> Iterator[StudyData]:
-    """Yield the studies that were run in the results folder, in each of their worlds, with their runs there.
+    """Yield the studies that were run in the results folder, in each world and with each change of fields.
 
-    Their names are in the folder.
+    Each has the runs there of the steps that it was run with.
     """
-    found: list[StudyData] = []
-    for name in index.store.last_studies():
-        with suppress(UserError, OSError):
-            study = load_study(name, kept=index.store.studies)
-            worlds = [each for each in study.worlds if world in (None, each)]
-            found += [find_runs(index, study.in_world(each)) for each in worlds]
+    for name in index.store.noted_studies():
+        for variant, noted in index.store.noted_steps(name).items():
+            with suppress(UserError, OSError, ValueError):  # its file or its record is damaged
+                where, *words = shlex.split(variant)
+                if world in (None, where):
+                    study, settings = load_study(name, where, kept=index.store.studies), read_settings(words)
+                    data = find_runs(index, study, Selection(settings=settings))
+                    runs = [runs_of_budget(data, steps) for steps in noted]
+                    yield from _those_here(replace(data, runs=pd.concat(runs).drop_duplicates()))
     for name in index.store.listings() if world is None else ():
-        with suppress(UserError):  # its record is damaged
-            found.append(find_study(index, name))
-    for data in found:
-        if len(runs := data.runs[data.runs["where"] == ""]):
-            yield replace(data, runs=runs)
+        with suppress(UserError):
+            yield from _those_here(find_study(index, name))
+
+
+def _those_here(data: StudyData) -> Iterator[StudyData]:
+    if len(runs := data.runs[data.runs["where"] == ""]):
+        yield replace(data, runs=runs)
 
 
 # --- What else there is -----------------------------------------------------------------------------

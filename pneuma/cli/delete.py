@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated
 
 from pneuma.cli import options as opt
@@ -18,23 +19,31 @@ Yes = Annotated[bool, opt.flag("--yes", "Remove them without asking.")]
 def delete_study(name: opt.Study, picked: opt.StoredFilter, yes: Yes = False) -> Result:
     """Remove a study's runs from the results folder; without --steps those that are shown.
 
-    Runs that another study has, which was run here too, stay. Published tables are not touched.
+    Runs of another study that was run here too stay until that one is removed. Published tables are not
+    touched.
     """
-    from pneuma.analysis.runs import studies_here
+    from pneuma.analysis.runs import find_study, runs_of_budget, studies_here
 
     index, data = picked.index, picked.choose(name)
     here, study = {*data.runs["run_id"][data.runs["where"] == ""]}, data.study
     others = {
         run_id: other.study.name
         for other in studies_here(index)
-        if (other.study.name, other.study.world) != (study.name, study.world)
+        if (other.study.name, other.study.variant) != (study.name, study.variant)
         for run_id in other.runs["run_id"]
     }
     kept = here & others.keys()
     notes = [f"Note: kept, as {others[min(kept)]} has them too: {counted(len(kept), 'run')}."] if kept else []
-    result = _delete(index.store, sorted(here - kept), yes, notes)
-    if study.path is None and len(result.document["removed"]) == len(data.runs):
-        index.store.listing_path(name).unlink()
+    result = _delete(index.store, sorted(here - kept), yes, notes, data.text(index.store.root))
+    if study.path is None:
+        if len(result.document["removed"]) == len(data.runs):
+            index.store.listing_path(name).unlink()
+    elif {*result.document["removed"]} == here - kept:
+        every = find_study(index, name, replace(picked.selection, conditions=()), picked.world)
+        every = replace(every, runs=every.runs[every.runs["where"] == ""])
+        noted = index.store.noted_steps(study.name).get(study.variant, [])
+        gone = [steps for steps in noted if {*runs_of_budget(every, steps)["run_id"]} <= here]
+        index.store.forget_steps(study.name, study.variant, gone)
     return result
 
 
@@ -44,14 +53,20 @@ def delete_run(name: opt.RunId, yes: Yes = False, results: opt.Results = opt.HER
     return _delete(store, [find_run(store, name)], yes)
 
 
-def _delete(store: Store, names: Sequence[str], yes: bool, notes: Sequence[str] = ()) -> Result:
-    if not names:
+def _delete(
+    store: Store, names: Sequence[str], yes: bool, notes: Sequence[str] = (), about: str = ""
+) -> Result:
+    if not names and not notes:
         raise UserError(f"nothing to remove: no such run is stored in {store.root}")
     statuses = {name: store.status(name, quick=True) for name in names}
     if running := [name for name, status in statuses.items() if status.name == "running"]:
         raise UserError(f"run {running[0]} trains now: stop its study first")
+    if not names:
+        return Result({"removed": []}, ["Nothing was removed."], notes=notes)
     if not yes and not sys.stdin.isatty():
         raise UserError("--yes is needed where nobody can be asked")
+    if about:
+        say(about)
     for name, status in statuses.items():
         seed = f", seed {status.identity.seed}" if status.identity else ""
         say(f"  {name}  {status.name}, {status.step:,} steps{seed}")

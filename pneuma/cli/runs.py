@@ -50,7 +50,9 @@ def _labels(index: RunIndex) -> dict[str, list[dict[str, Any]]]:
 
     found: dict[str, list[dict[str, Any]]] = {}
     for data in studies_here(index):
-        about = {"study": data.study.name, **({"world": data.study.world} if data.study.path else {})}
+        about: dict[str, Any] = {"study": data.study.name}
+        about |= {"world": data.study.world} if data.study.path else {}
+        about |= {"settings": dict(data.study.settings)} if data.study.settings else {}
         for run in data.runs.to_dict("records"):
             label = {**about, "condition": run["condition"], "seed": run["seed"]}
             found.setdefault(run["run_id"], []).append(label)

@@ -16,7 +16,7 @@ from pneuma.errors import UserError, counted, unknown_name
 from pneuma.files import create_whole
 from pneuma.study import plan, shipped, spec
 from pneuma.study.store import FINISHED, Store
-from pneuma.values import shown_value
+from pneuma.values import shown_settings, shown_value
 
 if TYPE_CHECKING:
     from pneuma.analysis.study_data import StudyData
@@ -173,12 +173,13 @@ def _every_status(picked: opt.StoredFilter) -> Result:
     studies, table = [], []
     for data in studies_here(picked.index, picked.world):
         world = data.study.world if data.study.path else ""
-        about = {"study": data.study.own_path or data.study.name, "world": world}
+        changed = shown_settings(data.study.settings)
+        about = {"study": data.study.own_path or data.study.name, "world": world, "changed": changed}
         runs = data.runs.drop_duplicates("run_id").rename(columns={"end": "step"})
         studies.append({**about, "runs": runs[["run_id", "status", "step"]].to_dict("records")})
         table.append({**about, "runs": tallied(runs["status"])})
     nothing = f"No study was run in {picked.store.root} yet."
-    shown = Table([""] * 3, [[*row.values()] for row in table]) if table else nothing
+    shown = Table([""] * 4, [[*row.values()] for row in table]) if table else nothing
     return Result({"studies": studies}, [shown], table=table)
 
 

@@ -154,7 +154,7 @@ def _run_here(picked: opt.StoredFilter) -> list[tuple[str, str | None]]:
     """Return the studies, each in its world, all of whose conditions have runs in the results folder."""
     from pneuma.analysis.runs import studies_here
 
-    here = [*studies_here(picked.index, picked.world)]
+    here = [data for data in studies_here(picked.index, picked.world) if not data.study.settings]
     whole = [data for data in here if {*data.finished["condition"]} == {*data.fields}]
     if not whole:
         names = ", ".join(dict.fromkeys(data.study.name for data in here)) or "one"

@@ -71,7 +71,7 @@ def prepare(
     elif plan.steps:
         if plan.study.own_path:
             store.write(store.studies / plan.study.path.name, read_whole(plan.study.path))
-        store.save_last_steps(plan.study.name, plan.study.variant, plan.steps)
+        store.note_steps(plan.study.name, plan.study.variant, plan.steps)
     return todo, _notes(plan, statuses, todo)
 
 

@@ -212,7 +212,7 @@ class Study(Table):
     @property
     def variant(self) -> str:
         """The study's world and changed fields, as one text."""
-        return " ".join([self.world, *setting_words(self.settings)])
+        return shlex.join([self.world, *setting_words(self.settings)])
 
     @property
     def own_path(self) -> str | None:

@@ -11,7 +11,7 @@
     results/published/      tables of rows, for version control
     results/studies/NAME.json  the runs of a study without a file: imported logs, forks, trials of a search
                     NAME.toml  a user's own study as it was last run here
-    results/last/NAME.json  the steps of a study's last `study run` here, by world and changed fields
+    results/last/NAME.json  the steps that a study was run with here, by world and changed fields
 
 Every file is written whole or not at all, and status.json last. A run is used only if all checksums in
 status.json are right. An untrusted folder is safe to read: names that would lead out of it are refused, and
@@ -24,7 +24,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
@@ -319,22 +319,37 @@ class Store:
         names = names_in(self.studies)
         return [name.removesuffix(".json") for name in names if re.fullmatch(r"[^.].*\.json", name)]
 
-    def save_last_steps(self, study: str, variant: str, steps: int) -> None:
-        """Note the steps that a study, in a world and with changed fields, was last run with."""
-        path = self.root / "last" / f"{study}.json"
-        known = load_checksummed(path) or {}
-        known.pop("schema", None)
-        if known.get(variant) != steps:
-            self.write(path, dump_checksummed({**known, variant: steps}))
+    def note_steps(self, study: str, variant: str, steps: int) -> None:
+        """Note that a study, in a world and with changed fields, was run with so many steps."""
+        before = self.noted_steps(study).get(variant, [])
+        if before[-1:] != [steps]:
+            self._write_steps(study, {variant: [*(each for each in before if each != steps), steps]})
 
-    def last_studies(self) -> list[str]:
+    def forget_steps(self, study: str, variant: str, steps: Collection[int]) -> None:
+        """Take back what `note_steps` noted."""
+        before = self.noted_steps(study).get(variant, [])
+        self._write_steps(study, {variant: [each for each in before if each not in steps]})
+
+    def noted_studies(self) -> list[str]:
         """Return the names of studies with a file that were run here."""
         return [name.removesuffix(".json") for name in names_in(self.root / "last")]
 
-    def last_steps(self, study: str, variant: str) -> int | None:
-        """Return what `save_last_steps` noted; None if it noted nothing."""
-        steps = (load_checksummed(self.root / "last" / f"{study}.json") or {}).get(variant)
-        return steps if isinstance(steps, int) else None
+    def noted_steps(self, study: str) -> dict[str, list[int]]:
+        """Return the steps that each variant of a study was run with here, the last ones at the end."""
+        noted = load_checksummed(self._noted_path(study)) or {}
+        listed = {variant: steps if isinstance(steps, list) else [steps] for variant, steps in noted.items()}
+        whole = {variant: [each for each in steps if type(each) is int] for variant, steps in listed.items()}
+        return {variant: steps for variant, steps in whole.items() if steps and variant != "schema"}
+
+    def _write_steps(self, study: str, changed: Mapping[str, list[int]]) -> None:
+        noted = {variant: each for variant, each in {**self.noted_steps(study), **changed}.items() if each}
+        if noted:
+            self.write(self._noted_path(study), dump_checksummed(noted))
+        else:
+            self._noted_path(study).unlink(missing_ok=True)
+
+    def _noted_path(self, study: str) -> Path:
+        return self.root / "last" / f"{study}.json"
 
     def published_path(self, name: str) -> Path:
         return self.root / PUBLISHED / f"{name}{TABLE_SUFFIX}"

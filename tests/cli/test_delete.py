@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,7 +18,7 @@ from .calls import call, described, refused, save_finished
 def _finish(store: Store, study: str, **selection: Any) -> dict[str, list[str]]:
     """Store some runs of a study as its own `study run` leaves them; return their ids by condition."""
     plan = make_plan(load_study(study), Selection(**selection))
-    store.save_last_steps(study, plan.study.variant, plan.steps)
+    store.note_steps(study, plan.study.variant, plan.steps)
     found: dict[str, list[str]] = {}
     for cell in plan.cells:
         found.setdefault(cell.condition, []).append(save_finished(store, cell.run))
@@ -35,6 +36,24 @@ def test_a_study_is_removed_but_for_runs_that_another_one_has_too(store: Store) 
     kept = "Note: kept, as clip-range has them too: 2 runs."
     assert (code, err, out.splitlines()[:2]) == (0, err, [kept, f"Removed 4 runs from {store.root}."])
     assert {*store.runs()} == {*activation["tanh"], *clip["0.2"]}
+
+
+@pytest.mark.usefixtures("unshipped")
+def test_two_studies_of_the_same_runs_are_removed_one_after_the_other(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While both were run here, the runs of either are the other's too; of other steps they are not."""
+    monkeypatch.chdir(tmp_path)
+    assert call("study", "new", "mine", "--from", "activation").code == 0
+    for study in ("activation", "mine"):
+        _finish(store, study, seeds=(0,), steps=1024, conditions=("tanh",))
+    (longer,) = _finish(store, "activation", seeds=(0,), steps=2048, conditions=("tanh",))["tanh"]
+    words = ("study", "delete", "activation", "--steps", "1024", "--yes", "--results", store.root)
+    code, out, _ = call(*words)
+    assert (code, out) == (0, "Note: kept, as mine has them too: 1 run.\nNothing was removed.\n")
+    removed = described("study", "delete", "mine", "--yes", "--json", "--results", store.root)["removed"]
+    assert len(removed) == 1 and store.runs() == [longer]
+    assert store.noted_steps("mine") == {} and [*store.noted_steps("activation").values()] == [[2048]]
 
 
 @pytest.mark.usefixtures("unshipped")

@@ -25,7 +25,7 @@ def _finish(
     """Store some runs of a study as done, trained by its own `study run` or another's; return their ids."""
     plan = make_plan(load_study(study, world), Selection(**{"conditions": ("tanh", "relu"), **selection}))
     if noted:
-        store.save_last_steps(plan.study.name, plan.study.variant, plan.steps)
+        store.note_steps(plan.study.name, plan.study.variant, plan.steps)
     return [save_finished(store, cell.run) for cell in plan.cells]
 
 
@@ -42,10 +42,10 @@ def _ask(store: Store, name: str, world: str | None = None, **selection: Any) ->
 @pytest.mark.usefixtures("unshipped")
 def test_the_budget_that_was_last_trained_here_is_shown_and_the_others_are_told(store: Store) -> None:
     first = _finish(store, seeds=(0, 1), steps=512)  # rounded up to 1,024: whole updates of 4 x 256
-    other = _finish(store, seeds=(0,), steps=2048)
+    other = _finish(store, seeds=(0, 1, 2, 3), steps=2048)
     shown, told = _ask(store, "activation")
     assert shown == other
-    assert ": 2 runs of 2,048 steps (as last run here). Stored too: 4 runs of 1,024 steps (--steps" in told
+    assert ": 8 runs of 2,048 steps (as last run here). Stored too: 4 runs of 1,024 steps (--steps" in told
     assert _ask(store, "activation", steps=512)[0] == first
     more = _finish(store, seeds=(2,), steps=512)
     assert _ask(store, "activation")[0] == [*first, *more]
