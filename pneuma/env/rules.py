@@ -227,7 +227,7 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
     if player.busy > 0:
         player.busy -= 1
         if player.action_kind == BLADE:
-            _strike(player, stats.sword, tick)
+            tick.strikes = BLADE
         elif player.action_kind == DASHING:
             _walk(s, w, p, stats.dash_speed)
     if player.dash_cooldown > 0:
@@ -270,7 +270,7 @@ def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> 
             player.busy = stats.flame_ticks
             player.action_kind = BURNING
             player.attack += 1
-            _strike(player, stats.flame, s.tick[p])  # in this tick only
+            s.tick[p].strikes = BURNING  # in this tick only
     elif action == HEAL:
         if player.energy >= stats.heal_cost:
             player.energy -= stats.heal_cost
@@ -315,21 +315,6 @@ def ahead(s: State, w: int, p: int, speed: float, stops: int) -> tuple[float, fl
 
 
 @inlined
-def _strike(player: Array, strike: Array, tick: Array) -> None:
-    facing = player.facing
-    tick.strikes = 1
-    tick.box_x = player.x + strike.x[facing]
-    tick.box_y = player.y + strike.y[facing]
-    tick.half_width = strike.half_width[facing]
-    tick.half_height = strike.half_height[facing]
-    tick.damage = strike.damage
-    tick.hilt_x = player.x + strike.hilt_x[facing]
-    tick.hilt_y = player.y + strike.hilt_y[facing]
-    tick.knock_speed = strike.knock_speed
-    tick.knock_ticks = strike.knock_ticks
-
-
-@inlined
 def _die(player: Array, event: Array) -> None:
     player.hp = 0.0
     player.busy = 0
@@ -350,7 +335,7 @@ def _tick_monster(s: State, w: int, m: int) -> None:
         monster.opened -= 1
     for p in range(s.players.shape[1]):
         bit = np.uint8(1 << p)
-        struck = s.tick[p].there and s.tick[p].strikes and _is_struck(s.tick[p], monster, kind)
+        struck = s.tick[p].there and s.tick[p].strikes and _is_struck(s, w, p, monster, kind)
         entry = s.settings[0].blow_on_entry and s.players[w, p].action_kind == BLADE
         if not s.tick[p].there:
             monster.noticed &= ~bit
@@ -386,30 +371,39 @@ def _tick_monster(s: State, w: int, m: int) -> None:
 
 
 @inlined
-def _is_struck(tick: Array, monster: Array, kind: Array) -> bool:
-    across = abs(monster.x + kind.body_x - tick.box_x) < tick.half_width + kind.half_width
-    return across and abs(monster.y + kind.body_y - tick.box_y) < tick.half_height + kind.half_height
+def _strike(s: State, w: int, p: int) -> Array:
+    """Return what a player strikes with."""
+    stats = s.player_stats[p + s.players.shape[1] * s.players[w, p].second]
+    return stats.flame if s.tick[p].strikes == BURNING else stats.sword
+
+
+@inlined
+def _is_struck(s: State, w: int, p: int, monster: Array, kind: Array) -> bool:
+    player, strike = s.players[w, p], _strike(s, w, p)
+    x, y = player.x + strike.x[player.facing], player.y + strike.y[player.facing]
+    across = abs(monster.x + kind.body_x - x) < strike.half_width[player.facing] + kind.half_width
+    return across and abs(monster.y + kind.body_y - y) < strike.half_height[player.facing] + kind.half_height
 
 
 @inlined
 def _apply_hit(s: State, w: int, m: int, p: int) -> None:
     """Apply a player's blow, unless this attack has hit the monster already or the monster is safe."""
-    monster = s.monsters[w, m]
-    if monster.struck_by[p] == s.players[w, p].attack or monster.safe > 0 or monster.hp <= 0.0:
+    monster, player = s.monsters[w, m], s.players[w, p]
+    if monster.struck_by[p] == player.attack or monster.safe > 0 or monster.hp <= 0.0:
         return
     kind = s.monster_stats[s.worlds[w].level, m]
-    tick = s.tick[p]
-    monster.struck_by[p] = s.players[w, p].attack
-    if kind.pair_ticks > 0 and not _is_wounded(monster, kind, p, s.players[w, p].facing):
+    strike = _strike(s, w, p)
+    monster.struck_by[p] = player.attack
+    if kind.pair_ticks > 0 and not _is_wounded(monster, kind, p, player.facing):
         return
     monster.safe = kind.safe
-    monster.hp = max(monster.hp - tick.damage, 0.0)
+    monster.hp = max(monster.hp - strike.damage, 0.0)
     s.events[w, p].hits += 1
     if monster.hp <= 0.0:
         _pack(s, w, m)
         _credit_kill(s, w, m, p)
-    elif tick.knock_ticks >= 0 and monster.knocked == 0:
-        _knock_back(monster, kind, tick)
+    elif strike.knock_ticks >= 0 and monster.knocked == 0:
+        _knock_back(monster, kind, player, strike)
 
 
 @inlined
@@ -423,16 +417,16 @@ def _is_wounded(monster: Array, kind: Array, p: int, facing: int) -> bool:
 
 
 @inlined
-def _knock_back(monster: Array, kind: Array, tick: Array) -> None:
+def _knock_back(monster: Array, kind: Array, player: Array, strike: Array) -> None:
     """Start a flight away from the hilt; a flight in progress is neither turned nor extended."""
-    away_x = monster.x - tick.hilt_x
-    away_y = monster.y - tick.hilt_y
+    away_x = monster.x - (player.x + strike.hilt_x[player.facing])
+    away_y = monster.y - (player.y + strike.hilt_y[player.facing])
     length = math.sqrt(away_x * away_x + away_y * away_y)
     has_knock = kind.knock_ticks >= 0
-    speed = kind.knock_speed if has_knock else tick.knock_speed
+    speed = kind.knock_speed if has_knock else strike.knock_speed
     monster.knock_x = away_x / length * speed if length > 0.0 else 0.0
     monster.knock_y = away_y / length * speed if length > 0.0 else 0.0
-    monster.knocked = kind.knock_ticks if has_knock else tick.knock_ticks
+    monster.knocked = kind.knock_ticks if has_knock else strike.knock_ticks
 
 
 @inlined

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from scipy.ndimage import binary_dilation
 
 from pneuma.env.characters import FACINGS
 
@@ -137,12 +138,7 @@ def outlined(picture: np.ndarray) -> np.ndarray:
     """Return a picture with an outline around it, two art pixels wider and higher."""
     framed = np.pad(picture, ((1, 1), (1, 1), (0, 0)))
     inside = framed[..., 3] > 0
-    around = np.zeros_like(inside)
-    around[1:] |= inside[:-1]
-    around[:-1] |= inside[1:]
-    around[:, 1:] |= inside[:, :-1]
-    around[:, :-1] |= inside[:, 1:]
-    framed[around & ~inside] = (*rgb(OUTLINE), 255)
+    framed[binary_dilation(inside) & ~inside] = (*rgb(OUTLINE), 255)
     return framed
 
 

@@ -213,16 +213,7 @@ TALLY = _record(  # the same of a world: means over its players
 
 TICK = _record(
     ("there", "i4"),  # whether the player lives through this tick
-    ("strikes", "i4"),  # whether a sword or a flame strikes the box below
-    ("box_x", "f8"),
-    ("box_y", "f8"),
-    ("half_width", "f8"),
-    ("half_height", "f8"),
-    ("damage", "f8"),
-    ("hilt_x", "f8"),
-    ("hilt_y", "f8"),
-    ("knock_speed", "f8"),
-    ("knock_ticks", "i4"),  # below 0: it knocks nobody back
+    ("strikes", "i4"),  # BLADE, BURNING, or 0
     ("xp", "f8"),
     ("healed", "f8"),
     ("bitten", "f8"),

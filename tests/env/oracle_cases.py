@@ -222,10 +222,10 @@ def choose_actions(case: Case, oracles: Sequence[Oracle], step: int) -> np.ndarr
 def _act(world: Oracle, player: Player, mood: int, step: int) -> int:
     """Return what a player does: hunts, burns, heals, dashes, walks straight on, or anything."""
     names = world.book.actions
-    for below, name in ((120, "attack"), (150, "flame"), (160, "heal"), (170, "dash")):
+    for below, name in ((100, "attack"), (130, "flame"), (145, "heal"), (180, "dash")):
         if mood < below:
             action = names.index(name) if name in names else ATTACK
-            return hunt(world, player, action) if mood < 150 else action
+            return hunt(world, player, action) if mood < 130 else action
     return mood % 4 if mood < 200 else (mood >> step % STEPS_OF_A_MOOD) % len(names)
 
 
