@@ -203,27 +203,36 @@ def logged_losses(model: Any) -> dict[str, float]:
 # --- Checkpoints ----------------------------------------------------------------------------------
 
 
+_NUMBERS = {
+    "updates": "_n_updates", "timesteps": "num_timesteps", "calls": "_n_calls",
+    "exploration": "exploration_rate",
+}  # fmt: skip
+"""What is saved of a learner, where it has it, and its attributes."""
+_ARRAYS = {"last/observations": "_last_obs", "last/episode_starts": "_last_episode_starts"}
+_REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
 def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
     env: Any = model.env
     kind, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
-    replayed, exploring = _replay_state(model) if isinstance(model, DQN) else ({}, {})
     arrays = {
         **{f"policy/{name}": _copy(tensor) for name, tensor in model.policy.state_dict().items()},
         **_optimizer_arrays(model.policy.optimizer),
         **{f"worlds/{name}": array for name, array in env.saved_state().items()},
         "random/torch": torch.get_rng_state().numpy().copy(),
         "random/numpy": np.asarray(keys).copy(),
-        "last/observations": np.array(model._last_obs),
-        "last/episode_starts": np.array(model._last_episode_starts),
-        **replayed,
+        **{name: np.array(getattr(model, attribute)) for name, attribute in _ARRAYS.items()},
     }
-    numbers = {
+    numbers: dict[str, Any] = {
         "numpy": [str(kind), int(position), int(has_gauss), float(gauss)],
         "optimizer": type(model.policy.optimizer).__name__,
-        "updates": int(model._n_updates),
-        "timesteps": int(model.num_timesteps),
-        **exploring,
+        **{name: getattr(model, own) for name, own in _NUMBERS.items() if hasattr(model, own)},
     }
+    if isinstance(model, DQN):
+        buffer: Any = model.replay_buffer
+        arrays |= {f"replay/{name}": getattr(buffer, name)[: buffer.size()].copy() for name in _REPLAYED}
+        numbers |= {"position": buffer.pos, "full": buffer.full}
+        numbers["random_actions"] = model.action_space.np_random.bit_generator.state
     return Checkpoint(step, arrays, numbers, records.copy())
 
 
@@ -244,38 +253,16 @@ def restore_checkpoint(model: Learner, checkpoint: Checkpoint, left_out: Sequenc
     torch.set_rng_state(torch.tensor(arrays["random/torch"]))
     kind, position, has_gauss, gauss = numbers["numpy"]
     np.random.set_state((kind, arrays["random/numpy"].copy(), position, has_gauss, gauss))
-    model._last_obs = arrays["last/observations"].copy()
-    model._last_episode_starts = arrays["last/episode_starts"].copy()
-    model._n_updates, model.num_timesteps = numbers["updates"], numbers["timesteps"]
+    for name, attribute in _ARRAYS.items():
+        setattr(model, attribute, arrays[name].copy())
+    for name in _NUMBERS.keys() & numbers.keys():
+        setattr(model, _NUMBERS[name], numbers[name])
     if isinstance(model, DQN):
-        _restore_replay(model, arrays, numbers)
-
-
-_REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-
-
-def _replay_state(model: DQN) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    buffer = model.replay_buffer
-    assert buffer is not None
-    numbers = {
-        "position": int(buffer.pos),
-        "full": bool(buffer.full),
-        "calls": int(model._n_calls),
-        "exploration": float(model.exploration_rate),
-        "random_actions": model.action_space.np_random.bit_generator.state,
-    }
-    arrays = {name: getattr(buffer, name)[: buffer.size()].copy() for name in _REPLAYED}
-    return {f"replay/{name}": array for name, array in arrays.items()}, numbers
-
-
-def _restore_replay(model: DQN, arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> None:
-    buffer = model.replay_buffer
-    assert buffer is not None
-    for name in _REPLAYED:
-        getattr(buffer, name)[: len(arrays[f"replay/{name}"])] = arrays[f"replay/{name}"]
-    buffer.pos, buffer.full = numbers["position"], numbers["full"]
-    model._n_calls, model.exploration_rate = numbers["calls"], numbers["exploration"]
-    model.action_space.np_random.bit_generator.state = numbers["random_actions"]
+        buffer: Any = model.replay_buffer
+        for name in _REPLAYED:
+            getattr(buffer, name)[: len(arrays[f"replay/{name}"])] = arrays[f"replay/{name}"]
+        buffer.pos, buffer.full = numbers["position"], numbers["full"]
+        model.action_space.np_random.bit_generator.state = numbers["random_actions"]
 
 
 def critic_names(model: Learner) -> tuple[str, ...]:

@@ -48,7 +48,8 @@ CASES: dict[str, dict[str, object]] = {
     "deep": {"actor": (32, 16), "critic": (24, 24, 24)},
     "too large to be joined": {"critic": (520, 520), "weight_decay": 0.01, "horizon": 32, "epochs": 1},
     "advantages as they are": {"normalize_advantage": False},
-    "coefficients": {"value_coefficient": 1.5, "entropy_coefficient": 0.2, "clip_range": 0.01},
+    "coefficients": {"value_coefficient": 1.5, "entropy_coefficient": 0.2},
+    "clipped": {"clip_range": 0.01, "learning_rate": 3e-3},
     "annealed": {
         **dict.fromkeys(("learning_rate_schedule", "clip_range_schedule"), "linear"),
         "clip_range": 0.02,
@@ -121,6 +122,8 @@ def test_updates_are_those_of_stable_baselines3(case: str, monkeypatch: pytest.M
             assert ours[name] == pytest.approx(value, rel=2e-3, abs=2e-5), (update, name)
         shown = rollout.observations.reshape(-1, rollout.observations.shape[2])
         assert ours["dead_units"] == pytest.approx(dead_share(before, shown), abs=1e-6)
+    if case == "clipped":
+        assert max(row["clip_fraction"] for row in records.metrics) > 0.1
     own, other = learner.policy(), sb3.extract_policy(model, run)
     for layers, theirs_layers in ((own.actor, other.actor), (own.critic, other.critic)):
         for array, their_array in zip(sum(layers, ()), sum(theirs_layers, ()), strict=True):
