@@ -70,7 +70,7 @@ class Formula(Outcomes):
 
     def read_early(self, cell: Cell, name: str, steps: Sequence[int]) -> list[float]:
         """Return a curve that rises evenly to what the formula says at the end."""
-        return [self.read(cell, name) * step / cell.run.steps for step in steps]
+        return [self._read(cell, name) * step / cell.run.steps for step in steps]
 
     def diverged(self, cell: Cell) -> bool:
         """Return the same of every run."""

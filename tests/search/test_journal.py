@@ -224,6 +224,24 @@ def test_processes_that_search_together_find_what_one_would(make_task: MakeTask,
     assert told_of(found.trials) == solve(task)
 
 
+@pytest.mark.parametrize("method", ["read_early", "read"])
+def test_what_another_process_tells_meanwhile_is_not_told_again(
+    make_task: MakeTask, store: Store, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    """While one reads the values of a trial, of a pause or its end, another ends the whole search."""
+    task, others = make_task(8, more=MEDIAN), list[Any]()
+    usual = getattr(Formula, method)
+
+    def read(self: Formula, *asked: Any) -> Any:
+        if not others:
+            others.append([])
+            others[0] = search(task, store)[0]
+        return usual(self, *asked)
+
+    monkeypatch.setattr(Formula, method, read)
+    assert search(task, store)[0] == others[0] == solve(task)
+
+
 REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
     "an unknown operation": (lambda log: log + '{"op_code": 99}\n', "damaged"),
     "no operation": (lambda log: log + "[1]\n", "damaged"),
