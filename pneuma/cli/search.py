@@ -97,7 +97,7 @@ def status(name: SearchName, asked: Asked) -> Result:
 def _status(found: Record, store: Store, asked: list[object]) -> Iterator[str | Table]:
     from pneuma.search.record import STATES, published_log
 
-    search, budget, best = found.task.search, found.task.budget, found.best
+    search, budget, best = found.search, found.budget, found.best
     yield (
         f"Published in {found.journal.path}, without its runs."
         if found.published

@@ -49,7 +49,7 @@ def draw_search(
 
     Their origin tells the `command` that draws them again.
     """
-    search, budget = searched.task.search, searched.task.budget
+    search, budget = searched.search, searched.budget
     complete = [trial for trial in searched.trials if trial.state == TrialState.COMPLETE]
     if not complete:
         return []
@@ -94,7 +94,7 @@ Picture = tuple[str, Callable[[], Any]]
 
 def _pictures(searched: Record, complete: Sequence[FrozenTrial]) -> dict[str, Picture]:
     """Return each picture by name, in the first of the objectives, unless it shows both."""
-    study, (first, *others) = searched.study, searched.task.search.sought
+    study, (first, *others) = searched.study, searched.search.sought
     words = [
         f"{capital(find_outcome(each.outcome).words.partition(',')[0])}, {each.over_seeds} of seeds"
         for each in (first, *others)
@@ -125,13 +125,13 @@ def _amount(searched: Record) -> str:
     ended = [trial.state for trial in searched.trials]
     words = {TrialState.COMPLETE: "whole", TrialState.PRUNED: "stopped early", TrialState.FAIL: "failed"}
     counts = [f"{ended.count(state)} {word}" for state, word in words.items() if state in ended]
-    seeds, steps = counted(len(searched.task.budget.seeds), "seed"), searched.task.budget.steps
+    seeds, steps = counted(len(searched.budget.seeds), "seed"), searched.budget.steps
     return f"{counted(len(ended), 'trial')} ({', '.join(counts)}); {seeds}, {steps:,} steps each"
 
 
 def _tables(searched: Record) -> list[tuple[int, str]]:
     """Return the thesis's tables with which a search starts, each with its trial."""
-    starts = enumerate(searched.task.search.start)
+    starts = enumerate(searched.search.start)
     return [(number, start) for number, start in starts if isinstance(start, str) and start in TABLES]
 
 
@@ -149,7 +149,7 @@ def _history(searched: Record, of_first: dict[str, Any]) -> Axes:
 
 def _slices(searched: Record, of_first: dict[str, Any]) -> Any:
     """Draw trials over the values of each parameter, in rows, with the values of the thesis's tables."""
-    search = searched.task.search
+    search = searched.search
     slices: Any = np.ravel(np.array(pictures.plot_slice(searched.study, **of_first)))
     figure, rows, marks = slices[0].figure, math.ceil(len(slices) / COLUMNS), dict[str, Any]()
     figure.set_size_inches(WIDTH, ROW_INCHES * rows + 0.7)

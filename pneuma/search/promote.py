@@ -50,7 +50,7 @@ class Winner:
 
     @property
     def search(self) -> Search:
-        return self.searched.task.search
+        return self.searched.search
 
     @property
     def is_base(self) -> bool:
@@ -82,10 +82,10 @@ class Promotion:
     @property
     def budgets(self) -> str:
         """Say what was searched with, and what the winners and their bases are trained with."""
-        task = self.winners[0].searched.task
-        seen = f"{counted(task.budget.trials, 'trial')} of {counted(len(task.budget.seeds), 'seed')}"
+        budget = self.winners[0].searched.budget
+        seen = f"{counted(budget.trials, 'trial')} of {counted(len(budget.seeds), 'seed')}"
         fresh = f"{counted(len(self.seeds), 'fresh seed')}, {self.steps:,} steps each"
-        return f"searched: {seen}, {task.budget.steps:,} steps each; now: winner and base alike, {fresh}"
+        return f"searched: {seen}, {budget.steps:,} steps each; now: winner and base alike, {fresh}"
 
     def path(self, store: Store) -> Path:
         return store.root / "searches" / f"{self.name}.toml"
@@ -122,7 +122,7 @@ def promote(
     searches = [read_record(store, name, world, settings) for name in names]
     winners = find_winners(searches, trial, seeds)
     runs = [each.search.make_run(params) for each in winners for params in ({}, each.trial.params)]
-    return Promotion(winners, tuple(seeds), common_steps(runs, steps or searches[0].task.budget.steps))
+    return Promotion(winners, tuple(seeds), common_steps(runs, steps or searches[0].budget.steps))
 
 
 def find_winners(searches: Sequence[Record], number: int | None, seeds: Sequence[int]) -> list[Winner]:
@@ -130,7 +130,7 @@ def find_winners(searches: Sequence[Record], number: int | None, seeds: Sequence
 
     Searches must have been tuned alike, and on none of these seeds.
     """
-    names = [searched.task.search.name for searched in searches]
+    names = [searched.search.name for searched in searches]
     if len({*names, *(f"{name}-tuned" for name in names)}) < 2 * len(names):
         raise UserError(f"{', '.join(names)}: name each search once, and none NAME-tuned beside NAME")
     start = commonprefix(names).rpartition("-")[0] if len(names) > 1 else ""
@@ -139,7 +139,7 @@ def find_winners(searches: Sequence[Record], number: int | None, seeds: Sequence
         if unlike := differing_fields({names[0]: first, name: _conditions(searched)}):
             unlike_searches = f"{names[0]} and {name} are not tuned alike: {', '.join(unlike)} differ"
             raise UserError(f"searches {unlike_searches}; run both the same")
-        if seen := sorted({*seeds} & {*searched.task.budget.seeds}):
+        if seen := sorted({*seeds} & {*searched.budget.seeds}):
             seeds_seen = ", ".join(map(str, seen))
             raise UserError(
                 f"--seeds: the search was run on {seeds_seen}; give seeds that it never saw, as --seeds 10"
@@ -151,7 +151,7 @@ def find_winners(searches: Sequence[Record], number: int | None, seeds: Sequence
 
 
 def _trial(searched: Record, number: int | None) -> FrozenTrial:
-    search, best = searched.task.search, searched.best
+    search, best = searched.search, searched.best
     if number is None and best and isinstance(best, list):
         front = ", ".join(map(str, best))
         raise UserError(
@@ -167,7 +167,7 @@ def _trial(searched: Record, number: int | None) -> FrozenTrial:
 
 def _conditions(searched: Record) -> dict[str, Any]:
     """Return what must be equal in searches whose winners are compared."""
-    search, identity = searched.task.search, searched.task.identity
+    search, identity = searched.search, searched.identity
     run, keys = search.make_run({}), ("base", "objectives", "seeds", "steps")
     of_world = {key: getattr(run, key) for key in ("env", "engine", *OF_WORLDS) if key not in search.space}
     return {**of_world, "trials": len(searched.trials), **{key: identity[key] for key in keys}}
@@ -211,11 +211,9 @@ def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -
 
 def _lineage(winner: Winner) -> str:
     """Return a comment of one line; the record may be untrusted."""
-    task, trial = winner.searched.task, winner.trial
-    origin = (
-        f"{winner.tuned}: trial {trial.number} of {len(winner.searched.trials)} of search {task.search.name} "
-        f"({task.digest}); runs {', '.join(trial.user_attrs['run_ids'])}"
-    )
+    searched, ids = winner.searched, ", ".join(winner.trial.user_attrs["run_ids"])
+    of = f"of search {searched.search.name} ({searched.digest}); runs {ids}"
+    origin = f"{winner.tuned}: trial {winner.trial.number} of {len(searched.trials)} {of}"
     return "# " + " ".join(origin.split())
 
 
@@ -259,8 +257,8 @@ def fresh_values(winner: Winner, objective: Objective, data: StudyData) -> list[
 
 
 def _gain(winner: Winner, place: int, data: StudyData) -> dict[str, Any]:
-    task, seen = winner.searched.task, winner.trial.values[place]
-    objective, won = task.search.sought[place], data.of_condition(winner.tuned)
+    budget, seen = winner.searched.budget, winner.trial.values[place]
+    objective, won = winner.search.sought[place], data.of_condition(winner.tuned)
     arms = fresh_values(winner, objective, data)
     diverged = [sum(run.status == "diverged" for run in arm) for arm in (won, data.of_condition(winner.name))]
     fresh, base = (
@@ -270,8 +268,8 @@ def _gain(winner: Winner, place: int, data: StudyData) -> dict[str, Any]:
     if np.isfinite(np.concatenate(arms)).all():  # not where a threshold was never reached
         between = difference_interval(arms[0], arms[1])
         difference, low, high = float(arms[0].mean() - arms[1].mean()), between.low, between.high
-    alike = won[0].budget == winner.search.make_run(winner.trial.params, steps=task.budget.steps).steps
-    alike &= objective.over_seeds != "deviation" or len(task.budget.seeds) == len(won)
+    alike = won[0].budget == winner.search.make_run(winner.trial.params, steps=budget.steps).steps
+    alike &= objective.over_seeds != "deviation" or len(budget.seeds) == len(won)
     sign = 1 if objective.direction == "maximize" else -1
     luck = sign * (seen - fresh) if alike else math.nan
     values = {"seen": seen, "fresh": fresh, "base": base, "difference": difference, "low": low, "high": high}

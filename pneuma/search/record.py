@@ -111,10 +111,9 @@ def _flat(value: Any, key: str = "") -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Record:
-    """A recorded search: its task, its study, and where it is; a published one has no runs here."""
+class Record(Task):
+    """A recorded search: its study, and where it is; a published one has no runs here."""
 
-    task: Task
     study: optuna.Study
     journal: Journal
     published: bool = False
@@ -132,12 +131,12 @@ class Record:
     @property
     def under_way(self) -> bool:
         """Whether trials of its budget have begun and not ended."""
-        return any(trial.state not in STATES for trial in self.begun[: self.task.budget.trials])
+        return any(trial.state not in STATES for trial in self.begun[: self.budget.trials])
 
     @property
     def best(self) -> int | list[int] | None:
         """Return the number of the best trial; of several objectives, the Pareto front."""
-        if len(self.task.search.sought) > 1:
+        if len(self.search.sought) > 1:
             return sorted(trial.number for trial in self.study.best_trials)
         complete = any(trial.state == TrialState.COMPLETE for trial in self.trials)
         return self.study.best_trial.number if complete else None
@@ -156,9 +155,9 @@ class Record:
             }
             for trial in self.trials
         ]
-        budget = self.task.budget
-        amount = {"trials_asked": budget.trials, "seeds": budget.seeds, "steps": budget.steps}
-        return {"search": self.task.search.name, **amount, "trials": trials, "best": self.best}
+        asked, seeds, steps = self.budget.trials, self.budget.seeds, self.budget.steps
+        amount = {"trials_asked": asked, "seeds": seeds, "steps": steps}
+        return {"search": self.search.name, **amount, "trials": trials, "best": self.best}
 
 
 # --- Searching ------------------------------------------------------------------------------------
@@ -205,7 +204,7 @@ def begin_record(path: Path, task: Task, store: Store) -> Record:
         about = study.user_attrs[ABOUT]
         if about["digest"] == task.digest and about["trials_asked"] < task.budget.trials:
             study.set_user_attr(ABOUT, {**about, "trials_asked": task.budget.trials})
-    return Record(task, study, journal)
+    return Record(search, task.budget, study, journal)
 
 
 def _warm_start(search: Search, store: Store) -> list[dict[str, Any]]:
@@ -213,10 +212,10 @@ def _warm_start(search: Search, store: Store) -> list[dict[str, Any]]:
     if not (name := search.warm_start):
         return []
     other = read_record(store, name, search.world if load_search(name).has_worlds else None)
-    sign = 1 if other.task.search.sought[0].direction == "minimize" else -1
+    sign = 1 if other.search.sought[0].direction == "minimize" else -1
     complete = [trial for trial in other.trials if trial.state == TrialState.COMPLETE]
     ranked = sorted(complete, key=lambda trial: sign * trial.values[0])
-    found = [search.find(other.task.search.fields(trial.params)) for trial in ranked]
+    found = [search.find(other.search.fields(trial.params)) for trial in ranked]
     new = [params for place, params in enumerate(found) if params not in found[:place]]
     return new[: search.generation]
 
@@ -265,8 +264,8 @@ def _read_latest(paths: Sequence[Path], search: Search, published: bool = False)
                 raise UserError(f"{path}: no trial was begun yet: `pneuma search run` it first")
             identity = about["identity"]
             budget = Budget(trials=about["trials_asked"], seeds=identity["seeds"], steps=identity["steps"])
-            record = Record(Task(search, budget), study, journal, published)
-            changes = record.task.changes_since(identity)
+            record = Record(search, budget, study, journal, published)
+            changes = record.changes_since(identity)
             changed = ", ".join(key for key in changes if key.split(".")[0] not in VERSIONS)
             if not changed:
                 _check_trials(study, search)

@@ -123,20 +123,20 @@ def conduct(record: Record, train: Train, outcomes: Outcomes, say: Callable[[str
 
     `say` tells which are trained or stopped. Raises `Unfinished` when a run crashed.
     """
-    task, size = record.task, record.task.search.generation
+    size = record.search.generation
     trained: list[Cell] = []
-    for first in range(0, task.budget.trials, size):
+    for first in range(0, record.budget.trials, size):
         for number in range(first, first + size):  # whole, so that a longer search has the same trials
             _suggest(record, number)
-        several = range(first, min(first + size, task.budget.trials))
-        cells = {number: _cells_of(task, record.begun[number]) for number in several}
+        several = range(first, min(first + size, record.budget.trials))
+        cells = {number: _cells_of(record, record.begun[number]) for number in several}
         trained += [cell for each in cells.values() for cell in each]
-        for part in rounds(task):
+        for part in rounds(record):
             begun = [number for number in several if cells[number] and _goes_on(record, number)]
             if until := _to_train(part, [cell for number in begun for cell in cells[number]]):
-                if part == rounds(task)[0]:
-                    say(f"trials {begun[0]} to {begun[-1]} of {task.budget.trials}")
-                train(make_trial_plan(task, trained), until)
+                if part == rounds(record)[0]:
+                    say(f"trials {begun[0]} to {begun[-1]} of {record.budget.trials}")
+                train(make_trial_plan(record, trained), until)
             for number in begun:
                 _compare(record, part, number, cells[number], outcomes)
             if stopped := [f"trial {number}" for number in begun if not _goes_on(record, number)]:
@@ -157,21 +157,21 @@ def _goes_on(record: Record, number: int) -> bool:
 
 def _suggest(record: Record, number: int) -> None:
     """Suggest a trial that has not begun; one that waits is suggested as it was enqueued."""
-    task, study, search = record.task, record.study, record.task.search
-    with _entry(record, f"sampler {task.search.sampler.name}"):
+    study, search = record.study, record.search
+    with _entry(record, f"sampler {record.search.sampler.name}"):
         waits = [trial.state == TrialState.WAITING for trial in record.begun[number : number + 1]]
         if waits == [False]:
             return
-        study.sampler = _sampler(task, number)
+        study.sampler = _sampler(record, number)
         trial = study.ask()
         given = record.begun[number].system_attrs.get("fixed_params", {})
-        about: dict[str, Any] = {"seeds": [*task.budget.seeds], "run_ids": []}
+        about: dict[str, Any] = {"seeds": [*record.budget.seeds], "run_ids": []}
         try:
             for name, value in given.items():
                 if not search.holds({name: value}):
                     raise UserError(f"was enqueued with {name} = {shown(value)}, which is not in its space")
             search.ask(lambda parameter: trial._suggest(parameter.name, parameter.distribution))
-            cells = _cells(task, number, trial.params)
+            cells = _cells(record, number, trial.params)
             about |= {"run_ids": [cell.run_id for cell in cells], "config_id": config_id(cells[0].run)}
         except UserError as error:
             about["note"] = str(error)
@@ -196,7 +196,7 @@ def _entry(record: Record, what: str) -> Iterator[None]:
         raise
     except Exception as error:
         raise UserError(
-            f"search {record.task.search.name}: {what}: {type(error).__name__}: {error}; "
+            f"search {record.search.name}: {what}: {type(error).__name__}: {error}; "
             "change its arguments in the search's file, or move the log away"
         ) from None
 
@@ -243,18 +243,18 @@ def _compare(record: Record, part: Round, number: int, cells: Sequence[Cell], ou
 
     A round whose last value is in the log was decided when it was written.
     """
-    task, last = record.task, record.begun[number].last_step
-    several = len(task.search.sought) > 1
-    if several or not (found := _values(task, part, cells, outcomes, -1 if last is None else last)):
+    last = record.begun[number].last_step
+    several = len(record.search.sought) > 1
+    if several or not (found := _values(record, part, cells, outcomes, -1 if last is None else last)):
         return
-    with _entry(record, f"pruner {task.search.pruner.name}"):
+    with _entry(record, f"pruner {record.search.pruner.name}"):
         if not _goes_on(record, number) or (trial := record.begun[number]).last_step != last:
             return  # another process was faster
         for step, value in found.items():
             if np.isfinite(value):
                 record.study._storage.set_trial_intermediate_value(trial._trial_id, step, value)
         trial = record.begun[number]
-        is_whole = part.seeds[-1] == task.budget.seeds[-1] and EVALUATIONS in part.steps(cells[0].run)
+        is_whole = part.seeds[-1] == record.budget.seeds[-1] and EVALUATIONS in part.steps(cells[0].run)
         if not is_whole and trial.last_step is not None and record.study.pruner.prune(record.study, trial):
             record.study.tell(number, state=TrialState.PRUNED)
 
@@ -278,7 +278,7 @@ def _end(record: Record, number: int, cells: Sequence[Cell], outcomes: Outcomes)
     """Tell the study what a trial came to, unless that is told already."""
     if not _goes_on(record, number):
         return
-    objectives, notes = record.task.search.sought, [record.begun[number].user_attrs.get("note", "")]
+    objectives, notes = record.search.sought, [record.begun[number].user_attrs.get("note", "")]
     diverged = sum(map(outcomes.diverged, cells))
     values = [
         objective_value(each, np.array([outcomes.read(cell, each.outcome) for cell in cells]), diverged > 0)
@@ -292,12 +292,12 @@ def _end(record: Record, number: int, cells: Sequence[Cell], outcomes: Outcomes)
     if diverged:
         notes.append(f"{diverged} of {len(cells)} runs diverged")
     failed = lacking or not values
-    with _entry(record, f"sampler {record.task.search.sampler.name}"):
+    with _entry(record, f"sampler {record.search.sampler.name}"):
         if not _goes_on(record, number):
             return  # another process was faster
         if note := "; ".join(filter(None, notes)):
             trial = record.begun[number]
             record.study._storage.set_trial_user_attr(trial._trial_id, "note", note)
-        record.study.sampler = _sampler(record.task, number)
+        record.study.sampler = _sampler(record, number)
         ended = TrialState.FAIL if failed else TrialState.COMPLETE
         record.study.tell(number, None if failed else values, ended)

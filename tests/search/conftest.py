@@ -93,6 +93,10 @@ def told_of(trials: Iterable[FrozenTrial]) -> list[Any]:
     ]
 
 
+def task_of(found: Record) -> Task:
+    return Task(found.search, found.budget)
+
+
 def record(
     task: Task, outcomes: Formula | None = None, asked: list[Mapping[str, int]] | None = None
 ) -> Record:

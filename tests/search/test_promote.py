@@ -43,7 +43,7 @@ TUNED_ALIKE = {
 
 def plan(winners: list[Winner], folder: Path, seeds: tuple[int, ...] = (1000, 1001)) -> Plan:
     path = folder / "promoted.toml"
-    path.write_text(winners_study(winners, seeds, winners[0].searched.task.budget.steps))
+    path.write_text(winners_study(winners, seeds, winners[0].searched.budget.steps))
     return make_plan(load_study(str(path)), Selection())
 
 
