@@ -94,7 +94,7 @@ def choose_runs(index: RunIndex, data: StudyData, picked: Selection = ALL) -> St
 
     Without steps these are the runs of the budget of this study's last `study run` here, or else of the
     published budget with most conditions and runs. What other studies train changes neither. Budgets without
-    any of the seeds that were asked for are passed over.
+    any of the seeds that were asked for are passed over, and those without one of the conditions.
 
     Raises:
         UserError: when nothing is stored that is asked for.
@@ -115,6 +115,8 @@ def choose_runs(index: RunIndex, data: StudyData, picked: Selection = ALL) -> St
             for steps, each in budgets.items()
             if picked.seeds is None or each["seed"].isin(picked.seeds).any()
         }
+        whole = {steps: each for steps, each in having.items() if {*data.fields} <= {*each["condition"]}}
+        having = whole if picked.conditions and whole else having
         budget, last_here = _usual_budget(index, data, having or budgets)
     elif len(chosen := runs_of_budget(data, picked.steps)):
         budgets, budget = {**budgets, picked.steps: chosen}, picked.steps

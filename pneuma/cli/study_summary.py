@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, command, draw_files, frame_table, read_formats, wrote
-from pneuma.errors import UserError
+from pneuma.errors import UserError, counted
 from pneuma.presets import WORLDS
 from pneuma.study.spec import load_study
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from pneuma.analysis.claims import Claim
     from pneuma.analysis.study_data import StudyData
 
@@ -52,9 +54,8 @@ def summary(
         table, found, over = environments.environment_cells(parts, sought, form)
         legend = (f"{with_unit(sought)} in each environment, then scores over all.", *SCALE)
         document = {**data.about, "summary": found, "scores": over}
-        return Result(
-            document, ["", frame_table(table), "", *legend], data.full_title, [data.ends], table, found
-        )
+        notes = [data.ends, _few_text(parts.values())]
+        return Result(document, ["", frame_table(table), "", *legend], data.full_title, notes, table, found)
     found = summaries.summary_table(data, asked)
     listed = [name for name in dict.fromkeys(found["outcome"]) if name != "runs"] if all_ else asked
     if format in PRINTED:
@@ -109,7 +110,9 @@ def compare(
 
     claims: list[Claim] = []
     if a and b:
-        data, heads, pairs = replace(picked, condition=[a, b]).open(name), [a, b], {"": (a, b)}
+        picked = replace(picked, condition=[a, b])
+        data, heads, pairs = picked.open(name), [a, b], {"": (a, b)}
+        _refuse_empty_arms(picked, name, data)
         claims = [] if outcome else _claims_on(data, a, b)
     else:
         data, other = picked.open(name), replace(picked, condition=None, set_=None).open(str(with_))
@@ -138,11 +141,12 @@ def compare(
         "no value: runs left out.",
     )
     engines, episodes = _engines_text(data, [*pairs.values()]), episodes_text(data, [*table["outcome"]])
+    notes = [data.ends, *map(_claim_text, claims), engines, *_common_text(data, pairs.values()), episodes]
     return Result(
         {**data.about, "comparisons": table, "figures": files},
         ["", frame_table(people), "", *legend, *wrote(files)],
         f"{data.full_title}: {heads[0]} against {heads[1]}",
-        [data.ends, *map(_claim_text, claims), engines, episodes],
+        [*notes, _no_interval_text(table)],
         people,
         table,
     )
@@ -179,7 +183,8 @@ def _compare_in_environments(data: StudyData, a: str, b: str, outcomes: Sequence
     scores.columns = ["scores over all", f"{a} against {b}"]
     shown: list[str | Table] = ["", frame_table(people), "", frame_table(scores), "", *SCALE]
     document = {**data.about, "comparisons": table, "scores": over}
-    return Result(document, shown, f"{data.full_title}: {a} against {b}", [data.ends], people, table)
+    notes = [data.ends, _few_text(parts.values()), _no_interval_text(table)]
+    return Result(document, shown, f"{data.full_title}: {a} against {b}", notes, people, table)
 
 
 def _claims_on(data: StudyData, a: str, b: str) -> list[Claim]:
@@ -200,6 +205,42 @@ def _claims_on(data: StudyData, a: str, b: str) -> list[Claim]:
 
 def _claim_text(claim: Claim) -> str:
     return f"The claim {claim.name} compares these conditions: its outcomes stand first (study verify)."
+
+
+def _few_text(parts: Iterable[StudyData]) -> str:
+    """Say that intervals over environments are of few runs; empty if they are not."""
+    from pneuma.analysis.intervals import LEAST_RUNS
+
+    few = any(len(part.of_condition(name)) < LEAST_RUNS for part in parts for name in part.conditions)
+    return f"Bootstrap intervals of fewer than {LEAST_RUNS} runs in an environment are too narrow." * few
+
+
+def _refuse_empty_arms(picked: opt.StoredFilter, name: str, data: StudyData) -> None:
+    """Refuse a comparison with a condition that has no runs of the steps that are shown."""
+    from pneuma.analysis.runs import find_study
+
+    for condition in data.conditions:
+        if not data.of_condition(condition):
+            every = find_study(picked.index, name, picked.selection, picked.world).runs
+            counts = every["steps"][every["condition"] == condition].value_counts()
+            found = [f"{counted(n, 'run')} of {steps:,} (--steps {steps})" for steps, n in counts.items()]
+            known = f"; it has {', '.join(found)}" if found else ""
+            raise UserError(f"{condition}: no run of {data.steps or 0:,} steps has finished{known}")
+
+
+def _common_text(data: StudyData, pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
+    for a, b in pairs:
+        one, other = ({run.run_id for run in data.of_condition(name)} for name in (a, b))
+        if both := len(one & other):
+            yield f"Note: {a} and {b} are the same settings, and have {counted(both, 'run')} in common."
+
+
+def _no_interval_text(table: pd.DataFrame) -> str:
+    """Say why a difference has no interval; empty if all have one."""
+    from pneuma.analysis.intervals import LEAST_RUNS
+
+    lacking = bool((table["low"].isna() & table["difference"].notna()).any())
+    return f"No interval where an arm has fewer than {LEAST_RUNS} runs, or all its runs are equal." * lacking
 
 
 def _engines_text(data: StudyData, pairs: Sequence[tuple[str, str]]) -> str:

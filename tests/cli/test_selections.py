@@ -195,6 +195,23 @@ def test_a_value_is_read_as_it_is_typed_alone_and_in_a_sweep(said: str, values: 
 
 
 @pytest.mark.usefixtures("unshipped")
+def test_a_comparison_is_of_steps_that_both_have_and_says_what_is_the_same(store: Store) -> None:
+    long = _finish(store, seeds=(0, 1), steps=2048, conditions=("tanh", "leaky-relu"))
+    both = _finish(store, seeds=(0,), steps=1024)
+    _finish(store, seeds=(0,), steps=2048, conditions=("leaky-relu",))
+    assert _ask(store, "activation", conditions=("tanh", "relu"))[0] == both
+    assert _ask(store, "activation", conditions=("tanh", "leaky-relu"))[0] == long
+    words = ("study", "compare", "activation", "--results", store.root)
+    code, _, told = call(*words, "leaky-relu", "relu")
+    lacks = "relu: no run of 2,048 steps has finished; it has 1 run of 1,024 (--steps 1024)"
+    assert code == 2 and lacks in told
+    same = call(*words, "tanh", "tanh, gamma=0.99", "--steps", "1024")
+    assert same.code == 0
+    assert "tanh and tanh, gamma=0.99 are the same settings, and have 1 run in common" in same.out
+    assert "No interval where an arm has fewer than 5 runs" in same.out
+
+
+@pytest.mark.usefixtures("unshipped")
 def test_conditions_that_differ_in_the_engine_are_compared_with_a_note(store: Store) -> None:
     pair = ("tanh, engine=batched", "tanh, engine=sb3")
     _finish(store, seeds=(0,), steps=1024, conditions=pair)
