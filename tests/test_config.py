@@ -93,6 +93,7 @@ def test_an_algorithm_has_its_own_fields_and_no_others(algorithm: str) -> None:
         ({"steps": 1}, {"steps": 256}),
         ({"steps": 512}, {"steps": 512.0}),
         ({"gamma": 1}, {"gamma": 1.0}),
+        ({"env": "CartPole-v1"}, {"env": "CartPole-v1", "env_kwargs": {}}),
         ({"actor": [64, 64]}, {"actor": (64.0, 64)}),
         ({"gradient_limit": "none"}, {"gradient_limit": None}),
         ({"gradient_limit": None}, {"gradient_limit": None, "clip": "separate"}),  # nothing is clipped

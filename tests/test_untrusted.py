@@ -124,33 +124,17 @@ def test_untrusted_a_small_table_does_not_unpack_to_a_large_one(
         from_parquet(data)
 
 
-def test_what_pages_say_is_what_the_footer_of_a_sound_table_says() -> None:
-    table = pa.table({"a": ["x", "y"] * 5000, "b": np.arange(10_000.0), "c": [[1.0], [2.0, 3.0]] * 5000})
-    for options in ({}, {"use_dictionary": False}, {"data_page_size": 5000}):
-        data = _packed(table, **options)
-        group = pq.read_metadata(pa.BufferReader(data)).row_group(0)
-        for place, values in enumerate((10_000, 10_000, 15_000)):
-            chunk = group.column(place)
-            unpacked = sum(tables._page_sizes(data, chunk)) - 8 * values
-            in_dictionary = 8 * 10_000 if chunk.has_dictionary_page else 0  # at most
-            assert -500 * 8 < unpacked - chunk.total_uncompressed_size < 500 * 8 + in_dictionary
-        assert from_parquet(data).equals(table)
-
-
-@pytest.mark.parametrize("codec", ["lz4", "zstd"])
-def test_untrusted_a_row_that_is_compressed_is_refused(codec: str) -> None:
-    for compression in (None, codec):
-        sink = pa.BufferOutputStream()
-        with pa.ipc.new_file(
-            sink, NUMBERS.schema, options=pa.ipc.IpcWriteOptions(compression=compression)
-        ) as to:
-            to.write_table(NUMBERS)
-        data = sink.getvalue().to_pybytes()
-        if compression:
-            with pytest.raises(ValueError, match="is no plain table"):
-                from_ipc(data)
-        else:
-            assert from_ipc(data).equals(NUMBERS)
+@pytest.mark.parametrize("codec", [None, "lz4", "zstd"])
+def test_untrusted_a_row_that_is_compressed_is_refused(codec: str | None) -> None:
+    sink, how = pa.BufferOutputStream(), pa.ipc.IpcWriteOptions(compression=codec)
+    with pa.ipc.new_file(sink, NUMBERS.schema, options=how) as to:
+        to.write_table(NUMBERS)
+    data = sink.getvalue().to_pybytes()
+    if codec is None:
+        assert from_ipc(data).equals(NUMBERS)
+        return
+    with pytest.raises(ValueError, match="is no plain table"):
+        from_ipc(data)
 
 
 def _swapped(store: Store, name: str, change: Any) -> None:

@@ -20,7 +20,7 @@ from pneuma.engines.gymnasium_evaluation import Evaluation
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
-from pneuma.study.identity import describe_user_code, run_id
+from pneuma.study.identity import run_id
 
 from . import own_envs
 from .trained import CORRIDOR, OTHERS, bits, constant, run_of, train
@@ -146,25 +146,27 @@ def test_the_deviation_of_continuous_actions_is_the_actors() -> None:
         assert row["grad_norm_critic"] == 0 < row["grad_norm_actor"]
 
 
+def trained_but_for(run: Run, outputs: list[float]) -> Policy:
+    """Return a run's policy, as stored, with an actor that always gives the same outputs."""
+    policy = train(run)[0].policy
+    assert policy is not None
+    layers = (*policy.actor[:-1], (0 * policy.actor[-1][0], np.array(outputs, np.float32)))
+    return replace(read_sound_policy(policy.to_bytes()), actor=layers)
+
+
 def test_a_policy_of_several_choices_plays_in_the_action_space() -> None:
     run = run_of("pairs")
-    policy, evaluation = train(run)[0].policy, Evaluation(run)
-    assert policy is not None and policy.choices is not None and policy.choices.tolist() == [[2, 3], [2, 2]]
-    right = np.array([-9, 9, 0, 0, 0, 0, 0, 0, 0], np.float32)
-    layers = (*policy.actor[:-1], (0 * policy.actor[-1][0], right))
-    row = evaluation.evaluate(replace(policy, actor=layers), 0)  # an action outside is an error there
+    right = trained_but_for(run, [-9, 9, 0, 0, 0, 0, 0, 0, 0])
+    assert right.choices is not None and right.choices.tolist() == [[2, 3], [2, 2]]
+    row = Evaluation(run).evaluate(right, 0)  # an action outside is an error there
     assert row["length"] == 5 and row["success"] == 1.0
 
 
 def test_what_a_policy_of_numbers_plays_lies_in_the_action_space() -> None:
     """Two rows of numbers in two rows of bounds; the mean (1.55, 0.02, 0, 0.5) is clipped by hand."""
     run = run_of(**CORRIDOR, **OTHERS, env_kwargs={"kind": "numbers"}, engine="sb3")
-    space = make_env(run).action_space
-    policy = train(run)[0].policy
-    assert policy is not None
-    layers = (*policy.actor[:-1], (0 * policy.actor[-1][0], np.array([1.55, 0.02, 0, 0.5], np.float32)))
-    policy = replace(read_sound_policy(policy.to_bytes()), actor=layers)
-    seen = np.zeros((50, 2), np.float32)
+    space, seen = make_env(run).action_space, np.zeros((50, 2), np.float32)
+    policy = trained_but_for(run, [1.55, 0.02, 0, 0.5])
     np.testing.assert_array_equal(policy.best(seen)[7], [[1, 10], [0, 0.5]])
     assert all(map(space.contains, [*policy.best(seen), *policy.sample(seen, np.random.default_rng(0))]))
     assert Evaluation(run).evaluate(policy, 0)["argmax_return"] == 10 * 11.5  # the space's sum in ten steps
@@ -182,19 +184,3 @@ def test_files_of_one_name_are_two_modules_of_which_a_process_loads_one(tmp_path
     for run, name in zip(runs[1:], ("of_one_name", "statistics"), strict=True):
         with pytest.raises(UserError, match=f"another module {name}: give the file another name"):
             make_env(run)
-
-
-def test_a_run_is_named_by_what_is_in_its_module_not_by_where_it_lies(tmp_path: Any) -> None:
-    text = "import gymnasium\n"
-    ids = []
-    for place, contents in (("one", text), ("two", text), ("three", text + "\n")):
-        (tmp_path / place).mkdir()
-        path = tmp_path / place / f"mine_{place}.py"
-        path.write_text(contents)
-        own = {"env": "CartPole-v1", "env_module": str(path)}
-        ids.append(run_id(make_run(own)))
-        assert describe_user_code(own) == {"env_module": f"run the module {path}"}
-    assert len({*ids}) == 3 and run_id(make_run({"env": "CartPole-v1"})) not in ids
-    assert run_id(make_run({"env": "CartPole-v1", "env_kwargs": {}})) == run_id(
-        make_run({"env": "CartPole-v1"})
-    )
