@@ -72,16 +72,8 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         self._show()
         return self._observations(self.agents), self._masks(self.agents)
 
-    def step(
-        self, actions: dict[str, np.int64]
-    ) -> tuple[
-        dict[str, np.ndarray],
-        dict[str, float],
-        dict[str, bool],
-        dict[str, bool],
-        dict[str, dict[str, Any]],
-    ]:
-        """Play one action of each living player.
+    def step(self, actions: dict[str, np.int64]) -> tuple[dict[str, Any], ...]:
+        """Play one action of each living player; return five dictionaries by player, as PettingZoo does.
 
         Raises:
             ValueError: for an invalid action, or when a living player has no action.
