@@ -150,12 +150,13 @@ class Renderer:
 
     # --- What stands in the world ----------------------------------------------------------------
 
+    def _kinds(self, world: int) -> np.ndarray:
+        return self.worlds.monster_stats[self.worlds.worlds["level"][world]]
+
     def _monsters(self, world: int) -> Iterator[Item]:
-        level = int(self.worlds.worlds["level"][world])
-        kinds = self.worlds.levels[level].monsters
-        for monster, stats, (kind, _, _) in zip(
-            self.worlds.monsters[world], self.worlds.monster_stats[level], kinds, strict=True
-        ):
+        kinds = self.worlds.levels[self.worlds.worlds["level"][world]].monsters
+        monsters, stats_of_all = self.worlds.monsters[world], self._kinds(world)
+        for monster, stats, (kind, _, _) in zip(monsters, stats_of_all, kinds, strict=True):
             if monster["hp"] <= 0:
                 continue
             flash = sprites.WHITE if monster["knocked"] // 8 % 2 else ""
@@ -164,10 +165,8 @@ class Renderer:
             yield from self._standing(picture, monster, stats)
 
     def _players(self, world: int) -> Iterator[Item]:
-        bitten = self._bitten(world)
-        for index, (player, stats) in enumerate(
-            zip(self.worlds.players[world], self.worlds.weapon_stats(world), strict=True)
-        ):
+        bitten, all_stats = self._bitten(world), self.worlds.weapon_stats(world)
+        for index, (player, stats) in enumerate(zip(self.worlds.players[world], all_stats, strict=True)):
             if player["hp"] <= 0:
                 yield from self._standing(sprites.obstacle_picture("grave"), player, stats)
                 continue
@@ -184,8 +183,7 @@ class Renderer:
                 yield from self._pluses(player, stats)
 
     def _bitten(self, world: int) -> np.ndarray:
-        level = int(self.worlds.worlds["level"][world])
-        monsters, stats = self.worlds.monsters[world], self.worlds.monster_stats[level]
+        monsters, stats = self.worlds.monsters[world], self._kinds(world)
         fresh = monsters["bite"] > (stats["bite_ticks"] - FLASH_TICKS)[:, None]  # (M, players)
         fresh &= (monsters["bite"] > 0) & (monsters["hp"] > 0)[:, None]
         return np.asarray(fresh.any(axis=0))
@@ -246,9 +244,8 @@ class Renderer:
             yield _centred(inf, sprites.plus_picture(), x + across, y - rise - age // 3)
 
     def _bars(self, world: int) -> Iterator[Item]:
-        level = int(self.worlds.worlds["level"][world])
         groups = (
-            (self.worlds.monsters, self.worlds.monster_stats[level], sprites.RED, 20),
+            (self.worlds.monsters, self._kinds(world), sprites.RED, 20),
             (self.worlds.players, self.worlds.player_stats, sprites.GOLD, 19),
         )
         for bodies, all_stats, colour, height in groups:
