@@ -24,6 +24,9 @@ from pneuma.study.store import FINISHED, Identity, Store, checked_listing
 COLUMNS = ["run_id", "config_id", "seed", "steps", "status", "end", "where"]
 """Of `RunIndex.frame`; a run in the results folder itself has an empty `where`, else that of its table."""
 
+TRIALS_OF = "search-"
+"""How the names of studies begin that list the trials of a search."""
+
 
 class RunIndex:
     """The runs of a results folder and of published tables.
@@ -86,6 +89,12 @@ class RunIndex:
         listed = (name for name, table in self.tables.items() if table.about.get("listing"))
         here = self.store.listings() if self._stored else ()
         return sorted({*here, *filter(self.listing, listed)} - {*list_studies()})
+
+    @cached_property
+    def trials(self) -> set[str]:
+        """The runs of searches' trials here, by which a search chose its winner."""
+        listed = (self.store.listing(name) for name in self.store.listings() if name.startswith(TRIALS_OF))
+        return {run["run_id"] for listing in listed if listing for run in listing["runs"]}
 
     def _runs_here(self) -> Iterator[tuple[Any, ...]]:
         for run_id in self.store.runs():

@@ -30,7 +30,7 @@ from pneuma.study.plan import Selection, configure
 from pneuma.study.shipped import list_studies
 from pneuma.study.spec import Study, load_study, run_command
 from pneuma.study.store import FINISHED
-from pneuma.values import read_settings, setting_words
+from pneuma.values import read_settings, setting_words, shown_seeds
 
 ALL = Selection()
 Fields = Mapping[str, Mapping[str, Any]]
@@ -108,6 +108,9 @@ def choose_runs(index: RunIndex, data: StudyData, picked: Selection = ALL) -> St
         return _narrowed(replace(data, runs=runs), picked)
     if not len(runs):
         raise UserError(_nothing(index, data))
+    tried = runs["run_id"].isin(index.trials)
+    if picked.seeds is None and not tried.all():  # a winner looks better by the runs that chose it
+        data = replace(data, runs=runs[~tried])
     budgets, last_here = _by_budget(data), False
     if picked.steps is None:
         having = {
@@ -128,6 +131,9 @@ def choose_runs(index: RunIndex, data: StudyData, picked: Selection = ALL) -> St
         if not each.equals(shown):
             published = ", published" if (each["where"] != "").all() else ""
             others.append(f"{counted(len(each), 'run')} of {steps:,} steps{published} (--steps {steps})")
+    if len(data.runs) < len(runs):
+        seeds = shown_seeds(sorted({*runs["seed"][tried].tolist()}))
+        others.append(f"{counted(int(tried.sum()), 'run')} of a search's trials (--seeds {seeds})")
     others += _elsewhere(index, study)
     if any(map(own_files, data.fields.values())) and not picked.any_version:
         others += _earlier(index, data)

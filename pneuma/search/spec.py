@@ -139,6 +139,17 @@ class Search(Table):
             self.params_of(start) if isinstance(start, str) else self.find(start) for start in self.start
         )
 
+    @property
+    def beyond_space(self) -> list[str]:
+        """Say which values of bases that it starts with are not in the space: they are suggested instead."""
+        told = []
+        for base in (start for start in self.start if isinstance(start, str)):
+            usual, params = self._usual_fields(base), self.params_of(base)
+            lacking = [key for key, each in self.space.items() if key not in params and each.counts(usual)]
+            values = ", ".join(f"{key} = {shown(usual.get(key))}" for key in lacking)
+            told += [f"start = {base}: {values} is not in the space, and is suggested"] if lacking else []
+        return told
+
     # --- Trials
 
     def ask(self, suggest: Callable[[Parameter], Any]) -> dict[str, Any]:

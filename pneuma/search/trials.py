@@ -71,6 +71,8 @@ def run_search(
     if steps != budget.steps:
         alike = f"{steps:,} for all trials and the base, whole updates of each"
         say(f"Note: {budget.steps:,} steps are rounded up to {alike}.")
+    for note in search.beyond_space:
+        say(f"Note: {note}.")
     task = Task(search, budget.model_copy(update={"steps": steps}))
     record = open_record(store, task, say)
     yield record

@@ -115,6 +115,10 @@ def test_a_winner_is_promoted_on_fresh_seeds_by_a_command_and_in_python(searched
     (row,) = promote(searched[0], results=searched[1], seeds=5, quiet=True).to_dict("records")
     assert (row["search"], row["objective"], row["fresh"]) == ("small", "killed", gained["fresh"])
     assert {*document["run_ids"]} == {"small", "small-tuned"}
+    told = call(
+        "study", "summary", searched[1] / "searches" / "promoted-small-arena.toml", "--results", searched[1]
+    )
+    assert "10 runs of 128 steps" in told.err and "of a search's trials (--seeds 1000" in told.err
 
 
 def test_the_runs_of_a_pruned_trial_stop_where_it_was_stopped(

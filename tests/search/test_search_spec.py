@@ -76,6 +76,7 @@ def test_a_search_is_read_whole(write: Load) -> None:
         {"learning_rate": 3e-4, "epochs": 10, "optimizer": "adam", "actor": "[128]"},
         {"learning_rate": 3e-4, "optimizer": "adam", "actor": "[128]"},  # 15 epochs are outside
     )
+    assert search.beyond_space == ["start = table-6-1: epochs = 15 is not in the space, and is suggested"]
     assert search.fields({"optimizer": "sgd", "momentum": 0.5, "actor": "[32]"}) == {
         "gradient_limit": 0.5, "optimizer": "sgd", "momentum": 0.5, "actor": (32,),
     }  # fmt: skip
