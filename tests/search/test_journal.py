@@ -131,9 +131,9 @@ RANGE = "[space.gamma]\nlow = 0.8\nhigh = 1.0\n[run]\nhorizon = 64\n"
 )
 def test_what_samplers_and_pruners_know_outlives_kills(make_task: MakeTask, store: Store, kinds: str) -> None:
     """Killed at every round, and a part of the log's last entry lost each time; nothing of it is a pickle."""
-    task = make_task(16, more=RANGE + kinds)
+    task = make_task(12, more=RANGE + kinds)
     path = log_path(store, task.search.label)
-    for kill in range(8):
+    for kill in range(6):
         search(task, store, most=2)
         path.write_bytes(path.read_bytes()[: -300 * (kill % 2) or None])
         assert task_of(read_record(store, task.search.name, "text")) == task

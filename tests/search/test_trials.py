@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import optuna
 import pytest
 
 from pneuma.engines import loop
 from pneuma.engines.loop import evaluation_updates
 from pneuma.search import values
+from pneuma.search.samplers import CmaEs
 from pneuma.search.spec import OVER_SEEDS
 from pneuma.search.trials import rounds
 from pneuma.search.values import Outcomes, over_seeds
@@ -36,6 +39,18 @@ def test_a_search_is_the_same_however_often_it_is_begun_again(make_task: MakeTas
     assert [told.number for told in once] == list(range(12))
     assert len({told.params["learning_rate"] for told in once}) == 12  # nothing is suggested twice
     assert solve(make_task(5, more)) == once[:5]  # fewer trials are the first of more
+
+
+def test_cmaes_suggests_what_optunas_own_does_whose_state_is_a_pickle_in_the_log() -> None:
+    def searched(sampler: type[optuna.samplers.CmaEsSampler]) -> list[dict[str, Any]]:
+        study = optuna.create_study(direction="maximize")
+        for number in range(16):
+            study.sampler = sampler(popsize=5, seed=number)
+            trial = study.ask()
+            study.tell(trial, -(trial.suggest_float("x", -1, 1) ** 2) - trial.suggest_int("y", 0, 9))
+        return [trial.params for trial in study.trials]
+
+    assert searched(CmaEs) == searched(optuna.samplers.CmaEsSampler)
 
 
 def test_the_first_trials_are_those_that_it_starts_with(make_task: MakeTask) -> None:
