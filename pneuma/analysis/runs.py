@@ -281,8 +281,10 @@ def _nothing(index: RunIndex, data: StudyData) -> str:
 def _changed(index: RunIndex, data: StudyData) -> list[str]:
     """Return the single fields by whose change stored runs are those of the study."""
     counts: dict[str, int] = {}
-    for _, known, unlike in _alike(index, data.fields):
-        if unlike:
+    alike = [*_alike(index, data.fields)]
+    own = {known for _, known, unlike in alike if not unlike}  # of another version, of whichever condition
+    for _, known, unlike in alike:
+        if known not in own:
             option = shlex.join(setting_words(unlike))
             counts[option] = counts.get(option, 0) + len(index.places[known])
     return [*_earlier(index, data), *(f"{counted(n, 'run')} ({option})" for option, n in counts.items())]

@@ -82,7 +82,7 @@ def _seeds_to_detect(data: StudyData | None, detect: float, outcome: str | None,
 
     from pneuma.analysis.environments import by_environment
     from pneuma.analysis.outcomes import primary, with_unit
-    from pneuma.analysis.power import POWER, seeds_for_means, seeds_table, seeds_text
+    from pneuma.analysis.power import ENOUGH_RUNS, POWER, seeds_for_means, seeds_table, seeds_text
 
     for option, value in (("--detect", detect), ("--sd", sd)):
         if value is not None and value <= 0:
@@ -97,10 +97,13 @@ def _seeds_to_detect(data: StudyData | None, detect: float, outcome: str | None,
         table = pd.concat(tables, names=["environment"]).reset_index(level=0)
         table = table if len(tables) > 1 else table.drop(columns="environment")
         title = f"{data.full_title}: seeds to detect {detect:g} of {with_unit(name)}"
-    legend = (
+    legend = [
         f"Seeds of each condition with which the 95 % interval of the difference leaves out 0 in {POWER:.0%}",
         "of studies, if it is that large.",
-    )
+    ]
+    if data and any(len(data.of_condition(condition)) < ENOUGH_RUNS for condition in data.conditions):
+        rough = f"From fewer than {ENOUGH_RUNS} runs a spread is rough"
+        legend.append(f"{rough}: it may take three times as many seeds, or half.")
     document = {"outcome": name, "detect": detect, "seeds": table}
     return Result(document, ["", frame_table(table), "", *legend], title, (), table, table)
 
