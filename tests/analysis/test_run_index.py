@@ -193,8 +193,6 @@ def test_a_results_folder_alone_has_a_study_of_ones_own_and_a_changed_module_is_
     module.write_text("import gymnasium  # as before\n")
     told = r"are: 1 run of another version of of_mine_alone \(--any-version\)\.$"
     with pytest.raises(UserError, match=told):
-        UserError, match=r"are: 1 run of another version of of_mine_alone \(--any-version\)\.$"
-    ):
         open_study(RunIndex(store), "mine")
     both = Selection(any_version=True)
     data = open_study(RunIndex(store), "mine", both)
