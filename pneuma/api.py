@@ -208,6 +208,9 @@ def plot(
 
     Returns:
         The axes, with a legend.
+
+    Raises:
+        UserError: for a quantity, band or axis that the study's data do not have.
     """
     from pneuma.figures.curves import plot_curves
 
@@ -311,6 +314,9 @@ def evaluate(
     Returns:
         The columns of a run's evaluations: share_killed, score, return, length, died and so on. Those that
         begin with `argmax` are present if best actions were played.
+
+    Raises:
+        UserError: for an unknown environment or world, or invalid actions.
     """
     from pneuma.engines.evaluation import Evaluation, OwnAgent
     from pneuma.engines.policy import Policy, check_fits

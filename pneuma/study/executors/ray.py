@@ -65,19 +65,20 @@ def run_groups(
         told = versions(), os.getcwd()
         start = ray.remote(num_cpus=1, max_calls=1, max_retries=1)(train_here).remote
         tasks: dict[Any, tuple[int, Mapping[str, Run]]] = {}
-        restarts = [how.address] if how.address is None else []
+        may_restart = how.address is None
 
         def live() -> dict[str, Queued]:
             """Return the runs of tasks that have not ended, and keep those tasks."""
+            nonlocal may_restart
             while waiting and len(tasks) < how.workers:
                 index, group = waiting.pop(0)
                 tasks[start(str(job.path), index, *told)] = index, group
             ended = ray.wait([*tasks], num_returns=len(tasks), timeout=0)[0] if tasks else []
-            if restarts and any(map(_lost_with_cluster, ended)):
+            if may_restart and any(map(_lost_with_cluster, ended)):
+                may_restart, ended = False, []
                 waiting[:0] = tasks.values()
                 tasks.clear()
-                _restart(restarts.pop())
-                ended = []
+                _restart()
             for task in ended:
                 del tasks[task]
                 _check(task)
@@ -119,13 +120,13 @@ def _lost_with_cluster(task: Any) -> bool:
     return False
 
 
-def _restart(address: str | None) -> None:
+def _restart() -> None:
     """Start this machine's own cluster again: one of Ray's processes has died, and all others with it."""
     import ray
 
     ray.shutdown()
     join.cache_clear()
-    join(address)
+    join(None)
 
 
 def _stop(tasks: list[Any], interrupts: Interrupts) -> None:
