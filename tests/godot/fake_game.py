@@ -65,13 +65,8 @@ class Game:
         if done := terminated or truncated:
             info = {"truncated": truncated and not terminated, "final_observation": told(seen)["obs"]}
             seen, _ = self.env.reset()
-        return {
-            "type": "step",
-            "obs": [told(seen)],
-            "reward": [float(reward)],
-            "done": [done],
-            "info": [info],
-        }
+        paid = {"reward": [float(reward)], "done": [done], "info": [info]}
+        return {"type": "step", "obs": [told(seen)], **paid}
 
 
 def told(seen: Any) -> dict[str, list[float]]:
