@@ -12,8 +12,10 @@ import torch
 
 from pneuma.engines import sb3, sb3_learners
 from pneuma.engines.environment import make_vec_env
+from pneuma.engines.policy import Policy
+from pneuma.engines.records import Records
 
-from .trained import LEARNERS, bits, run_of, train, train_once
+from .trained import LEARNERS, bits, random_layers, run_of, train, train_once
 
 
 @pytest.mark.parametrize("case", LEARNERS)
@@ -51,6 +53,13 @@ def test_a_run_that_diverges_stops_and_keeps_its_records(case: str) -> None:
     assert (diverged.status, diverged.policy) == ("diverged", None)
     assert diverged.step == diverged.records.metrics[-1]["step"] < 6400
     assert bits(after) == bits(train_once(clean)[0])
+
+
+def test_a_policy_whose_logits_overflow_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer = sb3.Sb3Trainer(run_of(engine="sb3"))
+    huge = Policy("leaky-relu", random_layers((60, 8, 5), 1e30), ())
+    monkeypatch.setattr(sb3, "extract_policy", lambda *_: huge)
+    assert not trainer.update(0, 64, Records())
 
 
 @pytest.mark.parametrize(
