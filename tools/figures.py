@@ -219,7 +219,7 @@ def _elsewhere(index: RunIndex) -> Page:
     columns = {title: data for title, data in found.items() if data}
     title, first = next(iter(columns.items()))
     named = first.study.model_copy(update={"title": "tanh or ReLU, and Adam's betas, in other environments"})
-    return curves_page({**columns, title: replace(first, study=named)}, "return", basename="elsewhere")
+    return curves_page({**columns, title: replace(first, study=named)}, basename="elsewhere")
 
 
 def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:

@@ -11,6 +11,7 @@ of the stratified bootstrap: runs are drawn anew within each environment.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -21,6 +22,7 @@ from pneuma.analysis.outcomes import known_values
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import NO_CELL, summary_table, wide, with_cells
 from pneuma.errors import UserError
+from pneuma.study.spec import Study
 
 OUTCOME = "evaluated-return"
 """Of which scores are made, unless another is asked for."""
@@ -40,20 +42,38 @@ def by_environment(data: StudyData) -> dict[str, StudyData]:
     Conditions are called by all that they are crossed with but the environment, so that those of unlike
     environments have the same names.
     """
+    levels = {name: _apart_from_env(data.study, of) for name, of in data.study.levels.items()}
+    data = replace(data, study=data.study.model_copy(update={"levels": levels}))
     of_env: dict[str, dict[str, str]] = {}
     for name, fields in data.fields.items():
-        of_env.setdefault(str(fields.get("env")), {})[name] = _apart_from_env(data, name)
+        parts = []
+        for factor, level in levels.get(name, {}).items():
+            named = f"{factor}={level}"  # where values have no names
+            parts.append(named if named in name else level)
+        of_env.setdefault(str(fields.get("env")), {})[name] = ", ".join(parts) or name
     return {env: data.renamed(names) for env, names in of_env.items()}
 
 
-def _apart_from_env(data: StudyData, condition: str) -> str:
-    """Return the values of a condition in all factors but those that set the environment."""
-    parts = []
-    for factor, level in data.study.levels.get(condition, {}).items():
-        if not any("env" in fields for fields in data.study.factors.get(factor, {}).values()):
-            named = f"{factor}={level}"  # where values have no names
-            parts.append(named if named in condition else level)
-    return ", ".join(parts) or condition
+def _apart_from_env(study: Study, levels: Mapping[str, str]) -> dict[str, str]:
+    """Return a condition's values of all factors but those that set the environment."""
+    return {
+        factor: level
+        for factor, level in levels.items()
+        if not any("env" in fields for fields in study.factors.get(factor, {}).values())
+    }
+
+
+def environments(data: StudyData) -> list[str]:
+    return [*dict.fromkeys(str(fields.get("env")) for fields in data.fields.values())]
+
+
+def in_environment_of(data: StudyData, other: StudyData) -> StudyData | None:
+    """Return another study's runs in a study's environment; None without any. Logs do not tell theirs."""
+    if data.averaged_over or other.averaged_over:
+        return other
+    own, parts = environments(data), by_environment(other)
+    shared = [part for env, part in parts.items() if env in own]
+    return other if shared and len(parts) == 1 else next(iter(shared), None)
 
 
 def references(parts: Parts, outcome: str = OUTCOME) -> dict[str, tuple[float, float]]:

@@ -61,7 +61,7 @@ class Drawing:
         opt.SeveralRead,
         opt.choice(
             (*CURVE_QUANTITIES, ACTIONS, EVERY_QUANTITY),
-            "A curve, as entropy; actions, or all (may be repeated; default: share_killed and return).",
+            "A curve, as entropy; actions, or all (repeatable; default: share_killed and a return).",
             "NAME",
         ),
     ] = None
@@ -105,39 +105,48 @@ def plot(
         raise UserError(lacking)
     from pneuma.analysis.environments import by_environment
     from pneuma.figures.curves import curves_page, profile_page
+    from pneuma.figures.origin import samples_of
     from pneuma.figures.style import Look
     from pneuma.figures.summary import summary_page
     from pneuma.figures.words import fits_panel
 
     how = dict(asked.of_curves)
-    if asked.beside:
-        how["beside"] = opt.RunFilter(results=picked.results).open(asked.beside)
+    of_beside = opt.RunFilter(results=picked.results, world=picked.world)
+    beside = of_beside.open(asked.beside) if asked.beside else None
 
-    def page(name: str, world: str | None) -> tuple[Page, str]:
+    def draw(name: str, world: str | None) -> tuple[Page, str]:
         data = picked.open(name, world)
         parts = by_environment(data)
         shown = parts if len(parts) > 1 else data
+        if beside:
+            known = {*data.conditions, *(name for part in parts.values() for name in part.conditions)}
+            alike = [name for name in beside.conditions if name in known and beside.of_condition(name)]
+            how["beside"] = beside.of_conditions(alike) if picked.condition and alike else beside
         fits = all(map(fits_panel, parts.values())) and not data.study.outcomes
         kind = asked.figure or FIGURE_KINDS[0 if asked.quantity or how or fits else 1]
         quantities = _quantities(data, asked.quantity or [])
-        steps = data.steps or picked.steps  # whatever is trained meanwhile
-        chosen = replace(picked, steps=steps, world=world or picked.world)
+        steps, seeds = data.steps or picked.steps, tuple({*data.runs["seed"]})  # whatever is trained later
+        chosen = replace(picked, steps=steps, seeds=seeds, world=world or picked.world)
         drawn = replace(asked, figure=kind, quantity=quantities)
         again = command("study", "plot", name, *opt.words_of(chosen), *opt.words_of(drawn))
         if kind == "summary":
-            return summary_page(shown), again
-        if kind == "curves":
-            return curves_page(shown, quantities, **how), again
-        if len(parts) == 1:
+            page = summary_page(shown)
+        elif kind == "curves":
+            page = curves_page(shown, quantities, **how)
+        elif len(parts) == 1:
             raise UserError(f"--figure {kind}: is over several environments; {name} has one")
-        return profile_page(data, parts), again
+        else:
+            page = profile_page(data, parts)
+        if len(parts) > 1:  # under the names that tell the environment
+            page = replace(page, runs=samples_of(data, *filter(None, [how.get("beside")])))
+        return page, again
 
     def pages() -> Iterator[tuple[Page, str]]:
         every = [(name, picked.world) for name in names] if names else _run_here(picked)
         problems = []
         for name, world in every:
             try:
-                yield page(name, world)
+                yield draw(name, world)
             except UserError as error:
                 problems.append(error)
                 if names or len(problems) == len(every):

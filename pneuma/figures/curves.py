@@ -8,16 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
 from pneuma.analysis.curves import STEPS, curve_names
-from pneuma.analysis.environments import OUTCOME, Parts, profiles
+from pneuma.analysis.environments import OUTCOME, Parts, environments, in_environment_of, profiles, references
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.study_data import StudyData
-from pneuma.errors import UserError
+from pneuma.errors import UserError, unknown_name
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel, in_grid
 from pneuma.figures.lines import PALE, QUANTITIES, USUAL_BAND, X_LABELS, Column, usual_quantities
@@ -32,6 +33,7 @@ def curves_page(
     studies: StudyData | Mapping[str, StudyData],
     quantities: str | Sequence[str] = (),
     basename: str = "",
+    beside: StudyData | None = None,
     **how: Any,
 ) -> Page:
     """Return the figure of the curves of a study's finished runs.
@@ -39,15 +41,17 @@ def curves_page(
     Args:
         studies: the study; or its runs in each world, by the title of a column. The quantities are the rows
             then.
-        quantities: of `curve_names`; default: the return and the share killed, as far as recorded. If returns
-            are of different rewards, the length of episodes replaces them.
+        quantities: of `curve_names`; default: the return, in other environments than Pneuma's that of
+            evaluations, and the share killed, as far as recorded. If returns are of different rewards, the
+            length of episodes replaces them.
         basename: of the files; default: of a single study its figure, and how this one differs from the
             usual.
-        how: band, window, beside, log, x and center, as `Column` has them.
+        beside: another study, whose runs are drawn in the columns of their environment.
+        how: band, window, log, x and center, as `Column` has them.
 
     Raises:
         UserError: for more conditions than a panel can show, a quantity that the study's data does not have,
-            or a band that runs are too few for.
+            a band that runs are too few for, or runs beside that are all of other environments.
     """
     columns = {"": studies} if isinstance(studies, StudyData) else studies
     data, alone = next(iter(columns.values())), len(columns) == 1
@@ -55,13 +59,17 @@ def curves_page(
         most = f"pick {style.MOST_IN_A_PANEL} at most by --condition, or --figure summary"
         raise UserError(f"study {data.study.name}: its conditions do not fit one panel: {most}")
     names = [quantities] if isinstance(quantities, str) else [*dict.fromkeys(quantities)]
-    names = [*filter(None, names)] or usual_quantities(data)
+    names = [*filter(None, names)] or usual_quantities(data, beside)
+    others = {title: beside and in_environment_of(each, beside) for title, each in columns.items()}
+    if beside and not any(others.values()):
+        its, own = (" and ".join(environments(each)) for each in (beside, data))
+        raise UserError(f"--beside {beside.study.name}: its runs are of {its}, and not of {own}")
+    having = _having(columns, names)
     drawn = {
-        title: Column(each, [name for name in names if alone or name in curve_names(each)], **how)
-        for title, each in columns.items()
+        title: Column(columns[title], known, beside=others[title], **how) for title, known in having.items()
     }
     first = next(iter(drawn.values()))
-    stem = basename or data.basename(*_differences(first, names))
+    stem = basename or data.basename(*_differences(first, names, beside))
     if alone:
         rows = -(-len(names) // style.COLUMNS)
         across = -(-len(names) // rows)
@@ -74,9 +82,24 @@ def curves_page(
         by_world = len({each.world for each in columns.values()}) > 1
         shown = after_thesis(stem) or "by world" * by_world
         headline = ": ".join(filter(None, [data.study.title, shown]))
-    runs = samples_of(*columns.values(), *filter(None, [first.beside]))
+    runs = samples_of(*columns.values(), *dict.fromkeys(filter(None, others.values())))
     meanings = {word: artist for column in drawn.values() for word, artist in column.meanings.items()}
-    return Page(stem, panels, inches, headline, runs, meanings, notes, None if alone else [1] * len(columns))
+    return Page(stem, panels, inches, headline, runs, meanings, notes, None if alone else [1] * len(drawn))
+
+
+def _having(columns: Mapping[str, StudyData], names: Sequence[str]) -> dict[str, list[str]]:
+    """Return those of some quantities that each column has, without columns that have none.
+
+    Raises:
+        UserError: for a quantity that no column has.
+    """
+    known = {title: curve_names(data) for title, data in columns.items()}
+    every, data = dict.fromkeys(chain.from_iterable(known.values())), next(iter(columns.values()))
+    for name in names:
+        if name not in every:
+            raise unknown_name(f"curve in {data.what} of study {data.study.name}", name, every)
+    having = {title: [name for name in names if name in of] for title, of in known.items()}
+    return {title: kept for title, kept in having.items() if kept}
 
 
 def plot_curves(data: StudyData, quantity: str = "", ax: Axes | None = None, **how: Any) -> Axes:
@@ -93,7 +116,7 @@ def plot_curves(data: StudyData, quantity: str = "", ax: Axes | None = None, **h
     return ax
 
 
-def _differences(column: Column, names: Sequence[str]) -> list[str]:
+def _differences(column: Column, names: Sequence[str], beside: StudyData | None) -> list[str]:
     """Return how a figure differs from the study's usual one, for the name of its files."""
     data, differs = column.data, []
     if names != usual_quantities(data):
@@ -103,7 +126,7 @@ def _differences(column: Column, names: Sequence[str]) -> list[str]:
     differs += [f"over-{column.x}"] * (column.x != STEPS)
     if column.window and column.window != data.windows[0] and {*names} & {*EPISODE_QUANTITIES}:
         differs.append(column.window.removesuffix("%"))
-    return [*differs, *(["beside", column.beside.study.name] if column.beside else [])]
+    return [*differs, *(["beside", beside.study.name] if beside else [])]
 
 
 # --- Scores over several environments ------------------------------------------------------------------
@@ -127,7 +150,11 @@ def profile_page(data: StudyData, parts: Parts, outcome: str = OUTCOME) -> Page:
     panel = Panel(draw, x="Score", y="Share of runs above it", y_ticks=grid.shares)
     meanings = {BAND_OF_PROFILES: Patch(color=style.INK, alpha=PALE, linewidth=0)}
     words = find_outcome(outcome).words
-    notes = [f"Scores: {words}, in {', '.join(parts)}; 0 and 1 as [scores] or docs/paper.md say.", data.ends]
+    scales = []
+    for env, (low, high) in references(parts, outcome).items():
+        of = "" if env in data.study.scores else " (random player, best condition)"
+        scales.append(f"{grid.number(low)} and {grid.number(high)} in {env}{of}")
+    notes = [f"Score: {words}; 0 and 1 are {', '.join(scales)}.", data.ends]
     headline = headline_of(data, "performance profiles")
     stem, inches = data.basename("profile"), 1.2 * style.PANEL_INCHES
     return Page(stem, [[panel]], inches, headline, samples_of(data), meanings, notes)
@@ -152,8 +179,9 @@ def _in_columns(
         top, low = name == quantities[0], name == quantities[-1]
         if name not in column.curves:
             return None
-        label, along = QUANTITIES[name].title * (title == first), X_LABELS[column.x] * low
-        return replace(column.panel(name), title=title * top, x=along, y=label)
+        along = X_LABELS[column.x] * low
+        left = replace(column.panel(name), title=title * top, x=along, y=QUANTITIES[name].title)
+        return left if title == first else replace(left, y="", at_left=left)
 
     return [[panel(*each, name) for each in drawn.items()] for name in quantities], notes
 

@@ -9,6 +9,7 @@ A study's words (title, notes, labels) are in `words.py`.
 
 from __future__ import annotations
 
+import itertools
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -24,6 +25,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
+from matplotlib.text import Text
 from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 
 from pneuma.errors import UserError, plain
@@ -45,7 +47,8 @@ LONG_AXIS = 5000
 RANDOM_PLAYER = "random player"
 ROW_INCHES, LEAST_ROW_INCHES, LONGEST_INCHES = 0.28, 0.1, 7.6
 """Heights in inches: of a row, usual and least, and of all rows or panels that fit a page."""
-LEAST_PANEL_INCHES = 0.8
+LEAST_PANEL_INCHES, LEAST_GAP = 0.8, 0.08
+"""Least height and width of a panel, and space between words of neighbours."""
 USUAL_LOOK = Look()
 
 
@@ -104,6 +107,7 @@ class Panel:
     Attributes:
         draw: draws into its axes, and sets their limits.
         rows: labels of rows, the first at the top; None if the upright axis has values.
+        at_left: what takes its place at the left of a row, as it says what those beside it need not.
     """
 
     draw: Callable[[Axes], object]
@@ -113,6 +117,7 @@ class Panel:
     x_ticks: Ticks = numbers
     y_ticks: Ticks = numbers
     rows: Sequence[str] | None = None
+    at_left: Panel | None = None
 
 
 @dataclass(frozen=True)
@@ -160,17 +165,55 @@ def save_page(
     """
     origin = Origin(command=plain(command), runs=tuple(page.runs))
     page = _looking(page, look)
+    across = len(page.grid[0])
     with style.house_style(sheet=look.sheet):
-        figure = Figure(layout="constrained")
-        panels = dict.fromkeys(panel for row in page.grid for panel in row if panel)
-        names = {panel: str(number) for number, panel in enumerate(panels)}
-        cells: Any = [[names[panel] if panel else "." for panel in row] for row in page.grid]
-        grid = figure.subplot_mosaic(cells, width_ratios=page.widths)
-        for panel, name in names.items():
-            pitch = (page.inches - 0.5) / max(len(panel.rows or ()), 1)
-            fill(grid[name], panel, pitch, look.width / len(cells[0]))
-        _put_texts(figure, page, _legend_entries(figure.axes, page.entries), look)
-        return style.save_figure(figure, folder, page.basename, formats, origin)
+        while page.widths and across > 1 and not _fits(_figure(_below_each_other(page, across), look)):
+            across -= 1
+        shown = _below_each_other(page, across)
+        return style.save_figure(_figure(shown, look), folder, page.basename, formats, origin)
+
+
+def _figure(page: Page, look: Look) -> Figure:
+    figure = Figure(layout="constrained")
+    panels = dict.fromkeys(panel for row in page.grid for panel in row if panel)
+    names = {panel: str(number) for number, panel in enumerate(panels)}
+    cells: Any = [[names[panel] if panel else "." for panel in row] for row in page.grid]
+    grid = figure.subplot_mosaic(cells, width_ratios=page.widths)
+    for panel, name in names.items():
+        pitch = (page.inches - 0.5) / max(len(panel.rows or ()), 1)
+        fill(grid[name], panel, pitch, look.width / len(cells[0]))
+    _put_texts(figure, page, _legend_entries(figure.axes, page.entries), look)
+    return figure
+
+
+def _fits(figure: Figure) -> bool:
+    """Return whether panels are wide enough, and their titles and labels apart and within the figure."""
+    engine: Any = figure.get_layout_engine()
+    engine.execute(figure)
+    boxes: list[tuple[Axes, Any]] = []
+    for axes in figure.axes:
+        texts = [each for each in axes.get_children() if isinstance(each, Text)]
+        shown = [each for each in (*texts, axes.xaxis.label) if each.get_text()]
+        boxes += [(axes, each.get_window_extent()) for each in shown]
+    wide = all(axes.bbox.width >= LEAST_PANEL_INCHES * figure.dpi for axes in figure.axes)
+    within = all(box.x1 <= figure.bbox.x1 for _, box in boxes)
+    apart = [(axes, box.padded(LEAST_GAP * figure.dpi / 2, 0)) for axes, box in boxes]
+    pairs = itertools.combinations(apart, 2)
+    return wide and within and not any(a != b and one.overlaps(other) for (a, one), (b, other) in pairs)
+
+
+def _below_each_other(page: Page, across: int) -> Page:
+    """Return a page with so many of its columns beside each other, and the next ones below them."""
+    columns = [*zip(*page.grid, strict=True)]
+    if across == len(columns):
+        return page
+    blocks = [columns[start : start + across] for start in range(0, len(columns), across)]
+    rows = []
+    for block in blocks:
+        for first, *others in zip(*block, strict=True):
+            left = (first.at_left or first) if first else None
+            rows.append([left, *others, *[None] * (across - len(block))])
+    return replace(page, grid=rows, inches=page.inches * len(blocks), widths=(page.widths or ())[:across])
 
 
 def _looking(page: Page, look: Look) -> Page:
@@ -224,8 +267,8 @@ def _put_texts(figure: Figure, page: Page, entries: Mapping[str, Any], look: Loo
     height = look.height or above + page.inches + below
     least = above + below + LEAST_PANEL_INCHES * len(page.grid)
     if look.height and height < least:
-        needed = f"at least {least:.1f}"
-        raise UserError(f"--height {height:g}: {needed} inches; --plain has no headline and caption")
+        fix = "" if look.plain else "; --plain has no headline and caption"
+        raise UserError(f"--height {height:g}: at least {least:.1f} inches{fix}")
     figure.set_size_inches(look.width, height)
     engine: Any = figure.get_layout_engine()
     engine.set(rect=(0, below / height, 1, 1 - (above + below) / height))
@@ -265,18 +308,20 @@ def draw_random_player(
     top: float,
     colours: Mapping[str, str],
     rows: Sequence[str] | None = None,
+    words: Callable[[float], str] | None = None,
 ) -> None:
-    """Draw the levels of the random player, shares, as a grey line, or one for each condition if they differ.
+    """Draw the levels of the random player as a grey line, or one for each condition if they differ.
 
-    With `rows`, the conditions from the top, shares lie across, and a condition's line is in its row. A level
-    far above `top`, the highest point that is drawn, gets no line: it would flatten everything else.
+    `words` writes a level, by default a share. With `rows`, the conditions from the top, levels lie across,
+    and a condition's line is in its row. A level far above `top`, the highest point that is drawn, gets no
+    line: it would flatten everything else.
     """
     look: Any = {"color": GREY, "linestyle": (0, (1, 2)), "linewidth": 0.9, "zorder": 1.2}
     draw = axes.axhline if rows is None else axes.axvline
     near = {name: at for name, at in levels.items() if name in colours and at <= FAR * max(top, 0.01)}
     if len({*levels.values()}) == 1:
         level = next(iter(levels.values()))
-        label = f"{RANDOM_PLAYER} ({per_cent(level)})"
+        label = f"{RANDOM_PLAYER} ({(words or per_cent)(level)})"
         axes.plot([], [], label=label if near else f"{label}: above", **look)
         if near:
             draw(level, **look)
@@ -325,6 +370,11 @@ def label_rows(axes: Axes, labels: Sequence[str], inches: float) -> None:
     axes.set_ylim(len(labels) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="y", visible=False)
+
+
+def number(value: float) -> str:
+    """Return a number with the minus of axes."""
+    return f"{value:.3g}".replace("-", "−")
 
 
 def per_cent(share: float) -> str:

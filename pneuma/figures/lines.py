@@ -33,17 +33,17 @@ from pneuma.analysis.curves import (
     study_curves,
 )
 from pneuma.analysis.intervals import LEAST_RUNS
-from pneuma.analysis.outcomes import have_one_return, without_monsters
+from pneuma.analysis.outcomes import have_one_return, is_foreign, without_monsters
 from pneuma.analysis.study_data import StudyData
 from pneuma.env.fields import ACTION_NAMES
 from pneuma.errors import UserError, counted
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Panel
-from pneuma.figures.words import label_of, notes_of, styles_of
+from pneuma.figures.words import MOST_NAMED, label_of, notes_of, styles_of
 from pneuma.study.quantities import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.study.series import SLACK
 
-USUAL_QUANTITIES = ("return", "share_killed", "success")
+USUAL_QUANTITIES, EVALUATED = ("return", "share_killed", "success"), "evaluated_return"
 _, TRAILING_WINDOW = WINDOWS
 USUAL_BAND, INTERVAL, RUNS, NO_BAND = BAND_NAMES[0], "ci", "runs", "none"
 PALE, DARK = 0.13, 0.30
@@ -54,8 +54,6 @@ MARKED_POINTS = 8
 """Markers per line, so that lines can be told apart in grey where their names are in the legend."""
 MANY_RUNS = 30
 """With this many runs in a panel, their lines are fainter, so that means stay in front."""
-MOST_NAMED = 3
-"""Most conditions that the caption names."""
 BESIDE_COLOUR, MOST_BESIDE = "#404040", 12
 """Of the runs of another study, and most of its conditions that are named at their ends."""
 
@@ -106,7 +104,7 @@ class Column:
         band: one of `BANDS`; None for the deviation of means, and inside it their interval, or for the
             interval of another centre.
         window: of the study's windows; None for the first.
-        beside: a study whose runs are drawn as dashed lines.
+        beside: a study whose runs are drawn as dashed lines, with the colours of conditions of their names.
         log: whether all axes of values are logarithmic, and not only those of quantities that go through
             powers of ten.
         x: one of `X_AXES`.
@@ -205,13 +203,23 @@ class Column:
 
     @property
     def notes(self) -> list[str]:
-        return [*notes_of(self.data, "return" in self.curves, self.beside), *_caption(self)]
+        returns = bool({"return", EVALUATED} & {*self.curves})
+        return [*notes_of(self.data, returns, self.beside), *_caption(self)]
 
 
-def usual_quantities(data: StudyData) -> list[str]:
+def usual_quantities(data: StudyData, beside: StudyData | None = None) -> list[str]:
+    """Return the quantities of a study's usual figure, or of that with another study beside.
+
+    In environments that are not Pneuma's the return is that of evaluations, where both have it: episodes may
+    be so long that few runs end one near each point of a training curve.
+    """
     known = curve_names(data)
-    wanted = USUAL_QUANTITIES if have_one_return(data) else ("length", *USUAL_QUANTITIES[1:])
-    return [name for name in wanted if name in known] or known[:1] or ["return"]
+    first, *others = USUAL_QUANTITIES
+    if not have_one_return(data):
+        first = "length"
+    elif is_foreign(data) and all(EVALUATED in curve_names(each) for each in (data, beside or data)):
+        first = EVALUATED
+    return [name for name in (first, *others) if name in known] or known[:1] or ["return"]
 
 
 # --- What is drawn -----------------------------------------------------------------------------------
@@ -226,20 +234,33 @@ def _draw(axes: Axes, column: Column, name: str) -> None:
     for curve in curves:
         _draw_bands(axes, curve, column, percent, min(1.0, MANY_RUNS / max(lines, 1)))
         _draw_centre(axes, curve, column, end)
-    if column.beside:
-        alpha = min(1.0, MANY_RUNS / len(column.beside.runs))
-        look: Any = {"color": BESIDE_COLOUR, "linewidth": 0.7, "linestyle": (0, (3, 1)), "zorder": 1.3}
-        label = f"{column.beside.full_title} ({len(column.beside.runs)})"
-        for curve in others:
-            axes.plot(curve.runs, label=label, alpha=alpha, **look)
-            if len(column.beside.conditions) <= MOST_BESIDE:
-                _name_end(axes, curve.frame(), curve.condition, BESIDE_COLOUR)
     colours = {condition: look["color"] for condition, look in column.styles.items()}
-    grid.draw_random_player(axes, random_levels(data, name), _highest([*curves, *others]), colours)
+    if column.beside:
+        _draw_beside(axes, others, column.beside, colours)
+    words = grid.per_cent if percent else grid.number
+    grid.draw_random_player(
+        axes, random_levels(data, name), _highest([*curves, *others]), colours, words=words
+    )
     axes.set_xlim(0, end)
     if percent and not column.log:
         top = min(max(axes.get_ylim()[1], 0.01), 1 + grid.BELOW_ZERO)
         axes.set_ylim(-grid.BELOW_ZERO * top, top)
+
+
+def _draw_beside(axes: Axes, curves: Sequence[Curve], data: StudyData, colours: Mapping[str, str]) -> None:
+    """Draw the runs of another study: in the colours of conditions that have their names, or else in grey."""
+    look: Any = {"linewidth": 0.7, "linestyle": (0, (3, 1)), "zorder": 1.3}
+    look["alpha"] = min(1.0, MANY_RUNS / len(data.runs))
+    unlike = [curve for curve in curves if curve.condition not in colours]
+    for curve in curves:
+        if colour := colours.get(curve.condition):
+            label = f"{curve.condition}, {data.full_title} ({curve.runs.shape[1]})"
+            axes.plot(curve.runs, label=label, color=colour, **look)
+            continue
+        label = f"{data.full_title} ({sum(each.runs.shape[1] for each in unlike)})"
+        axes.plot(curve.runs, label=label, color=BESIDE_COLOUR, **look)
+        if len(unlike) <= MOST_BESIDE:
+            _name_end(axes, curve.frame(), curve.condition, BESIDE_COLOUR)
 
 
 def _highest(curves: Sequence[Curve]) -> float:
@@ -286,9 +307,10 @@ def _draw_centre(axes: Axes, curve: Curve, column: Column, end: float) -> None:
     first = style.MARKERS.index(look["marker"]) * every // len(style.MARKERS) % every  # no two meet
     label = column.labels.get(name) or label_of(column.data, name)
     whole = frame["centre"].where(frame["count"] == curve.runs.shape[1])
+    marked = in_legend or whole.count() == 1  # a single point has no line
     (line,) = axes.plot(
         frame["x"], whole, label=label if in_legend else "", color=look["color"], clip_on=False,
-        marker=look["marker"] if in_legend else "", markersize=2.2 * width, markevery=(first, every),
+        marker=look["marker"] if marked else "", markersize=2.2 * width, markevery=(first, every),
         zorder=2.2,
     )  # fmt: skip
     line.set_in_layout(False)  # it may reach over the edge, and may be empty
@@ -349,4 +371,15 @@ def _caption(column: Column) -> list[str]:
         averaged.append(f"the updates {of_budget}")
     if averaged:
         notes.append(f"Training curves average {', or '.join(averaged)}.")
+    if column.beside:
+        notes += _of_beside(column.beside, averaged)
     return [*notes, *([X_NOTES[column.x]] if column.x in X_NOTES else [])]
+
+
+def _of_beside(data: StudyData, averaged: Sequence[str]) -> list[str]:
+    """Return what the caption says of another study's runs, beside curves that average something."""
+    if data.averaged_over is None:
+        return []
+    name, last = data.study.name, f"the last {data.averaged_over} episodes"
+    notes = [f"Those of {name} average {last}."] * (last not in averaged)
+    return [*notes, f"The environment of {name} is not recorded."]

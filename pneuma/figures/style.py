@@ -115,7 +115,8 @@ def house_style(type_points: float = TYPE_POINTS, sheet: str = "") -> Iterator[N
     Raises:
         UserError: when there is no such style sheet of matplotlib.
     """
-    with mpl.rc_context():
+    with mpl.rc_context(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # the font lacks a letter, which is drawn as a box
         mpl.rcdefaults()
         mpl.use("agg")
         mpl.rcParams.update(_RC)
@@ -162,14 +163,12 @@ def save_figure(
     for text in figure.findobj(Text):  # labels of ticks are cleaned where they are set
         text.set_text(clean(text.get_text()))
     paths = [folder / f"{basename}.{name}" for name in formats]
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph")  # the font lacks a letter, which is drawn as a box
-        _lay_out(figure)
-        for path, name in zip(paths, formats, strict=True):
-            if name == "png":
-                _save_png(figure, path, origin, colours)
-            else:
-                figure.savefig(path, format=name, metadata={**_NO_DATES[name], KEYS[name]: origin.encode()})
+    _lay_out(figure)
+    for path, name in zip(paths, formats, strict=True):
+        if name == "png":
+            _save_png(figure, path, origin, colours)
+        else:
+            figure.savefig(path, format=name, metadata={**_NO_DATES[name], KEYS[name]: origin.encode()})
     known = {"\n", *map(chr, get_font(findfont(_RC["font.family"])).get_charmap())}
     if lacking := {letter for text in figure.findobj(Text) for letter in text.get_text()} - known:
         shown = " ".join(sorted(lacking)[:10])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -145,13 +145,17 @@ def summary_page(studies: StudyData | Mapping[str, StudyData], basename: str = "
     least = math.floor(20 * lowest) / 20 if len(drawn) == 1 and lowest > FAR_FROM_ZERO else 0.0
 
     def panel(title: str, found: OutcomeRows) -> Panel:
-        labels = found.labels(named if found is alone or not alike else None)
-        if one_study and found is not alone:  # the same runs in all panels
-            labels = [""] * len(labels)
+        labels = found.labels(named)
         draw = partial(_draw_runs, found=found, colours=colours, pitch=pitch, ends=(least, highest))
         shares = grid.shares if alike else partial(grid.shares, most=3)  # beside names panels are narrow
         ticks = shares if found.of_killed else grid.few
-        return Panel(draw, title, found.measured, x_ticks=ticks, rows=[*labels, *[""] * (most - len(labels))])
+        empty = [""] * (most - len(labels))
+        left = Panel(draw, title, found.measured, x_ticks=ticks, rows=[*labels, *empty])
+        if found is alone or not alike:
+            return left
+        # in all panels of one study are the same runs
+        beside = [""] * len(labels) if one_study else found.labels(None)
+        return replace(left, rows=[*beside, *empty], at_left=left)
 
     notes = merge_notes(
         {

@@ -13,6 +13,9 @@ from pneuma.figures.style import MARKERS, MOST_IN_A_PANEL
 from pneuma.study.spec import CONDITION, Study
 from pneuma.values import shown_settings
 
+MOST_NAMED = 3
+"""Most conditions that a note names."""
+
 
 def headline_of(data: StudyData, shown: str = "") -> str:
     """Return title and what is shown; default: the thesis's figure to which the study's corresponds."""
@@ -30,9 +33,13 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
     Returns of `beside` are drawn with it. Imported logs do not tell their reward.
     """
     notes = [f"{' and '.join(names)} are one configuration." for names in data.same]
-    engines = sorted({engine for name in data.conditions for engine in data.engines(name)})
+    engines: dict[str, list[str]] = {}
+    for name in data.conditions:
+        for engine in data.engines(name):
+            engines.setdefault(engine, []).append(name)
     if len(engines) > 1:
-        notes.append(f"Trained by several engines ({', '.join(engines)}), which are not compared.")
+        parts = [f"{engine} ({_named(names)})" for engine, names in sorted(engines.items())]
+        notes.append(f"Conditions were trained by different engines: {', '.join(parts)}.")
     units = kinds_of_return(data) | (kinds_of_return(beside) if beside else set())
     if returns and len(units) > 1:
         notes.append("Returns of unlike rewards, or of more players, cannot be compared.")
@@ -48,6 +55,11 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
         if at_end < len(runs):
             notes.append(f"{at_end} of {len(runs)} runs of {name} reach the end.")
     return notes
+
+
+def _named(conditions: Sequence[str]) -> str:
+    few = len(conditions) <= MOST_NAMED
+    return "; ".join(conditions) if few else f"{len(conditions)} conditions"
 
 
 def merge_notes(columns: Mapping[str, tuple[StudyData, Iterable[str]]]) -> list[str]:

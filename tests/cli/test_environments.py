@@ -9,6 +9,9 @@ import pytest
 from pneuma.analysis.environments import by_environment, profiles
 from pneuma.api import open_data
 from pneuma.config import as_fields
+from pneuma.figures.curves import curves_page, profile_page
+from pneuma.figures.grid import Page, Panel
+from pneuma.figures.summary import summary_page
 from pneuma.study.identity import config_id, run_id
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
@@ -16,6 +19,7 @@ from pneuma.study.store import Store
 
 from ..hand_made import save_run
 from .calls import call, refused
+from .test_import import WANDB
 
 TOML = """
 title = "Two"
@@ -51,7 +55,8 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         step, random = cell.run.steps, {"random_return": 20.0, "random_spread": 5.0}
         evaluated = {"step": step, "return": RETURNED[cell.condition] + cell.seed, **random}
         fields, config = as_fields(cell.run), config_id(cell.run)
-        save_run(store, run_id(cell.run), [], [], [evaluated], step, "done", fields, config)
+        episode = [{"step": step, "episode": 0, "return": 1.0}]
+        save_run(store, run_id(cell.run), episode, [], [evaluated], step, "done", fields, config)
     return path
 
 
@@ -84,6 +89,40 @@ def test_a_figure_has_a_panel_for_each_environment(study: Path) -> None:
     panels = [part.startswith('id="axes_') for part in (study.parent / "two.svg").read_text().split("<g ")]
     assert sum(panels) == 2
     assert call("study", "plot", study, "--out", "two.svg", "--format", "png").code == 2
+    code, _, told = call("study", "plot", study, "--quantity", "success")
+    assert (code, told.count("\n")) == (2, 2)  # what is shown, and the mistake
+    assert "'success'; known are" in told and "evaluated_return, return" in told
+    assert call("study", "plot", study, "--out", "two.png").code == 0
+    origin = [
+        (run["condition"], run["seeds"]) for run in call("figure", "two.png", "--json").document["runs"]
+    ]
+    assert origin == [(condition, "0..3") for condition in RETURNED]
+
+
+def test_panels_have_the_evaluated_return_and_their_own_names_of_conditions(study: Path) -> None:
+    parts = by_environment(open_data(study))
+    usual, trained, summary = curves_page(parts), curves_page(parts, "return"), summary_page(parts)
+    assert [panel.title for panel in _panels(usual)[:2]] == ["CartPole-v1", "Acrobot-v1"]
+    assert _panels(usual)[0].y == "Return in evaluation" and _panels(trained)[0].y == "Return in training"
+    assert _panels(summary)[0].rows == ["ppo (4)", "a2c (4)"]
+    assert "Conditions were trained by different engines: batched (ppo), sb3 (a2c)." in summary.caption
+
+
+def _panels(page: Page) -> list[Panel]:
+    return [panel for row in page.grid for panel in row if panel]
+
+
+def test_what_logs_beside_a_study_average_is_told(study: Path) -> None:
+    """They have no evaluations, and their environment is not recorded: they are in both panels."""
+    assert call("import", "csv", WANDB).code == 0
+    page = curves_page(by_environment(open_data(study)), beside=open_data("wandb"))
+    assert _panels(page)[0].y == "Return in training"
+    for said in (
+        "Those of wandb average the last 100 episodes.",
+        "The environment of wandb is not recorded.",
+    ):
+        assert said in page.caption
+    assert call("study", "plot", study, "--beside", "wandb", "--out", "beside.png").code == 0
 
 
 def test_a_profile_is_of_the_runs_of_all_environments(study: Path) -> None:
@@ -94,6 +133,10 @@ def test_a_profile_is_of_the_runs_of_all_environments(study: Path) -> None:
     for name, at, share in (("ppo", 0.5, 1), ("ppo", 0.9, 0.5), ("a2c", 0.4, 0.5), ("a2c", 0.9, 0)):
         assert above[name][above[name].index >= at].iloc[0] == share
     assert call("study", "plot", study, "--figure", "profile", "--out", "profile.png").code == 0
+    assert (
+        "0 and 1 are 0 and 100 in CartPole-v1, −500 and −100 in Acrobot-v1."
+        in profile_page(open_data(study), by_environment(open_data(study))).caption[0]
+    )
     told = call("study", "plot", "activation", "--figure", "profile", "--seeds", "100")
     assert told.code == 2
     assert "--figure profile: is over several environments; activation has one" in told.err

@@ -64,6 +64,20 @@ def test_a_study_is_compared_with_logs(trained: Path, logs: Path, tmp_path: Path
     assert "no runs" in refused(*words, *only, *at)
 
 
+@pytest.mark.usefixtures("unshipped")
+def test_of_logs_beside_a_study_the_conditions_that_are_asked_for_are_drawn(
+    trained: Path, logs: Path, tmp_path: Path
+) -> None:
+    at = ("--results", shutil.copytree(trained, tmp_path / "results"))
+    printed("import", "tensorboard", logs, *at)
+    out = tmp_path / "beside.png"
+    printed(
+        "study", "plot", "activation", *SETTINGS, "--condition", "tanh", "--beside", "old", "--out", out, *at
+    )
+    drawn = described("figure", out, "--json")["runs"]
+    assert [(one["study"], one["condition"]) for one in drawn] == [("activation", "tanh"), ("old", "tanh")]
+
+
 # --- CSV ------------------------------------------------------------------------------------------
 
 WANDB = Path(__file__).parents[1] / "data" / "wandb.csv"

@@ -43,7 +43,7 @@ def test_a_study_beside_its_environment_is_trained_told_and_forked(tmp_path: Pat
     told = {row["outcome"]: row["runs"] for row in table if row["condition"] == "sound"}
     assert told["evaluated-return"] == told["final-success"] == 1
     drawn = described("study", "plot", mine, *at, "--format", "svg", "--json")["figures"]
-    assert "random player" not in Path(drawn[0]).read_text()
+    assert "random player (−" in Path(drawn[0]).read_text()  # a return, and no share
     printed("study", "export", mine, *at, "--table", "curves", "--out", tmp_path / "curves.csv")
     assert not any("killed" in row["outcome"] or "hp" in row["outcome"] for row in table)
     done = [run for run in _runs(*at) if run["status"] == "done"]

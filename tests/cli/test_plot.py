@@ -65,3 +65,19 @@ def test_a_figure_tells_its_runs_and_a_command_that_draws_the_same_bytes(
     assert "steps-1024" in drawn.name and drawn.read_bytes() == first.read_bytes()
     shown = call("figure", first).out
     assert told["command"] in shown and tanh["ids"][0] in shown
+
+
+def test_the_command_of_a_figure_names_the_seeds_that_it_shows(
+    plan: Plan, store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    asked = ("study", "plot", "activation", "--world", "text", "--set", "gamma=0.5")
+    for cell in plan.cells:
+        save_finished(store, cell.run)
+    assert call(*asked, "--results", store.root, "--out", "first.png").code == 0
+    for cell in plan.cells:
+        save_finished(store, make_run({**vars(cell.run), "seed": 7}))
+    _, *again = shlex.split(call("figure", "first.png", "--json").document["command"])
+    assert "--seeds 0..1" in " ".join(again)
+    assert call(*again, "--out", "again.png").code == 0
+    assert Path("again.png").read_bytes() == Path("first.png").read_bytes()

@@ -27,8 +27,8 @@ _HALF = dict.fromkeys(METRIC_COLUMNS, 0.5)
 class HandMade:
     """A results folder that is filled by hand, with a study called 'mine' that lists its runs."""
 
-    def __init__(self, folder: Path) -> None:
-        self.store = Store(folder / "results")
+    def __init__(self, folder: Path, env: str = "pneuma/Pneuma-v0") -> None:
+        self.store, self.fields = Store(folder / "results"), {"env": env}
         self.cells: dict[tuple[str, int], str] = {}
 
     def add(
@@ -40,6 +40,7 @@ class HandMade:
         status: str = "done",
         run_id: str = "",
         random: float = 0.04,
+        returned: float = float("nan"),
     ) -> None:
         """Store a run that finished an episode every 50 steps and was evaluated every 250."""
         self.cells[condition, seed] = run_id = run_id or make_id(condition, seed)
@@ -49,10 +50,11 @@ class HandMade:
             {**_HALF, "step": 50 * (k + 1), "grad_norm": 10.0 ** (k % 4 + seed)} for k in range(20)
         ]
         levels = {"random_share_killed": random, "score": 0.5, "argmax_share_killed": 0.5}
+        levels |= {"random_return": returned, "return": returned}
         evaluated = [
             {**levels, "step": 250 * (k + 1), "share_killed": share} for k, share in enumerate(evaluations)
         ]
-        save_run(self.store, run_id, told, updates, evaluated, BUDGET, status)
+        save_run(self.store, run_id, told, updates, evaluated, BUDGET, status, self.fields)
 
     @property
     def data(self) -> StudyData:

@@ -15,6 +15,8 @@ from PIL import Image
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
+from pneuma.figures.curves import curves_page
+from pneuma.figures.grid import save_page
 
 from .hand_made import BUDGET, HandMade, legend, words
 
@@ -49,7 +51,32 @@ def test_every_run_of_another_study_is_drawn_beside(
     alone, beside = (figure.axes[0] for figure in drawn)
     assert path.stem == f"mine-{quantity}-beside-other"
     assert len(beside.lines) == len(alone.lines) + 4
-    assert "Another in the text's world (4)" in legend(drawn[1])
+    assert "tanh, Another in the text's world (2)" in legend(drawn[1])  # in the colour of tanh
+    dashed = {line.get_color() for line in beside.lines if line.get_linestyle() == "--"}
+    assert dashed >= {"C0", "C1"}
+
+
+def test_runs_beside_are_of_the_same_environment_or_not_drawn(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    other = HandMade(tmp_path / "other", "CartPole-v1")
+    other.add("tanh", 0)
+    with pytest.raises(UserError, match="--beside mine: its runs are of CartPole-v1, and not of pneuma/Pneu"):
+        study.draw(tmp_path, beside=other.data)
+    both = curves_page({"One": study.data, "Other": other.data}, "return", "both", beside=other.data)
+    save_page(both, tmp_path, ("svg",))
+    one, beside = drawn[0].axes
+    assert [any(line.get_linestyle() == "--" for line in axes.lines) for axes in (one, beside)] == [
+        False,
+        True,
+    ]
+
+
+def test_the_random_players_return_is_no_share(tmp_path: Path, drawn: list[Figure]) -> None:
+    study = HandMade(tmp_path, "CartPole-v1")
+    study.add("tanh", 0, returned=22.0)
+    study.draw(tmp_path, quantities="evaluated_return")
+    assert legend(drawn[0])[-1] == "random player (22)"
 
 
 def test_no_word_reaches_over_the_edge(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:

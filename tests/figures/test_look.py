@@ -82,6 +82,26 @@ def test_a_figure_has_the_size_and_title_that_are_asked_for(
         assert text.get_window_extent().x1 <= figure.bbox.x1
 
 
+def test_columns_of_worlds_go_below_each_other_where_they_do_not_fit(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    page = curves_page({"One world": study.data, "Another world": study.data}, "return")
+    for width in (7.0, 3.0):
+        save_page(page, tmp_path, PNG, look=Look(width=width))
+    beside, below = ([*figure.axes] for figure in drawn)
+    assert len({round(axes.get_position().y0, 3) for axes in beside}) == 1
+    assert [axes.get_ylabel() for axes in beside] == ["Return in training", ""]
+    assert len({round(axes.get_position().x0, 3) for axes in below}) == 1
+    for axes in below:
+        assert (axes.get_ylabel(), axes.get_xlabel()) == ("Return in training", "Environment steps")
+    assert drawn[1].get_size_inches()[1] > 1.5 * drawn[0].get_size_inches()[1]
+
+
+def test_too_low_a_plain_figure_is_not_told_to_be_plain(study: HandMade, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"at least \d\.\d inches$"):
+        save_page(curves_page(study.data), tmp_path, PNG, look=Look(height=1, plain=True))
+
+
 def test_a_plain_figure_has_a_legend_and_no_other_words(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:

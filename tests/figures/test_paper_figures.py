@@ -11,6 +11,7 @@ from pneuma.analysis.run_index import RunIndex
 from pneuma.config import make_run
 from pneuma.figures.origin import Origin, read_origin
 from pneuma.figures.style import save_figure
+from pneuma.presets import WORLDS
 from pneuma.study.plan import configure
 from pneuma.study.published import encode_published
 from pneuma.study.row_builder import stored_row
@@ -33,8 +34,11 @@ def little_to_draw(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def published(study: HandMade, tmp_path: Path) -> Path:
+def published(tmp_path: Path) -> Path:
     """A results folder with two published tables alone: of a shipped study, and of one without a file."""
+    study = HandMade(tmp_path, WORLDS["arena"].env)
+    for condition, seed in (("tanh", 0), ("tanh", 1), ("relu", 0), ("relu", 1)):
+        study.add(condition, seed)
     fresh, trained = Store(tmp_path / "fresh"), Store(tmp_path / "trained")
     publish(study.data, fresh)
     conditions = configure(load_study("activation"), {}, ("tanh", "relu")).runs
