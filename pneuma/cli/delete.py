@@ -42,8 +42,8 @@ def delete_study(name: opt.Study, picked: opt.StoredFilter, yes: Yes = False) ->
         every = find_study(index, name, replace(picked.selection, conditions=()), picked.world)
         every = replace(every, runs=every.runs[every.runs["where"] == ""])
         noted = index.store.noted_steps(study.name).get(study.variant, [])
-        gone = [steps for steps in noted if {*runs_of_budget(every, steps)["run_id"]} <= here]
-        index.store.forget_steps(study.name, study.variant, gone)
+        left = [steps for steps in noted if {*runs_of_budget(every, steps)["run_id"]} - here]
+        index.store.note_steps(study.name, study.variant, left)
     return result
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, Table, check_file, say, write_file
+from pneuma.cli.output import Result, Table, check_file, nothing_yet, say, write_file
 from pneuma.study.store import Store
 
 app = opt.Commands("", "")
@@ -24,7 +24,7 @@ def report(
     """Write verdicts, figures, numbers, settings and runs as one HTML page that opens offline."""
     check_file(out, (".html", ".htm"), force)
     store, tell = Store(results), partial(say, quiet=quiet)
-    if lacking := store.nothing_yet:
+    if lacking := nothing_yet(store):
         tell(f"Note: {lacking}.")
     from pneuma.figures.report import report_page
     from pneuma.figures.report_data import gather_report

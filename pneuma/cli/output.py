@@ -279,5 +279,12 @@ def keep_files(store: Store, out: Path | None, draw: Callable[[Path], Iterable[P
     return paths
 
 
+def nothing_yet(store: Store) -> str:
+    """Say that no run is stored or published in a results folder; empty if there is one."""
+    known = store.runs() or store.published(shipped=False)
+    run = "run `pneuma study run activation` first"
+    return "" if known else f"no study was run or published in {store.root} yet: {run}"
+
+
 def wrote(files: Iterable[Path]) -> list[str]:
     return [f"wrote {path}" for path in files]

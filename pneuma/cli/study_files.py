@@ -14,6 +14,7 @@ from pneuma.cli.output import (
     check_file,
     command,
     draw_files,
+    nothing_yet,
     read_formats,
     rows_result,
     say,
@@ -101,7 +102,7 @@ def plot(
         options = "--quantity, --band, --window, --x, --center, --beside and --log"
         raise UserError(f"{options}: are of --figure curves")
     formats, store = read_formats(asked.formats, out), picked.store
-    if not names and (lacking := store.nothing_yet):
+    if not names and (lacking := nothing_yet(store)):
         raise UserError(lacking)
     from pneuma.analysis.environments import by_environment
     from pneuma.figures.curves import curves_page, profile_page

@@ -71,7 +71,10 @@ def prepare(
     elif plan.steps:
         if plan.study.own_path:
             store.write(store.studies / plan.study.path.name, read_whole(plan.study.path))
-        store.note_steps(plan.study.name, plan.study.variant, plan.steps)
+        before = store.noted_steps(plan.study.name).get(plan.study.variant, [])
+        steps = [*(each for each in before if each != plan.steps), plan.steps]
+        if steps != before:
+            store.note_steps(plan.study.name, plan.study.variant, steps)
     return todo, _notes(plan, statuses, todo)
 
 

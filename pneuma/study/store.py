@@ -24,7 +24,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
@@ -308,27 +308,18 @@ class Store:
     def studies(self) -> Path:
         return self.root / "studies"
 
-    @property
-    def nothing_yet(self) -> str:
-        """What is said if no run is stored or published here; empty otherwise."""
-        if self.runs() or self.published(shipped=False):
-            return ""
-        return f"no study was run or published in {self.root} yet: run `pneuma study run activation` first"
-
     def listings(self) -> list[str]:
         names = names_in(self.studies)
         return [name.removesuffix(".json") for name in names if re.fullmatch(r"[^.].*\.json", name)]
 
-    def note_steps(self, study: str, variant: str, steps: int) -> None:
-        """Note that a study, in a world and with changed fields, was run with so many steps."""
-        before = self.noted_steps(study).get(variant, [])
-        if before[-1:] != [steps]:
-            self._write_steps(study, {variant: [*(each for each in before if each != steps), steps]})
-
-    def forget_steps(self, study: str, variant: str, steps: Collection[int]) -> None:
-        """Take back what `note_steps` noted."""
-        before = self.noted_steps(study).get(variant, [])
-        self._write_steps(study, {variant: [each for each in before if each not in steps]})
+    def note_steps(self, study: str, variant: str, steps: Sequence[int]) -> None:
+        """Note the steps that a study in a world, with changed fields, was run with; none to forget it."""
+        path, noted = self._noted_path(study), self.noted_steps(study)
+        changed = {name: each for name, each in {**noted, variant: [*steps]}.items() if each}
+        if changed:
+            self.write(path, dump_checksummed(changed))
+        else:
+            path.unlink(missing_ok=True)
 
     def noted_studies(self) -> list[str]:
         """Return the names of studies with a file that were run here."""
@@ -337,16 +328,9 @@ class Store:
     def noted_steps(self, study: str) -> dict[str, list[int]]:
         """Return the steps that each variant of a study was run with here, the last ones at the end."""
         noted = load_checksummed(self._noted_path(study)) or {}
-        listed = {variant: steps if isinstance(steps, list) else [steps] for variant, steps in noted.items()}
-        whole = {variant: [each for each in steps if type(each) is int] for variant, steps in listed.items()}
-        return {variant: steps for variant, steps in whole.items() if steps and variant != "schema"}
-
-    def _write_steps(self, study: str, changed: Mapping[str, list[int]]) -> None:
-        noted = {variant: each for variant, each in {**self.noted_steps(study), **changed}.items() if each}
-        if noted:
-            self.write(self._noted_path(study), dump_checksummed(noted))
-        else:
-            self._noted_path(study).unlink(missing_ok=True)
+        noted.pop("schema", None)
+        listed = {name: each if isinstance(each, list) else [each] for name, each in noted.items()}
+        return {name: each for name, each in listed.items() if all(type(steps) is int for steps in each)}
 
     def _noted_path(self, study: str) -> Path:
         return self.root / "last" / f"{study}.json"

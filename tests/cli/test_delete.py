@@ -18,7 +18,8 @@ from .calls import call, described, refused, save_finished
 def _finish(store: Store, study: str, **selection: Any) -> dict[str, list[str]]:
     """Store some runs of a study as its own `study run` leaves them; return their ids by condition."""
     plan = make_plan(load_study(study), Selection(**selection))
-    store.note_steps(study, plan.study.variant, plan.steps)
+    noted = store.noted_steps(study).get(plan.study.variant, [])
+    store.note_steps(study, plan.study.variant, [*noted, plan.steps])
     found: dict[str, list[str]] = {}
     for cell in plan.cells:
         found.setdefault(cell.condition, []).append(save_finished(store, cell.run))

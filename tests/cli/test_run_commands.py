@@ -30,7 +30,7 @@ def store(plan: Plan, store: Store, monkeypatch: pytest.MonkeyPatch, unshipped: 
     monkeypatch.setenv("PNEUMA_RESULTS", str(store.root))
     for cell in plan.cells:
         save_finished(store, cell.run, **MACHINE)
-    store.note_steps("activation", "text", 640)
+    store.note_steps("activation", "text", [640])
     return store
 
 
@@ -54,7 +54,7 @@ def test_list_tells_every_run_once_with_the_studies_that_ask_for_it(
     assert documents[leaky]["status"] == "damaged"
     assert "No run is stored" in printed("run", "list", "--results", tmp_path / "none")
     (run_id,) = [save_finished(store, make_run({**vars(plan.cells[0].run), "gamma": 0.5, "steps": 256}))]
-    store.note_steps("activation", "text --set=gamma=0.5", 256)
+    store.note_steps("activation", "text --set=gamma=0.5", [256])
     (own,) = (row for row in described("run", "list", "--json")["runs"] if row["run_id"] == run_id)
     assert [(each["condition"], each["settings"]) for each in own["studies"]] == [("relu", {"gamma": 0.5})]
 

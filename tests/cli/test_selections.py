@@ -25,7 +25,8 @@ def _finish(
     """Store some runs of a study as done, trained by its own `study run` or another's; return their ids."""
     plan = make_plan(load_study(study, world), Selection(**{"conditions": ("tanh", "relu"), **selection}))
     if noted:
-        store.note_steps(plan.study.name, plan.study.variant, plan.steps)
+        before = store.noted_steps(plan.study.name).get(plan.study.variant, [])
+        store.note_steps(plan.study.name, plan.study.variant, [*before, plan.steps])
     return [save_finished(store, cell.run) for cell in plan.cells]
 
 
