@@ -250,15 +250,16 @@ def _draw(axes: Axes, column: Column, name: str) -> None:
 def _draw_beside(axes: Axes, curves: Sequence[Curve], data: StudyData, colours: Mapping[str, str]) -> None:
     """Draw the runs of another study: in the colours of conditions that have their names, or else in grey."""
     look: Any = {"linewidth": 0.7, "linestyle": (0, (3, 1)), "zorder": 1.3}
-    look["alpha"] = min(1.0, MANY_RUNS / len(data.runs))
+    alpha = min(1.0, MANY_RUNS / len(data.runs))
     unlike = [curve for curve in curves if curve.condition not in colours]
     for curve in curves:
         if colour := colours.get(curve.condition):
-            label = f"{curve.condition}, {data.full_title} ({curve.runs.shape[1]})"
-            axes.plot(curve.runs, label=label, color=colour, **look)
+            name = data.study.labels.get(curve.condition, curve.condition)
+            label = f"{name}, {data.full_title} ({curve.runs.shape[1]})"
+            axes.plot(curve.runs, label=label, color=colour, alpha=0.6 * alpha, **look)
             continue
         label = f"{data.full_title} ({sum(each.runs.shape[1] for each in unlike)})"
-        axes.plot(curve.runs, label=label, color=BESIDE_COLOUR, **look)
+        axes.plot(curve.runs, label=label, color=BESIDE_COLOUR, alpha=alpha, **look)
         if len(unlike) <= MOST_BESIDE:
             _name_end(axes, curve.frame(), curve.condition, BESIDE_COLOUR)
 
