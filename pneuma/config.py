@@ -393,3 +393,8 @@ def stream_seed(stream: str, purpose: str, slot: int = 0) -> int:
     """
     digest = hashlib.sha256(f"{stream}/{purpose}/{slot}".encode()).digest()
     return int.from_bytes(digest[:8], "little")
+
+
+def slot_seeds(run: Run) -> list[int]:
+    """Return the seed of each slot's worlds in training."""
+    return [stream_seed(run.stream, "world", slot) for slot in range(run.slots)]

@@ -1,6 +1,6 @@
 """The interface between engines and environments.
 
-    run → check_environment; make_vec_env, make_evaluation
+    run → check_environment, able_engine; make_vec_env
 
 There are two implementations: one for Pneuma's own worlds, and one for all other Gymnasium environments
 (`gymnasium_env.py`). Heavy modules are imported only when needed, as each engine needs a part of them.
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pneuma.config import ENGINES, Run, env_config, is_gymnasium_id, is_open, stream_seed
+from pneuma.config import ENGINES, Run, env_config, is_gymnasium_id, is_open, slot_seeds
 
 
 def check_environment(run: Run) -> None:
@@ -51,18 +51,3 @@ def make_vec_env(run: Run) -> Any:
     env = PneumaVecEnv(slot_seeds(run), env_id=run.env, **vars(env_config(run)))
     env.keep_finished = True
     return env
-
-
-def make_evaluation(run: Run) -> Any:
-    """Return the evaluation of a run's policies, with a method `evaluate(policy, step)`."""
-    if is_gymnasium_id(run.env):
-        from pneuma.engines.gymnasium_evaluation import Evaluation as Foreign
-
-        return Foreign(run)
-    from pneuma.engines.evaluation import Evaluation
-
-    return Evaluation(run)
-
-
-def slot_seeds(run: Run) -> list[int]:
-    return [stream_seed(run.stream, "world", slot) for slot in range(run.slots)]

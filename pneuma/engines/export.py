@@ -22,9 +22,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from pneuma.config import Run, env_config, is_gymnasium_id
 from pneuma.engines.gymnasium_env import make_env
-from pneuma.engines.mlp import LEAKY_SLOPE
 from pneuma.engines.normalization import CLIP, EPSILON, Scaling
-from pneuma.engines.policy import Layers, Policy
+from pneuma.engines.policy import LEAKY_SLOPE, Layers, Policy
 from pneuma.engines.sb3_learners import linear_layers, make_model
 from pneuma.env.fields import REWARDS
 from pneuma.env.worlds import Worlds

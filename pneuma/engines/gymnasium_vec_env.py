@@ -9,8 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
-from pneuma.config import Run
-from pneuma.engines.environment import slot_seeds
+from pneuma.config import Run, slot_seeds
 from pneuma.engines.gymnasium_env import GymnasiumSlots, choices_of
 from pneuma.env.sb3 import WholeVecEnv
 

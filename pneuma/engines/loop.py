@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from pneuma.config import Run, is_gymnasium_id, is_open, stream_seed
-from pneuma.engines.environment import make_evaluation
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
 from pneuma.env.fields import ENVIRONMENTS, own_rewards
@@ -80,7 +79,9 @@ class Trainer(ABC):
 
     @cached_property
     def _evaluation(self) -> Any:
-        return make_evaluation(replace(self.run, evaluation_episodes=evaluation_episodes(self.run)))
+        name = "gymnasium_evaluation" if is_gymnasium_id(self.run.env) else "evaluation"
+        kind = import_module(f"pneuma.engines.{name}").Evaluation  # imported only when it is needed
+        return kind(replace(self.run, evaluation_episodes=evaluation_episodes(self.run)))
 
     def evaluate(self, step: int) -> Row:
         return self._evaluation.evaluate(self.policy(), step)

@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 
-from pneuma.engines.policy import Layers, sizes
+from pneuma.engines.policy import LEAKY_SLOPE, Layers, sizes
 from pneuma.env.compiling import cached, inlined, typed_arrays, typed_codegen, typed_intrinsic, typed_void
 
 ACTIVATION_CODES = {"tanh": 0, "relu": 1, "leaky-relu": 2}
 
-LEAKY_SLOPE = 0.01
 """Slope of LeakyReLU below zero (thesis section 6.2)."""
 ROWS, COLUMNS, LANES = 4, 16, 8
 """Outputs of a tile, whose sums fit into the registers of a processor with vectors of `LANES` numbers."""

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 POLICY_FILE = "policy.safetensors"
 
+LEAKY_SLOPE = 0.01
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
 """Weight (inputs, outputs) and bias (outputs,) of each layer, float32.
 
@@ -287,8 +288,6 @@ def activate(activation: str, x: np.ndarray) -> np.ndarray:
         return np.tanh(x)
     if activation == "relu":
         return np.maximum(x, 0)
-    from pneuma.engines.mlp import LEAKY_SLOPE  # imports numba, which reading policies does not need
-
     return np.where(x > 0, x, x * np.float32(LEAKY_SLOPE))
 
 

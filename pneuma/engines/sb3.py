@@ -19,8 +19,8 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from torch import nn
 
-from pneuma.config import Run
-from pneuma.engines.environment import make_vec_env, slot_seeds
+from pneuma.config import Run, slot_seeds
+from pneuma.engines.environment import make_vec_env
 from pneuma.engines.gymnasium_env import choices_of
 from pneuma.engines.loop import ResumableTrainer, begins_fork
 from pneuma.engines.policy import Policy, dead_share, overflows

@@ -23,8 +23,7 @@ from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
 from pneuma.algorithms import OPEN_LEARNERS
-from pneuma.config import Run, stream_seed
-from pneuma.engines.environment import slot_seeds
+from pneuma.config import Run, slot_seeds, stream_seed
 from pneuma.engines.gymnasium_env import blamed, load_class, make_env
 from pneuma.engines.gymnasium_evaluation import BEST_EPISODES, Evaluation
 from pneuma.engines.loop import Trainer

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from pneuma.config import Run, make_run
+from pneuma.config import Run, make_run, slot_seeds
 from pneuma.engines import gymnasium_env
-from pneuma.engines.environment import check_environment, slot_seeds
+from pneuma.engines.environment import check_environment
 from pneuma.engines.gymnasium_env import GymnasiumSlots, make_env
 from pneuma.engines.gymnasium_evaluation import Evaluation
 from pneuma.engines.policy import Policy, read_sound_policy

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from pneuma.config import Run
-from pneuma.engines.environment import slot_seeds
+from pneuma.config import Run, slot_seeds
 from pneuma.engines.gymnasium_env import GymnasiumSlots
 from pneuma.engines.normalization import Scaling
 from pneuma.engines.sb3 import extract_policy

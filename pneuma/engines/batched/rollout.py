@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pneuma.config import Run, env_config, stream_seed
-from pneuma.engines.environment import slot_seeds
+from pneuma.config import Run, env_config, slot_seeds, stream_seed
 from pneuma.engines.gymnasium_env import GymnasiumSlots
 from pneuma.engines.mlp import Network, choose, forward, network, room
 from pneuma.engines.normalization import Scaling

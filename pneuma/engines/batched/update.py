@@ -23,7 +23,7 @@ import numpy as np
 
 from pneuma.config import ANNEALED, Run, stream_seed
 from pneuma.engines.batched.optimizers import STEPS
-from pneuma.engines.mlp import LEAKY_SLOPE
+from pneuma.engines.policy import LEAKY_SLOPE
 
 Tree = Any
 JOINED_BELOW = 2**18
