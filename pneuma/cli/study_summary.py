@@ -133,7 +133,9 @@ def compare(
         basename = replace(data, narrowed=narrowed).basename("compare", *(heads if b else heads[1:]))
         words = ["compare", name, *([a, b] if a and b else ["--with", str(with_)]), "--plot"]
         words += [word for each in outcome or () for word in ("--outcome", each)]
-        again = command("study", *words, *opt.words_of(replace(picked, steps=data.steps or picked.steps)))
+        seeds = tuple({*data.runs["seed"]})  # whatever is trained later
+        shown = replace(picked, steps=data.steps or picked.steps, seeds=seeds, condition=None)
+        again = command("study", *words, *opt.words_of(shown))
         files = draw_files(picked.store, out, formats, [(comparison_page(data, table, basename), again)])
     legend = (
         "Means and their difference with a 95 % interval (Welch), each rounded by itself. P(better): the",
