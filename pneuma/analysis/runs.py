@@ -111,6 +111,10 @@ def choose_runs(index: RunIndex, data: StudyData, picked: Selection = ALL) -> St
     tried = runs["run_id"].isin(index.trials)
     if picked.seeds is None and not tried.all():  # a winner looks better by the runs that chose it
         data = replace(data, runs=runs[~tried])
+    of_search = []
+    if len(data.runs) < len(runs):
+        seeds = shown_seeds(runs["seed"][tried])
+        of_search = [f"{counted(int(tried.sum()), 'run')} of a search's trials (--seeds {seeds})"]
     budgets, last_here = _by_budget(data), False
     if picked.steps is None:
         having = {
@@ -125,16 +129,14 @@ def choose_runs(index: RunIndex, data: StudyData, picked: Selection = ALL) -> St
         budgets, budget = {**budgets, picked.steps: chosen}, picked.steps
     else:
         known = ", ".join(f"{steps:,}" for steps in budgets)
-        raise UserError(f"--steps {picked.steps}: {data.where} has runs of {known} steps")
+        known = "; ".join([f"{known} steps", *of_search])
+        raise UserError(f"--steps {picked.steps}: {data.where} has runs of {known}")
     shown, others = budgets[budget], []
     for steps, each in sorted(budgets.items(), key=lambda each: -len(each[1])):
         if not each.equals(shown):
             published = ", published" if (each["where"] != "").all() else ""
             others.append(f"{counted(len(each), 'run')} of {steps:,} steps{published} (--steps {steps})")
-    if len(data.runs) < len(runs):
-        seeds = shown_seeds(sorted({*runs["seed"][tried].tolist()}))
-        others.append(f"{counted(int(tried.sum()), 'run')} of a search's trials (--seeds {seeds})")
-    others += _elsewhere(index, study)
+    others += of_search + _elsewhere(index, study)
     if any(map(own_files, data.fields.values())) and not picked.any_version:
         others += _earlier(index, data)
     chosen_data = replace(data, runs=shown, steps=budget, others=others, last_here=last_here)

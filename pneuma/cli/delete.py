@@ -35,11 +35,13 @@ def delete_study(name: opt.Study, picked: opt.StoredFilter, yes: Yes = False) ->
     kept = here & others.keys()
     notes = [f"Note: kept, as {others[min(kept)]} has them too: {counted(len(kept), 'run')}."] if kept else []
     result = _delete(index.store, sorted(here - kept), yes, notes, data.text(index.store.root))
+    if {*result.document["removed"]} != here - kept:
+        return result  # nobody agreed
+    every = find_study(index, name, replace(picked.selection, conditions=()), picked.world)
     if study.path is None:
-        if len(result.document["removed"]) == len(data.runs):
-            index.store.listing_path(name).unlink()
-    elif {*result.document["removed"]} == here - kept:
-        every = find_study(index, name, replace(picked.selection, conditions=()), picked.world)
+        if {*every.runs["run_id"]} <= here:
+            index.store.listing_path(study.name).unlink(missing_ok=True)
+    else:
         every = replace(every, runs=every.runs[every.runs["where"] == ""])
         noted = index.store.noted_steps(study.name).get(study.variant, [])
         left = [steps for steps in noted if {*runs_of_budget(every, steps)["run_id"]} - here]

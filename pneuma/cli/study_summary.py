@@ -11,6 +11,7 @@ from pneuma.cli.output import Result, Table, command, draw_files, frame_table, r
 from pneuma.errors import UserError, counted
 from pneuma.presets import WORLDS
 from pneuma.study.spec import load_study
+from pneuma.values import shown_seeds
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -221,13 +222,20 @@ def _refuse_empty_arms(picked: opt.StoredFilter, name: str, data: StudyData) -> 
     """Refuse a comparison with a condition that has no runs of the steps that are shown."""
     from pneuma.analysis.runs import find_study
 
+    every = find_study(picked.index, name, picked.selection, picked.world).finished
+    steps = f" of {data.steps:,} steps" if data.steps else ""
+    seeds = f" with --seeds {shown_seeds(picked.seeds)}" if picked.seeds else ""
     for condition in data.conditions:
         if not data.of_condition(condition):
-            every = find_study(picked.index, name, picked.selection, picked.world).runs
-            counts = every["steps"][every["condition"] == condition].value_counts()
-            found = [f"{counted(n, 'run')} of {steps:,} (--steps {steps})" for steps, n in counts.items()]
+            found = []
+            for amount, runs in every[every["condition"] == condition].groupby("steps"):
+                options = [f"--steps {amount}"] if amount != data.steps else []
+                tried = not picked.index.trials.isdisjoint(runs["run_id"])
+                options += [f"--seeds {shown_seeds(runs['seed'])}"] if seeds or tried else []
+                told = f"{counted(len(runs), 'run')} of {amount:,} ({' '.join(options)})"
+                found += [told] if options else []  # without any, they are damaged
             known = f"; it has {', '.join(found)}" if found else ""
-            raise UserError(f"{condition}: no run of {data.steps or 0:,} steps has finished{known}")
+            raise UserError(f"{condition}: no run{steps}{seeds} has finished{known}")
 
 
 def _common_text(data: StudyData, pairs: Iterable[tuple[str, str]]) -> Iterator[str]:

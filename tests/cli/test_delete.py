@@ -66,6 +66,17 @@ def test_only_runs_of_the_steps_that_are_asked_for_are_removed(store: Store) -> 
     assert len(store.runs()) == 1
 
 
+def test_a_study_without_a_file_goes_with_the_last_of_its_runs(store: Store) -> None:
+    ids = _finish(store, "activation", seeds=(0, 1), steps=1024, conditions=("tanh",))["tanh"]
+    runs = [{"run_id": run_id, "condition": "tanh", "seed": seed} for seed, run_id in enumerate(ids)]
+    store.save_listing("logs", {"title": "Logs", "baseline": "tanh", "runs": runs})
+    store.note_steps("activation", "arena", [])
+    words = ("study", "delete", "logs", "--yes", "--json", "--results", store.root)
+    assert described(*words, "--seeds", "0,")["removed"] == ids[:1]
+    assert store.listings() == ["logs"] and described(*words)["removed"] == ids[1:]
+    assert store.listings() == []
+
+
 def test_a_run_is_removed_by_its_id_unless_it_trains(store: Store) -> None:
     (cell,) = make_plan(load_study("activation"), Selection("quick", (0,), conditions=("tanh",))).cells
     run_id = cell.run_id

@@ -61,6 +61,19 @@ def test_the_budget_that_was_last_trained_here_is_shown_and_the_others_are_told(
 
 
 @pytest.mark.usefixtures("unshipped")
+def test_runs_of_a_searchs_trials_are_told_and_shown_by_their_seeds(store: Store) -> None:
+    tried = _finish(store, seeds=(1000, 1001), steps=1024, conditions=("tanh",))
+    runs = [{"run_id": run_id, "condition": "trial-000", "seed": seed} for seed, run_id in enumerate(tried)]
+    store.save_listing("search-x", {"title": "x", "baseline": "trial-000", "runs": runs})
+    assert _ask(store, "activation")[0] == tried  # there are no others
+    own = _finish(store, seeds=(0,), steps=2048)
+    assert _ask(store, "activation")[0] == own
+    assert _ask(store, "activation", seeds=(1000, 1001))[0] == tried
+    told = refused("study", "status", "activation", "--steps", "1024", "--results", store.root)
+    assert "has runs of 2,048 steps; 2 runs of a search's trials (--seeds 1000..1001)" in told
+
+
+@pytest.mark.usefixtures("unshipped")
 def test_a_document_and_data_tell_which_runs_they_are_of(store: Store) -> None:
     _finish(store, seeds=(0, 3), steps=2048, settings={"gamma": 0.5})
     words = ("study", "summary", "activation", "--set", "gamma=0.5", "--json", "--results", store.root)
@@ -206,6 +219,9 @@ def test_a_comparison_is_of_steps_that_both_have_and_says_what_is_the_same(store
     code, _, told = call(*words, "leaky-relu", "relu")
     lacks = "relu: no run of 2,048 steps has finished; it has 1 run of 1,024 (--steps 1024)"
     assert code == 2 and lacks in told
+    told = call(*words, "tanh", "leaky-relu", "--steps", "1024", "--seeds", "0,").err
+    lacks = "no run of 1,024 steps with --seeds 0 has finished; it has 2 runs of 2,048"
+    assert f"leaky-relu: {lacks} (--steps 2048 --seeds 0..1)" in told
     same = call(*words, "tanh", "tanh, gamma=0.99", "--steps", "1024")
     assert same.code == 0
     assert "tanh and tanh, gamma=0.99 are the same settings, and have 1 run in common" in same.out
