@@ -132,7 +132,8 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         for slot in np.flatnonzero(over).tolist():
             info = ending_info(self.state, slot)
             if self.autoreset_mode == AutoresetMode.SAME_STEP:
-                info["action_mask"] = self.slots.masks[slot]
-                info = {"final_obs": self.slots.observations[slot], "final_info": info}
+                world, player = divmod(slot, self.slots.players)
+                info["action_mask"] = self.state.masks[world, player].copy()
+                info = {"final_obs": self.state.observations[world, player].copy(), "final_info": info}
             infos = self._add_info(infos, info, slot)
         return infos

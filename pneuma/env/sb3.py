@@ -133,7 +133,7 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
             place = {"slot": slot, "episode": int(book["episodes"]) - 1}
             step = int(self._steps_taken[0]) * self.num_envs
             self.finished.append({**place, "step": step, "return": total, "length": length, **info})
-        info["terminal_observation"] = self.slots.observations[slot]
+        info["terminal_observation"] = self.state.observations[divmod(slot, self.slots.players)].copy()
         info["TimeLimit.truncated"] = bool(self.slots.truncated[slot])
         info["episode"] = {"r": total, "l": length}
         return info

@@ -67,6 +67,7 @@ def slots_story(env: Any, players: int, moves: np.ndarray) -> Story:
         else:
             ended, cut, infos = rest
             last = {slot: infos["final_obs"][slot] for slot in np.flatnonzero(ended | cut).tolist()}
+        assert all(each.base is None for each in last.values()), "who keeps one keeps all slots'"
         slots = np.flatnonzero(playing).tolist()
         yield {slot: (last.get(slot, seen[slot]), rewards[slot], ended[slot], cut[slot]) for slot in slots}
         playing &= ~(ended | cut)
