@@ -104,6 +104,9 @@ class StudyData:
         parts = [f"{self.where}: {counted(len(self.runs), 'run')}"]
         parts += [f"of {self.steps:,} steps"] if self.steps else []
         parts += [f"({origin})" if published else f"({here})"] if published or self.steps else []
+        own = {config_id(run) for run in self.configurations.values()}
+        if other := int((~self.runs["config_id"].isin(own)).sum()) if own else 0:
+            parts[-1] += f", {other} of another version"
         return " ".join(parts) + "." + self._other_runs()
 
     def _other_runs(self) -> str:

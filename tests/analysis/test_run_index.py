@@ -202,7 +202,8 @@ def test_a_results_folder_alone_has_a_study_of_ones_own_and_a_changed_module_is_
     said: list[str] = []
     assert len(open_study(RunIndex(store), "mine", say=said.append).runs) == 1
     assert "1 run of another version of of_mine_alone (--any-version)" in said[0]
-    assert [*open_study(RunIndex(store), "mine", both).runs["seed"]] == [0, 1]
+    assert [*open_study(RunIndex(store), "mine", both, say=said.append).runs["seed"]] == [0, 1]
+    assert said[1] == "mine: 2 runs of 256 steps (as last run here), 1 of another version."
     module.unlink()
     with pytest.raises(UserError, match="of_mine_alone is not found, by which its runs are known; run"):
         open_study(RunIndex(store), "mine")
