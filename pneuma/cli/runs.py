@@ -17,7 +17,7 @@ from pneuma.sb3_names import own_fields
 from pneuma.study.fork import Change, plan_fork
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import default_settings, find_run, run_files, stored_settings, trusted_settings
-from pneuma.values import shown_value
+from pneuma.values import shown_settings, shown_value
 
 if TYPE_CHECKING:
     from pneuma.analysis.run_index import RunIndex
@@ -37,7 +37,7 @@ def list_(results: opt.Results = opt.HERE) -> Result:
     runs = [{**run, "studies": labels.get(run["run_id"], [])} for run in rows_of(here)]
     rows = []
     for run in runs:
-        studies = ", ".join(f"{each['study']}/{each['condition']}" for each in run["studies"])
+        studies = ", ".join(f"{each['study']}/{_condition(each)}" for each in run["studies"])
         amount = f"{run['step']:>12,} steps", f"seed {run['seed']}"
         rows.append((run["run_id"], run["status"], *amount, studies or "of no study"))
     nothing = f"No run is stored in {results} yet."
@@ -57,6 +57,13 @@ def _labels(index: RunIndex) -> dict[str, list[dict[str, Any]]]:
             label = {**about, "condition": run["condition"], "seed": run["seed"]}
             found.setdefault(run["run_id"], []).append(label)
     return found
+
+
+def _condition(label: Mapping[str, Any]) -> str:
+    """Return a condition with the fields that were changed, unless its name tells them."""
+    settings, condition = label.get("settings", {}), label["condition"]
+    changed = {key: value for key, value in settings.items() if f"{key}=" not in condition}
+    return condition + (f" with {shown_settings(changed)}" if changed else "")
 
 
 @app.command(short_help="Show what produced a stored run.")
@@ -81,7 +88,7 @@ def show(
         detail = f" ({status.detail})" if status.detail else ""
         yield f"run {run_id}: {status.name}{detail}, {status.step:,} steps trained"
         for study in held:
-            yield f"study {study['study']}, condition {study['condition']}, seed {study['seed']}"
+            yield f"study {study['study']}, condition {_condition(study)}, seed {study['seed']}"
         yield ""
         yield "Fields" if all_ else "Fields that are not at their defaults (--all shows the others)"
         for key, value in (settings if all_ else differing).items():

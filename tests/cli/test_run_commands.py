@@ -57,6 +57,8 @@ def test_list_tells_every_run_once_with_the_studies_that_ask_for_it(
     store.note_steps("activation", "text --set=gamma=0.5", [256])
     (own,) = (row for row in described("run", "list", "--json")["runs"] if row["run_id"] == run_id)
     assert [(each["condition"], each["settings"]) for each in own["studies"]] == [("relu", {"gamma": 0.5})]
+    assert "activation/relu with gamma = 0.5\n" in printed("run", "list")
+    assert "study activation, condition relu with gamma = 0.5, seed 7\n" in printed("run", "show", run_id)
 
 
 def test_show_says_what_produced_a_run(store: Store, plan: Plan) -> None:
