@@ -29,6 +29,7 @@ from pneuma.study.quantities import (
     UPDATE_QUANTITIES,
     WINDOWS,
 )
+from pneuma.study.spec import asked_words, results_words
 
 if TYPE_CHECKING:
     from pneuma.analysis.study_data import StudyData
@@ -164,8 +165,12 @@ def _run_here(picked: opt.StoredFilter) -> list[tuple[str, str | None]]:
     """Return the studies, each in its world, all of whose conditions have runs in the results folder."""
     from pneuma.analysis.runs import studies_here
 
-    here = [data for data in studies_here(picked.index, picked.world) if not data.study.settings]
+    every = [*studies_here(picked.index, picked.world)]
+    here = [data for data in every if not data.study.settings]
     whole = [data for data in here if {*data.finished["condition"]} == {*data.fields}]
+    if every and not here:
+        again = command("study", "plot", *asked_words(every[0].study), *results_words(picked.store.root))
+        raise UserError(f"studies were run with changed fields alone; name one: {again}")
     if not whole:
         names = ", ".join(dict.fromkeys(data.study.name for data in here)) or "one"
         raise UserError(f"no study has runs of all its conditions in {picked.store.root}: name {names}")

@@ -14,7 +14,7 @@ from pneuma.study.plan import Plan, Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
-from .calls import call, save_finished
+from .calls import call, refused, save_finished
 
 
 @pytest.fixture
@@ -81,3 +81,13 @@ def test_the_command_of_a_figure_names_the_seeds_that_it_shows(
     assert "--seeds 0..1" in " ".join(again)
     assert call(*again, "--out", "again.png").code == 0
     assert Path("again.png").read_bytes() == Path("first.png").read_bytes()
+
+
+@pytest.mark.usefixtures("unshipped")
+def test_what_was_run_with_changed_fields_alone_is_drawn_by_its_name(plan: Plan, store: Store) -> None:
+    for cell in plan.cells:
+        save_finished(store, cell.run)
+    store.note_steps("activation", plan.study.variant, [1024])
+    again = f"pneuma study plot activation --world text --set=gamma=0.5 --results {store.root}"
+    told = refused("study", "plot", "--results", store.root)
+    assert told == f"studies were run with changed fields alone; name one: {again}"
