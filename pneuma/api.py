@@ -157,9 +157,9 @@ def open_data(
 ) -> StudyData:
     """Open a study's finished runs of one budget, stored or published.
 
-    Arguments are those of `run_study`. Left out, `seeds` are all, and `steps` those last trained here, or of
-    most conditions and runs. With `any_version`, runs that other versions of your modules, the rules or an
-    engine made count, too. `say` is told what is shown, and what else is stored.
+    Arguments are those of `run_study`. Left out, `seeds` are all but those of searches' trials, and `steps`
+    those last trained here, or of most conditions and runs. With `any_version`, runs that other versions of
+    your modules, the rules or an engine made count, too. `say` is told what is shown, and what else is stored.
 
     Raises:
         UserError: when nothing of the study is stored with so many steps, or no run has finished.
