@@ -159,7 +159,8 @@ def open_data(
 
     Arguments are those of `run_study`. Left out, `seeds` are all but those of searches' trials, and `steps`
     those last trained here, or of most conditions and runs. With `any_version`, runs that other versions of
-    your modules, the rules or an engine made count, too. `say` is told what is shown, and what else is stored.
+    your modules, the rules or an engine made count, too. What is shown, and what else is stored, is told to
+    `say`.
 
     Raises:
         UserError: when nothing of the study is stored with so many steps, or no run has finished.
