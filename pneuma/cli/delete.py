@@ -27,7 +27,7 @@ def delete_study(name: opt.Study, picked: opt.StoredFilter, yes: Yes = False) ->
     index, data = picked.index, picked.choose(name)
     here, study = {*data.runs["run_id"][data.runs["where"] == ""]}, data.study
     others = {
-        run_id: other.study.name
+        run_id: other.where
         for other in studies_here(index)
         if (other.study.name, other.study.variant) != (study.name, study.variant)
         for run_id in other.runs["run_id"]

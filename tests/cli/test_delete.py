@@ -34,7 +34,7 @@ def test_a_study_is_removed_but_for_runs_that_another_one_has_too(store: Store) 
     words = ("study", "delete", "activation", "--results", store.root)
     assert "--yes is needed where nobody can be asked" in refused(*words)
     code, out, err = call(*words, "--yes")
-    kept = "Note: kept, as clip-range has them too: 2 runs."
+    kept = "Note: kept, as clip-range in the arena has them too: 2 runs."
     assert (code, err, out.splitlines()[:2]) == (0, err, [kept, f"Removed 4 runs from {store.root}."])
     assert {*store.runs()} == {*activation["tanh"], *clip["0.2"]}
 
@@ -51,7 +51,7 @@ def test_two_studies_of_the_same_runs_are_removed_one_after_the_other(
     (longer,) = _finish(store, "activation", seeds=(0,), steps=2048, conditions=("tanh",))["tanh"]
     words = ("study", "delete", "activation", "--steps", "1024", "--yes", "--results", store.root)
     code, out, _ = call(*words)
-    assert (code, out) == (0, "Note: kept, as mine has them too: 1 run.\nNothing was removed.\n")
+    assert (code, out) == (0, "Note: kept, as mine in the arena has them too: 1 run.\nNothing was removed.\n")
     removed = described("study", "delete", "mine", "--yes", "--json", "--results", store.root)["removed"]
     assert len(removed) == 1 and store.runs() == [longer]
     assert store.noted_steps("mine") == {} and [*store.noted_steps("activation").values()] == [[2048]]
@@ -64,6 +64,15 @@ def test_only_runs_of_the_steps_that_are_asked_for_are_removed(store: Store) -> 
     words = ("study", "delete", "activation", "--yes", "--json", "--results", store.root)
     assert described(*words, "--steps", "1024")["removed"] == short["tanh"]
     assert len(store.runs()) == 1
+
+
+@pytest.mark.usefixtures("unshipped")
+def test_what_was_run_with_a_field_at_its_value_is_told_with_that_field(store: Store) -> None:
+    for settings in ({}, {"gamma": 0.99}):
+        _finish(store, "activation", seeds=(0,), steps=1024, conditions=("tanh",), settings=settings)
+    code, out, _ = call("study", "delete", "activation", "--yes", "--results", store.root)
+    told = "Note: kept, as activation in the arena with gamma = 0.99 has them too: 1 run."
+    assert (code, out.splitlines()[0]) == (0, told)
 
 
 def test_a_study_without_a_file_goes_with_the_last_of_its_runs(store: Store) -> None:
