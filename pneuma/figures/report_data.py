@@ -41,7 +41,8 @@ def gather_report(store: Store, names: Sequence[str], say: Callable[[str], None]
     """
     index, shipped, asked = RunIndex(store), {*list_studies()}, [*names]
     if not names:
-        here = [*dict.fromkeys(one.study.own_path or one.study.name for one in studies_here(index))]
+        plain = (one.study for one in studies_here(index) if not one.study.settings)
+        here = [*dict.fromkeys(study.own_path or study.name for study in plain)]
         usual = [*list_studies()] if not here or {*here} & shipped else []
         asked = [*dict.fromkeys([*usual, *here, *index.listings()])]
     of_thesis = bool({*asked} & shipped)

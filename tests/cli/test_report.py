@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from pneuma.analysis.verdict_words import WORDS
+from pneuma.figures.report_data import gather_report
 from pneuma.presets import WORLDS
 from pneuma.study import shipped, spec
 from pneuma.study.plan import Selection, make_plan
@@ -89,3 +90,16 @@ def test_a_study_with_runs_has_figures_conditions_runs_and_provenance(
     assert "What produced the runs: all by the same" in words  # though each started at a time of its own
     assert "torch 2.13.0" in words and "<b>fast</b>" in words
     assert [each.text for each in page.all("h2")] == ["Verdicts", "Activation function"]
+
+
+def test_what_was_run_with_changed_fields_alone_has_no_part_and_takes_no_others_place(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    described("study", "new", "mine", "--from", "activation", "--json")
+    plan = make_plan(spec.load_study("mine"), Selection(seeds=(0,), steps=BUDGET, settings={"gamma": 0.5}))
+    for cell in plan.cells:
+        save_finished(store, cell.run)
+    store.note_steps("mine", plan.study.variant, [BUDGET])
+    studies = {each["study"] for each in gather_report(store, [], lambda note: None)["studies"]}
+    assert "mine" not in studies and {*shipped.list_studies()} <= studies
