@@ -77,7 +77,11 @@ def maps(draw: st.DrawFn) -> Map:
     starts = draw(st.integers(1, min(3, count - 1)))
     kinds = st.sampled_from(sorted(KINDS))
     corners = itertools.product((-REACH, -REACH / 3, REACH / 3, REACH), repeat=2)
-    under = [(int((x + dx) // tile), int((y + dy) // tile)) for dx, dy in corners for x, y in places]
+    under = [
+        (min(max(int((x + dx) // tile), 0), columns - 1), min(max(int((y + dy) // tile), 0), rows - 1))
+        for dx, dy in corners
+        for x, y in places
+    ]
     return Map(
         columns, rows, tile, shore=draw(st.integers(0, 2)), lakes=tuple(draw(tiles)[:4]),
         obstacles=tuple(draw(tiles)), sand=tuple(draw(tiles)), starts=tuple(places[:starts]),
