@@ -94,7 +94,8 @@ class RunIndex:
     def trials(self) -> set[str]:
         """The runs of searches' trials here, by which a search chose its winner."""
         listed = (self.store.listing(name) for name in self.store.listings() if name.startswith(TRIALS_OF))
-        return {run["run_id"] for listing in listed if listing for run in listing["runs"]}
+        of_searches = (listing for listing in listed if listing and "source" not in listing)  # no imports
+        return {run["run_id"] for listing in of_searches for run in listing["runs"]}
 
     def _runs_here(self) -> Iterator[tuple[Any, ...]]:
         for run_id in self.store.runs():

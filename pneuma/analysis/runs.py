@@ -15,6 +15,7 @@ import shlex
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -311,13 +312,15 @@ def _other_versions(index: RunIndex, fields: Fields, runs: Mapping[str, Run]) ->
 def _alike(index: RunIndex, fields: Fields) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Yield each condition with configurations that differ from it in one field or none, and its value."""
     finished = index.frame[index.frame["status"].isin(FINISHED)].drop_duplicates("config_id")
+    bare = {condition: {key: _bare(value) for key, value in own.items()} for condition, own in fields.items()}
     for known, run_id in finished[["config_id", "run_id"]].itertuples(index=False):
-        row = index.row(run_id)
-        kept = _without_amount(row.fields) if row else {}
-        for condition, own in fields.items() if row else ():
-            unlike = [key for key in {**own, **kept} if _bare(own.get(key)) != _bare(kept.get(key))]
-            if len(unlike) < 2:
-                yield condition, known, {key: kept.get(key) for key in unlike}
+        if (row := index.row(run_id)) is None:
+            continue
+        kept = {key: _bare(value) for key, value in _without_amount(row.fields).items()}
+        for condition, own in bare.items():
+            unlike = (key for key in {**own, **kept} if own.get(key) != kept.get(key))
+            if len(few := [*islice(unlike, 2)]) < 2:
+                yield condition, known, {key: row.fields.get(key) for key in few}
 
 
 def _bare(value: Any) -> Any:

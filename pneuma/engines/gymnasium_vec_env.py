@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from pneuma.config import Run, slot_seeds
 from pneuma.engines.gymnasium_env import GymnasiumSlots, choices_of
+from pneuma.engines.normalization import Scaling
 from pneuma.env.sb3 import WholeVecEnv
 
 
@@ -25,9 +26,19 @@ class GymnasiumVecEnv(WholeVecEnv):
         action_space = _learners_space(self.slots.action_space)
         super().__init__(run.slots, spaces.Box(-np.inf, np.inf, (features,), np.float32), action_space)
 
-    def __getattr__(self, name: str) -> Any:
-        """Return what engines ask of the slots: finished episodes, the scaling, their saved state."""
-        return getattr(self.slots, name)
+    @property
+    def finished(self) -> list[dict[str, Any]]:
+        return self.slots.finished
+
+    @property
+    def scaling(self) -> Scaling | None:
+        return self.slots.scaling
+
+    def saved_state(self) -> dict[str, np.ndarray]:
+        return self.slots.saved_state()
+
+    def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
+        self.slots.restore_state(saved)
 
     def reset(self) -> np.ndarray:
         return self.slots.seen.copy()
