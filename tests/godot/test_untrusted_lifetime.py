@@ -28,7 +28,10 @@ wait
 
 def _lives(pid: str) -> bool:
     status = Path("/proc") / pid / "stat"
-    return status.exists() and status.read_text().rpartition(") ")[2][0] != "Z"
+    try:
+        return status.read_text().rpartition(") ")[2][0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):  # it may end while it is looked at
+        return False
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
