@@ -12,7 +12,7 @@ The runs that have a study's configurations are its runs, wherever they are. Onl
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
@@ -239,15 +239,20 @@ def studies_here(index: RunIndex, world: str | None = None) -> Iterator[StudyDat
     for name in index.store.noted_studies():
         for variant, noted in index.store.noted_steps(name).items():
             with suppress(UserError, OSError, ValueError):  # its file or its record is damaged
-                where, *words = shlex.split(variant)
-                if world in (None, where):
-                    study, settings = load_study(name, where, kept=index.store.studies), read_settings(words)
-                    data = find_runs(index, study, Selection(settings=settings))
-                    runs = [runs_of_budget(data, steps) for steps in noted]
-                    yield from _those_here(replace(data, runs=pd.concat(runs).drop_duplicates()))
+                data = _find_variant(index, name, variant, noted)
+                yield from _those_here(data) if world in (None, data.study.world) else ()
     for name in index.store.listings() if world is None else ():
         with suppress(UserError):
             yield from _those_here(find_study(index, name))
+
+
+def _find_variant(index: RunIndex, name: str, variant: str, noted: Sequence[int]) -> StudyData:
+    """Return a study as one of its variants is noted, with the runs of the steps that are noted."""
+    world, *words = shlex.split(variant)
+    study = load_study(name, world, kept=index.store.studies)
+    data = find_runs(index, study, Selection(settings=read_settings(words)))
+    runs = [runs_of_budget(data, steps) for steps in noted]
+    return replace(data, runs=pd.concat(runs).drop_duplicates())
 
 
 def _those_here(data: StudyData) -> Iterator[StudyData]:
