@@ -23,7 +23,7 @@ def shipped_tables() -> Path:
 
 
 def shipped_names(folder: Path) -> list[str]:
-    return sorted(path.stem for path in folder.glob("*.toml") if path.name != CLAIMS_FILE)
+    return sorted(path.stem for path in folder.glob("*.toml") if not path.stem.startswith("claims"))
 
 
 def list_studies() -> list[str]:
