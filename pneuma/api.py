@@ -107,7 +107,7 @@ def plan_study(
         if use.startswith("run "):
             say(f"Note: the study's file asks to {use}.")
     if selection.preset == spec.CLAIMS:
-        from pneuma.analysis.claim_runs import with_claims
+        from pneuma.analysis.claims.fixed_runs import with_claims
 
         asked = with_claims(asked, selection.steps)
     planned = plan.make_plan(asked, selection)

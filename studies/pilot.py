@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from pneuma.analysis.claims import load_claims
+from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.outcomes import outcome_values
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pneuma.analysis.claims import load_claims
+from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.run_index import RunIndex
 from pneuma.engines.policy import read_sound_policy
 from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.analysis.claim_runs import fixed_amounts, with_claims
+from pneuma.analysis.claims.fixed_runs import fixed_amounts, with_claims
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.shipped import list_studies
 from pneuma.study.spec import Study, load_study

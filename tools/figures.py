@@ -21,13 +21,13 @@ from typing import Any
 
 import pandas as pd
 
-from pneuma.analysis.claims import load_claims
+from pneuma.analysis.claims.claim_list import load_claims
+from pneuma.analysis.claims.verdicts import judge
+from pneuma.analysis.claims.words import verdicts_by_claim
 from pneuma.analysis.export import encode_frame
-from pneuma.analysis.judgement import judge
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import find_study, open_study, read_runs
 from pneuma.analysis.study_data import StudyData
-from pneuma.analysis.verdict_words import verdicts_by_claim
 from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.figures.curves import curves_page

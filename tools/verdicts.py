@@ -12,8 +12,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
-from pneuma.analysis.export import encode_frame
-from pneuma.analysis.verdict_words import (
+from pneuma.analysis.claims.words import (
     FAILS,
     HOLDS,
     NOT_TESTED,
@@ -21,6 +20,7 @@ from pneuma.analysis.verdict_words import (
     count_words,
     verdict_table,
 )
+from pneuma.analysis.export import encode_frame
 from pneuma.figures.origin import Origin, sample
 from pneuma.figures.report import Verdicts
 from pneuma.figures.style import COLOURS, GREY, characters, house_style, save_figure

@@ -110,7 +110,7 @@ def _show(data: StudyData) -> Iterator[str | Table]:
     if study.path is None:
         yield f"Seeds: {', '.join(map(str, dict.fromkeys(data.runs['seed'])))}"
         return
-    from pneuma.analysis.claim_runs import fixed_amounts
+    from pneuma.analysis.claims.fixed_runs import fixed_amounts
 
     yield ""
     if not all(is_gymnasium_id(run.env) for run in data.configurations.values()):

@@ -16,7 +16,7 @@ from pneuma.values import shown_seeds
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pneuma.analysis.claims import Claim
+    from pneuma.analysis.claims.claim_list import Claim
     from pneuma.analysis.study_data import StudyData
 
 PRINTED = ("markdown", "latex")
@@ -192,7 +192,7 @@ def _compare_in_environments(data: StudyData, a: str, b: str, outcomes: Sequence
 
 def _claims_on(data: StudyData, a: str, b: str) -> list[Claim]:
     """Return the shipped claims that compare the means of two conditions of a study in its world."""
-    from pneuma.analysis.claims import MINUS, load_claims
+    from pneuma.analysis.claims.claim_list import MINUS, load_claims
 
     environments = {fields.get("env") for fields in data.fields.values()}
     world = data.world or next((name for name, one in WORLDS.items() if one.env in environments), "")

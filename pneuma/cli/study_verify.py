@@ -15,9 +15,9 @@ from pneuma.study.shipped import shipped_tables
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
-    from pneuma.analysis.claim_table import ClaimContrast
-    from pneuma.analysis.claims import Claim, ClaimList
-    from pneuma.analysis.judgement import Verdict
+    from pneuma.analysis.claims.claim_list import Claim, ClaimList
+    from pneuma.analysis.claims.table import ClaimContrast
+    from pneuma.analysis.claims.verdicts import Verdict
 
 WIDTH = 100
 """Characters in a line of a sentence."""
@@ -37,10 +37,10 @@ def verify(
 
     Name claims to see also what is compared, how many runs there are, and the reason.
     """
-    from pneuma.analysis.claim_table import plan_contrasts
-    from pneuma.analysis.claims import RULES, load_claims
-    from pneuma.analysis.judgement import judge
-    from pneuma.analysis.verdict_words import verdict_table, verdicts_by_claim
+    from pneuma.analysis.claims.claim_list import RULES, load_claims
+    from pneuma.analysis.claims.table import plan_contrasts
+    from pneuma.analysis.claims.verdicts import judge
+    from pneuma.analysis.claims.words import verdict_table, verdicts_by_claim
 
     known, store = load_claims(file), Store(results)
     for name in claims or ():
@@ -79,9 +79,9 @@ def _show_claims(
     known: ClaimList, claims: Mapping[str, Mapping[str, Verdict]], in_detail: bool, lacking: str
 ) -> Iterator[str | Table]:
     """Yield the rows of the table of verdicts one below the other, and what must be known to read them."""
-    from pneuma.analysis.claim_history import changed_since
-    from pneuma.analysis.claims import RULES
-    from pneuma.analysis.verdict_words import count_words, verdict_table, worlds_of
+    from pneuma.analysis.claims.claim_list import RULES
+    from pneuma.analysis.claims.history import changed_since
+    from pneuma.analysis.claims.words import count_words, verdict_table, worlds_of
 
     if lacking:
         yield from (lacking, "")
@@ -111,7 +111,7 @@ def _show_claims(
 
 
 def _verdict(world: str, one: Verdict) -> Iterator[str]:
-    from pneuma.analysis.verdict_words import cell
+    from pneuma.analysis.claims.words import cell
 
     word, *lines = cell(one).split("\n")
     for place, line in enumerate(lines or [""]):
@@ -121,7 +121,7 @@ def _verdict(world: str, one: Verdict) -> Iterator[str]:
 
 def _details(one: Verdict) -> Iterator[str]:
     """Yield what is compared; for each contrast arms, numbers of runs, effect, margin; why there is none."""
-    from pneuma.analysis.verdict_words import effect
+    from pneuma.analysis.claims.words import effect
 
     yield from _indented(one.claim.context, 6)
     for row in one.contrasts if not one.lacks_runs else ():
@@ -143,7 +143,7 @@ def _indented(text: str, spaces: int) -> list[str]:
 
 def _document(one: Verdict) -> dict[str, Any]:
     """Return the row that decides first, with the claim's own verdict and reason, and all its rows."""
-    from pneuma.analysis.verdict_words import word
+    from pneuma.analysis.claims.words import word
 
     of_claim = ("row", "section", "quote", "context", "study", "kind", "direction", "need", "seen")
     return {

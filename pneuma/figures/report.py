@@ -21,9 +21,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from pneuma import __version__
-from pneuma.analysis import verdict_words
+from pneuma.analysis.claims import words
+from pneuma.analysis.claims.verdicts import Verdict
 from pneuma.analysis.curves import curve_names
-from pneuma.analysis.judgement import Verdict
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import wide, with_cells
 from pneuma.errors import counted
@@ -99,9 +99,9 @@ def report_page(
     page = environment.get_template("report.html.j2").render(
         made_by=MADE_BY,
         claims=claims, studies=studies, note=note, unjudged=unjudged, own_title=title,
-        version=__version__, words=verdict_words,
-        worlds=verdict_words.worlds_of(claims),
-        counts=verdict_words.count_words(claims), run_places=run_places, anchor=_anchor,
+        version=__version__, words=words,
+        worlds=words.worlds_of(claims),
+        counts=words.count_words(claims), run_places=run_places, anchor=_anchor,
         counted=counted, listed={study["study"] for study in studies}, count_of=Counter,
     )  # fmt: skip
     return f"{page.strip()}\n".encode()  # without the blank lines that macros leave

@@ -10,13 +10,13 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
-from pneuma.analysis.claims import load_claims
-from pneuma.analysis.judgement import judge
+from pneuma.analysis.claims.claim_list import load_claims
+from pneuma.analysis.claims.verdicts import judge
+from pneuma.analysis.claims.words import verdicts_by_claim
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import choose_runs, find_study, read_runs, studies_here
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
-from pneuma.analysis.verdict_words import verdicts_by_claim
 from pneuma.errors import UserError, counted
 from pneuma.figures.report import Part, Verdicts, numbers_table, study_picture
 from pneuma.presets import WORLDS

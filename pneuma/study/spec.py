@@ -36,7 +36,7 @@ from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, matching, read_seeds, set
 
 PRESETS = ("quick", "standard", "paper")
 CLAIMS = "claims"
-"""The preset that comes from claims (`analysis/claims.py`) and not from a study's file."""
+"""The preset that comes from claims (`analysis/claims/`) and not from a study's file."""
 MOST_CONDITIONS = 1000
 CONDITION = "condition"
 """In a crossed study, the factor whose values are the file's conditions."""

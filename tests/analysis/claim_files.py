@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pneuma.analysis.claims import load_claims
-from pneuma.analysis.judgement import Verdict, judge
+from pneuma.analysis.claims.claim_list import load_claims
+from pneuma.analysis.claims.verdicts import Verdict, judge
 from pneuma.config import Run, as_fields
 from pneuma.study.identity import config_id, run_id
 from pneuma.study.plan import Selection, make_plan

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.analysis.claim_history import ABSENT, changed_since
-from pneuma.analysis.claims import load_claims
+from pneuma.analysis.claims.claim_list import load_claims
+from pneuma.analysis.claims.history import ABSENT, changed_since
 from pneuma.study.store import Store
 
 from ..cli.calls import printed

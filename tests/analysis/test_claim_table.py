@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pneuma.analysis.claim_table import ClaimContrast, plan_contrasts
-from pneuma.analysis.claims import load_claims
+from pneuma.analysis.claims.claim_list import load_claims
+from pneuma.analysis.claims.table import ClaimContrast, plan_contrasts
 from pneuma.analysis.intervals import incidence_interval
 from pneuma.study.store import Store
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pneuma.analysis.claim_runs import with_claims
-from pneuma.analysis.claim_table import plan_contrasts
-from pneuma.analysis.claims import load_claims
+from pneuma.analysis.claims.claim_list import load_claims
+from pneuma.analysis.claims.fixed_runs import with_claims
+from pneuma.analysis.claims.table import plan_contrasts
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study

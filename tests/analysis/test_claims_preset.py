@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.analysis.claim_runs import with_claims
+from pneuma.analysis.claims.fixed_runs import with_claims
 from pneuma.errors import UserError
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import Amount, Study, load_study

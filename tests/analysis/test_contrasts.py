@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pneuma.analysis.contrasts import Contrast, compare, compare_ranges
+from pneuma.analysis.claims.contrasts import Contrast, compare, compare_ranges
 from pneuma.analysis.intervals import Interval
 
 A, B = [3.0, 7.5, 4.0, 9.0, 8.0], [1.0, 2.5, 5.0, 2.0]

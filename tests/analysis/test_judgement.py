@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pneuma.analysis.claims import load_claims
-from pneuma.analysis.judgement import Verdict
+from pneuma.analysis.claims.claim_list import load_claims
+from pneuma.analysis.claims.verdicts import Verdict
 from pneuma.study.store import Store
 
 from .claim_files import (

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pneuma.analysis.contrasts import compare
+from pneuma.analysis.claims.contrasts import compare
+from pneuma.analysis.claims.verdicts import combine_outcomes, decide
 from pneuma.analysis.intervals import Interval, no_interval
-from pneuma.analysis.judgement import combine_outcomes, decide
 
 DIRECTIONS = ("greater", "less", "different", "equal", "no-less")
 S, R, I = "supported", "refuted", "inconclusive"  # noqa: E741

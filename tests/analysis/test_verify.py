@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from pneuma.analysis.claims import load_claims
+from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.cli import main
 from pneuma.study.store import Store
 

@@ -19,10 +19,10 @@ import pandas as pd
 from scipy import special
 
 from pneuma.analysis import EDGED_BANDS, intervals
-from pneuma.analysis.contrasts import compare
+from pneuma.analysis.claims.contrasts import compare
+from pneuma.analysis.claims.verdicts import decide
 from pneuma.analysis.curves import Curve
 from pneuma.analysis.intervals import mean
-from pneuma.analysis.judgement import decide
 from pneuma.cli.output import print_result, rows_result
 
 SEEDS = (5, 10, 30)

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from pneuma.analysis.verdict_words import WORDS
+from pneuma.analysis.claims.words import WORDS
 from pneuma.figures.report_data import gather_report
 from pneuma.presets import WORLDS
 from pneuma.study import shipped, spec

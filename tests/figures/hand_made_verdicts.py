@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from pneuma.analysis.claim_table import ClaimContrast
-from pneuma.analysis.claims import Claim
-from pneuma.analysis.contrasts import Contrast
+from pneuma.analysis.claims.claim_list import Claim
+from pneuma.analysis.claims.contrasts import Contrast
+from pneuma.analysis.claims.table import ClaimContrast
+from pneuma.analysis.claims.verdicts import Verdict
 from pneuma.analysis.intervals import Interval, no_interval
-from pneuma.analysis.judgement import Verdict
 
 
 def claim(name: str = "tanh-better", **fields: Any) -> Claim:

@@ -10,10 +10,10 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pneuma.analysis import verdict_words
-from pneuma.analysis.claims import load_claims
-from pneuma.analysis.judgement import AS_CLAIMED_BUT_SMALL
-from pneuma.analysis.verdict_words import arms_in_words, cell, effect, sentence, short_sentence, verdict_table
+from pneuma.analysis.claims import words
+from pneuma.analysis.claims.claim_list import load_claims
+from pneuma.analysis.claims.verdicts import AS_CLAIMED_BUT_SMALL
+from pneuma.analysis.claims.words import arms_in_words, cell, effect, sentence, short_sentence, verdict_table
 from tools.verdicts import SMALL, draw_verdicts
 
 from .hand_made_verdicts import claim, comparison, judged
@@ -96,14 +96,14 @@ def test_pairs_are_named_and_arms_are_called_once_a_row() -> None:
 
 def test_a_row_has_the_worlds_of_claims_that_are_like_it() -> None:
     first, like = claim(), claim("tanh-better-there", like="tanh-better", worlds=("arena",))
-    grouped = verdict_words.verdicts_by_claim(
+    grouped = words.verdicts_by_claim(
         [
             *judged(first, text=("supported", "", ())).values(),
             *judged(like, arena=("refuted", "", ())).values(),
         ]
     )
     assert {name: [*worlds] for name, worlds in grouped.items()} == {"tanh-better": ["text", "arena"]}
-    assert verdict_words.first_claim("tanh-better", grouped["tanh-better"]) is first
+    assert words.first_claim("tanh-better", grouped["tanh-better"]) is first
 
 
 def test_sentences_are_without_tex_and_short_ones_are_the_thesiss_words() -> None:
@@ -121,7 +121,7 @@ def test_the_table_is_by_section_and_says_a_sentence_once() -> None:
         name: judged(claim(name, section=section, context=name), text=("inconclusive", "", ()))
         for name, section in (("first", "5.10"), ("second", "5.9"), ("third", "6"))
     }
-    ordered = verdict_words.verdicts_by_claim(one for worlds in claims.values() for one in worlds.values())
+    ordered = words.verdicts_by_claim(one for worlds in claims.values() for one in worlds.values())
     assert [*ordered] == ["second", "first", "third"]
     assert verdict_table(ordered)["The thesis's sentence"].tolist() == [
         "“improves performance”\ntanh against relu", "first\ntanh against relu", "third\ntanh against relu",

@@ -3,10 +3,10 @@
     [list]                      title, what was learned before, alpha, the first seed
     [defaults]                  seeds, steps, worlds, outcome and kind of a claim that has none
     [margins]                   by outcome, of claims that state none
-    [pilot]                     spreads between runs, for `pneuma.analysis.claim_table`
+    [pilot]                     spreads between runs, for `table.py`
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
 
-studies/claims.toml → ClaimList → `claim_table.py`, and runs to train (`claim_runs.py`). The file's checksum
+studies/claims.toml → ClaimList → `table.py`, and runs to train (`fixed_runs.py`). The file's checksum
 and the version of the rules that judge are printed with the verdicts. docs/claims.md explains each key.
 """
 

@@ -17,10 +17,10 @@ from itertools import groupby
 
 import numpy as np
 
-from pneuma.analysis.claim_runs import TRAIN_WITH, Arm, ClaimRuns, Wanted, find_claim_runs
-from pneuma.analysis.claim_table import ClaimContrast, plan_contrasts
-from pneuma.analysis.claims import MINUS, Claim, ClaimList
-from pneuma.analysis.contrasts import Contrast, compare_arms
+from pneuma.analysis.claims.claim_list import MINUS, Claim, ClaimList
+from pneuma.analysis.claims.contrasts import Contrast, compare_arms
+from pneuma.analysis.claims.fixed_runs import TRAIN_WITH, Arm, ClaimRuns, Wanted, find_claim_runs
+from pneuma.analysis.claims.table import ClaimContrast, plan_contrasts
 from pneuma.analysis.intervals import Interval
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.run_index import RunIndex

@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pneuma.analysis.claims import ClaimList
+from pneuma.analysis.claims.claim_list import ClaimList
 from pneuma.study.provenance import file_at
 
 FIXED = (

@@ -15,10 +15,9 @@ from textwrap import shorten
 
 import pandas as pd
 
-from pneuma.analysis.claim_table import ClaimContrast
-from pneuma.analysis.claims import MINUS, Arms, Claim
-from pneuma.analysis.intervals import MOST, decimals, shown
-from pneuma.analysis.judgement import (
+from pneuma.analysis.claims.claim_list import MINUS, Arms, Claim
+from pneuma.analysis.claims.table import ClaimContrast
+from pneuma.analysis.claims.verdicts import (
     INCONCLUSIVE,
     MIXED,
     REFUTED,
@@ -26,6 +25,7 @@ from pneuma.analysis.judgement import (
     UNTESTABLE,
     Verdict,
 )
+from pneuma.analysis.intervals import MOST, decimals, shown
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.presets import WORLDS
 

@@ -1,6 +1,6 @@
 """The table of contrasts: one row for each claim, world, outcome and pair of arms.
 
-    ClaimList → [ClaimContrast], planned here before any run; `judgement.py` fills in what the runs show
+    ClaimList → [ClaimContrast], planned here before any run; `verdicts.py` fills in what the runs show
 
 Every verdict, the design check, pages and pictures are views of these rows. The plan says how near the seeds
 can tell the effect: the half width that the simultaneous interval is expected to have, which must not exceed
@@ -17,8 +17,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import special
 
-from pneuma.analysis.claims import Arms, Claim, ClaimList
-from pneuma.analysis.contrasts import Contrast, compare_arms
+from pneuma.analysis.claims.claim_list import Arms, Claim, ClaimList
+from pneuma.analysis.claims.contrasts import Contrast, compare_arms
 
 UNKNOWN_SHARE = 0.5
 """The share of runs with an event if no pilot tells it: where shares vary most."""

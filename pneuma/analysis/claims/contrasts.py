@@ -1,6 +1,6 @@
 """Contrasts: one arm of runs against another arm or a constant, as an effect with its interval.
 
-    values of two arms → Contrast, whose interval `judgement.py` holds against 0 and the margin
+    values of two arms → Contrast, whose interval `verdicts.py` holds against 0 and the margin
 
 An arm in which nothing varies has no interval, because so few runs cannot show how rare other values are.
 docs/evidence.md explains the intervals and what they assume.

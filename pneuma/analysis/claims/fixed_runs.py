@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis.claims import MINUS, Claim, ClaimList, load_claims
+from pneuma.analysis.claims.claim_list import MINUS, Claim, ClaimList, load_claims
 from pneuma.analysis.intervals import mean_interval
 from pneuma.analysis.outcomes import MIN_CPU_SHARE, find_outcome, have_one_return, is_return, outcome, reason
 from pneuma.analysis.run_index import RunIndex
