@@ -101,4 +101,10 @@ OPTIMIZER_DEFAULTS: dict[str, Any] = {
     "utility_decay": 0.999, "noise": 0.001,
 }  # fmt: skip
 
+OPTIMIZER_ENGINES: dict[str, tuple[str, ...]] = {
+    "adam": ("batched", "sb3"), "sgd": ("batched", "sb3"), "rmsprop": ("batched", "sb3"),
+    "upgd": ("batched",),
+}  # fmt: skip
+"""The engines that have each optimizer."""
+
 OF_OPTIMIZERS = frozenset(key for keys in OPTIMIZER_FIELDS.values() for key in keys)

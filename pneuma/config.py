@@ -29,6 +29,7 @@ from pneuma.algorithms import (
     OF_OPTIMIZERS,
     OPEN_LEARNERS,
     OPTIMIZER_DEFAULTS,
+    OPTIMIZER_ENGINES,
     OPTIMIZER_FIELDS,
     TABULAR,
     VALUE_BASED,
@@ -351,9 +352,9 @@ def _check_learner(run: Run) -> None:
         raise UserError(f"{given} is not allowed in {run.env}: only in other environments of Gymnasium")
     if run.learners == "independent" and run.engine != ENGINES[0]:
         _refuse("learners = independent", f"{run.engine} trains one policy for all players")
-    if run.optimizer == "upgd" and run.engine != ENGINES[0]:
-        other = f"choose another, or engine = {ENGINES[0]} with ppo"
-        _refuse("optimizer = upgd", f"the engine {run.engine} has no UPGD; {other}")
+    if "optimizer" in reads(run) and run.engine not in OPTIMIZER_ENGINES[run.optimizer]:
+        able = " or ".join(OPTIMIZER_ENGINES[run.optimizer])
+        _refuse(f"optimizer = {run.optimizer}", f"the engine {run.engine} lacks it; {able} has it")
     if run.train_every and run.horizon % run.train_every:
         _refuse(f"train_every = {run.train_every}", f"horizon = {run.horizon} is no multiple of it")
     if run.learning_rate > 1 and run.algorithm in TABULAR:

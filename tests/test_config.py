@@ -130,7 +130,7 @@ PAIR: dict[str, Any] = {"players": 2, "learners": "independent"}
         ),
         (
             {"optimizer": "upgd", "engine": "sb3"},
-            "optimizer = upgd is not allowed: the engine sb3 has no UPGD",
+            "optimizer = upgd is not allowed: the engine sb3 lacks it; batched has it",
         ),
         ({"algorithm": "qr-dqn"}, "algorithm = qr-dqn is not allowed in pneuma/Pneuma-v0: only in other"),
         ({"algorithm": "q-learning"}, 'algorithm = "q-learning" is not allowed in pneuma/Pneuma-v0: one of'),

@@ -16,9 +16,9 @@ from llvmlite import ir
 from pneuma.engines.policy import LEAKY_SLOPE, Layers, sizes
 from pneuma.env.compiling import cached, inlined, typed_arrays, typed_codegen, typed_intrinsic, typed_void
 
-ACTIVATION_CODES = {"tanh": 0, "relu": 1, "leaky-relu": 2}
-
-"""Slope of LeakyReLU below zero (thesis section 6.2)."""
+TANH, RELU, LEAKY_RELU = range(3)
+ACTIVATION_CODES = {"tanh": TANH, "relu": RELU, "leaky-relu": LEAKY_RELU}
+"""By which `activate` chooses its branch."""
 ROWS, COLUMNS, LANES = 4, 16, 8
 """Outputs of a tile, whose sums fit into the registers of a processor with vectors of `LANES` numbers."""
 
@@ -153,15 +153,17 @@ _ROUND = np.float32(1.5 * 2**23)  # to which a number is added to round it to a 
 @kernel
 def activate(activation: int, x: Any) -> None:
     """Apply the activation function of a code to a row, in place."""
-    if activation == 0:
+    if activation == TANH:
         for j in range(len(x)):
             x[j] = tanh(x[j])
-    elif activation == 1:
+    elif activation == RELU:
         for j in range(len(x)):
             x[j] = max(x[j], _ZERO)
-    else:
+    elif activation == LEAKY_RELU:
         for j in range(len(x)):
             x[j] = x[j] if x[j] > _ZERO else x[j] * _LEAK
+    else:  # a code without a branch: such a run diverges at once
+        x[:] = np.nan
 
 
 @inlined

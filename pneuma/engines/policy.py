@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from safetensors.numpy import load, save
@@ -23,6 +23,34 @@ if TYPE_CHECKING:
 POLICY_FILE = "policy.safetensors"
 
 LEAKY_SLOPE = 0.01
+"""Slope of LeakyReLU below zero (thesis section 6.2)."""
+ACTIVATION_FUNCTIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "tanh": np.tanh,
+    "relu": lambda x: np.maximum(x, 0),
+    "leaky-relu": lambda x: np.where(x > 0, x, x * np.float32(LEAKY_SLOPE)),
+}
+"""By NumPy. The other backends have a table of their own: `mlp`, `batched.update` and `sb3_learners`."""
+
+
+def _is_saturated(units: Any) -> Any:
+    return abs(units) > 0.99
+
+
+def _is_silent(units: Any) -> Any:
+    return units <= 0
+
+
+IS_DEAD: dict[str, Callable[[Any], Any]] = {
+    "tanh": _is_saturated,
+    "relu": _is_silent,
+    "leaky-relu": _is_silent,
+}
+"""Whether outputs of hidden units, an array of NumPy or JAX, are those of a dead unit, by activation.
+
+A unit is dead over a rollout if all its outputs are: never above zero (ReLU and LeakyReLU), or always beyond
+0.99 in size (tanh: it is saturated, though its sign may change).
+"""
+
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
 """Weight (inputs, outputs) and bias (outputs,) of each layer, float32.
 
@@ -278,27 +306,13 @@ def forward(layers: Layers, activation: str, observations: np.ndarray) -> list[n
     for i, (weight, bias) in enumerate(layers):
         x = x @ weight + (bias[:, None] if several else bias)
         if i < len(layers) - 1:
-            x = activate(activation, x)
+            x = ACTIVATION_FUNCTIONS[activation](x)
         outputs.append(x.swapaxes(0, 1).reshape(len(observations), -1) if several else x)
     return outputs
 
 
-def activate(activation: str, x: np.ndarray) -> np.ndarray:
-    if activation == "tanh":
-        return np.tanh(x)
-    if activation == "relu":
-        return np.maximum(x, 0)
-    return np.where(x > 0, x, x * np.float32(LEAKY_SLOPE))
-
-
 def dead_share(policy: Policy, observations: np.ndarray) -> float:
-    """Return the share of hidden units, of actor and critic, that are dead over a rollout.
-
-    A unit is dead if it is never above zero (ReLU and LeakyReLU), or always beyond 0.99 in size (tanh: it is
-    saturated, though its sign may change).
-    """
+    """Return the share of hidden units, of actor and critic, that are dead over a rollout; see `IS_DEAD`."""
     networks = [forward(part, policy.activation, observations) for part in (policy.actor, policy.critic)]
     hidden = np.concatenate([layer for outputs in networks for layer in outputs[:-1]], axis=1)  # (N, units)
-    if policy.activation == "tanh":
-        return float((np.abs(hidden) > 0.99).all(axis=0).mean())
-    return float((hidden <= 0).all(axis=0).mean())
+    return float(IS_DEAD[policy.activation](hidden).all(axis=0).mean())

@@ -18,6 +18,7 @@ from pneuma.config import (
     FORK_FIELDS,
     OF_GYMNASIUM,
     Run,
+    as_fields,
     beyond_engine,
     is_gymnasium_id,
     make_run,
@@ -196,7 +197,7 @@ def configure(
         raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
     for name, run in runs.items():
         if _leaves_engine_open(crossed, name) and is_gymnasium_id(run.env) and not beyond_engine(run):
-            runs[name] = replace(run, engine=engine(run))
+            runs[name] = make_run({**as_fields(run), "engine": engine(run)})  # which may lack the optimizer
     return Configurations(crossed, runs, origins)
 
 

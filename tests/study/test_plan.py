@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.config import as_fields
+from pneuma.errors import UserError
 from pneuma.study.plan import Selection, differing_fields, make_plan
 from pneuma.study.spec import Study, load_study
 
@@ -66,6 +67,15 @@ def test_what_differs_between_conditions_is_told(study: Study) -> None:
         "momentum": {"adam": None, "sgd": 0.0},
         "dampening": {"adam": None, "sgd": 0.0},
     }
+
+
+def test_an_optimizer_that_the_only_possible_engine_lacks_is_refused(tmp_path: Path) -> None:
+    """Pendulum's actions are numbers, which the engine sb3 alone trains; UPGD is of batched alone."""
+    path = tmp_path / "mine.toml"
+    path.write_text(STUDY.replace('"sgd"\n', '"upgd"\n') + '[run]\nenv = "Pendulum-v1"\n')
+    study = load_study(str(path))
+    with pytest.raises(UserError, match="optimizer = upgd is not allowed: the engine sb3 lacks it"):
+        make_plan(study, Selection())
 
 
 # --- Presets of single conditions ------------------------------------------------------------------

@@ -13,7 +13,7 @@ place and not read for a decay of zero.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -23,9 +23,14 @@ import numpy as np
 
 from pneuma.config import ANNEALED, Run, stream_seed
 from pneuma.engines.batched.optimizers import STEPS
-from pneuma.engines.policy import LEAKY_SLOPE
+from pneuma.engines.policy import IS_DEAD, LEAKY_SLOPE
 
 Tree = Any
+ACTIVATION_FUNCTIONS: dict[str, Callable[[Any], Any]] = {
+    "tanh": jnp.tanh,
+    "relu": jax.nn.relu,
+    "leaky-relu": partial(jax.nn.leaky_relu, negative_slope=LEAKY_SLOPE),
+}
 JOINED_BELOW = 2**18
 """Weights of a layer from which on it is not worth while to copy them beside their biases."""
 METRICS = (
@@ -97,8 +102,9 @@ def evaluate_rollout(
     networks = joined(parameters)
     hidden_a, logits = _forward(networks["actor"], activation, observations[:count])
     hidden_c, values = _forward(networks["critic"], activation, observations)
-    flags = [_dead(units, activation) for units in [*hidden_a, *(layer[:count] for layer in hidden_c)]]
-    dead = jnp.concatenate(flags).mean()
+    is_dead = IS_DEAD[activation]
+    hidden = [*hidden_a, *(layer[:count] for layer in hidden_c)]
+    dead = jnp.concatenate([is_dead(units).all(axis=0) for units in hidden]).mean()
     return _of_chosen(jax.nn.log_softmax(logits), actions), values[:, 0], dead
 
 
@@ -216,7 +222,7 @@ def _forward(layers: Any, activation: str, x: Any) -> tuple[list[Any], Any]:
     """Return the outputs of the hidden layers and of the last layer: (N, units)."""
     hidden = []
     for layer in layers[:-1]:
-        x = _activate(activation, _linear(layer, x))
+        x = ACTIVATION_FUNCTIONS[activation](_linear(layer, x))
         hidden.append(x)
     return hidden, _linear(layers[-1], x)
 
@@ -227,14 +233,3 @@ def _linear(layer: Any, x: Any) -> Any:
         weight, bias = layer
         return x @ weight + bias
     return jnp.concatenate([x, jnp.ones((x.shape[0], 1), x.dtype)], axis=1) @ layer
-
-
-def _activate(activation: str, x: Any) -> Any:
-    if activation == "tanh":
-        return jnp.tanh(x)
-    return jax.nn.relu(x) if activation == "relu" else jax.nn.leaky_relu(x, LEAKY_SLOPE)
-
-
-def _dead(units: Any, activation: str) -> Any:
-    """Return which units are dead over a rollout; see `pneuma.engines.policy.dead_share`."""
-    return (jnp.abs(units) > 0.99 if activation == "tanh" else units <= 0).all(axis=0)

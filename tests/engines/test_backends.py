@@ -1,0 +1,74 @@
+"""Every activation and optimizer in every backend; a backend has none that it does not know."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+
+from pneuma.algorithms import OPTIMIZER_ENGINES, OPTIMIZER_FIELDS
+from pneuma.config import ACTIVATIONS
+from pneuma.engines import mlp, policy, sb3_learners
+from pneuma.engines.batched import optimizers, update
+
+DEFINITIONS: dict[str, Callable[[float], float]] = {
+    "tanh": math.tanh,
+    "relu": lambda x: max(x, 0.0),
+    "leaky-relu": lambda x: x if x > 0 else 0.01 * x,  # thesis section 6.2
+}
+INPUTS = np.array([-30, -2.5, -0.5, 0, 0.5, 2.5, 30], np.float32)
+
+
+def by_numba(activation: str, inputs: np.ndarray) -> np.ndarray:
+    outputs = inputs.copy()
+    mlp.activate(mlp.ACTIVATION_CODES[activation], outputs)
+    return outputs
+
+
+def by_numpy(activation: str, inputs: np.ndarray) -> np.ndarray:
+    return policy.ACTIVATION_FUNCTIONS[activation](inputs)
+
+
+def by_jax(activation: str, inputs: np.ndarray) -> np.ndarray:
+    return np.asarray(update.ACTIVATION_FUNCTIONS[activation](inputs))
+
+
+def by_torch(activation: str, inputs: np.ndarray) -> np.ndarray:
+    outputs: np.ndarray = sb3_learners.ACTIVATIONS[activation]()(torch.from_numpy(inputs)).numpy()
+    return outputs
+
+
+BACKENDS = (by_numba, by_numpy, by_jax, by_torch)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("activation", ACTIVATIONS)
+def test_an_activation_is_what_its_name_says(
+    activation: str, backend: Callable[[str, np.ndarray], np.ndarray]
+) -> None:
+    expected = [DEFINITIONS[activation](x) for x in INPUTS.tolist()]
+    assert backend(activation, INPUTS) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_an_unknown_activation_is_no_other_one(backend: Callable[[str, np.ndarray], np.ndarray]) -> None:
+    with pytest.raises(KeyError):
+        backend("gelu", INPUTS)
+
+
+def test_a_code_without_a_branch_gives_no_numbers() -> None:
+    outputs = INPUTS.copy()
+    mlp.activate(max(mlp.ACTIVATION_CODES.values()) + 1, outputs)
+    assert np.isnan(outputs).all()
+
+
+def test_an_engine_has_the_optimizers_that_are_said_to_be_its() -> None:
+    own = {"batched": {*optimizers.STEPS}, "sb3": {*sb3_learners.OPTIMIZERS}}
+    said = {
+        engine: {name for name, engines in OPTIMIZER_ENGINES.items() if engine in engines} for engine in own
+    }
+    assert own == said
+    assert OPTIMIZER_ENGINES.keys() == OPTIMIZER_FIELDS.keys() == optimizers.MOMENTS.keys()
