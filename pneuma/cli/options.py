@@ -20,7 +20,7 @@ from pneuma.cli.output import OUTPUT_FORMATS, Result, kept_for_the_result, print
 from pneuma.errors import UserError, nearest_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.presets import WORLDS
-from pneuma.study.executors.base import EXECUTORS, LOCAL, RAY, SLURM, ExecutorConfig, load_executor
+from pneuma.study.executors.base import EXECUTORS, LOCAL, RAY, ExecutorConfig, load_executor
 from pneuma.study.plan import Selection
 from pneuma.study.spec import CLAIMS, PRESETS
 from pneuma.study.store import Store
@@ -55,13 +55,13 @@ def flag(name: str, help_text: str) -> Any:
     return typer.Option(name, help=help_text)
 
 
-def choice(allowed: Iterable[str], help_text: str, metavar: str = "", name: str = "") -> Any:
-    """Return an option with a fixed set of values."""
+def choice(allowed: Iterable[str], help_text: str, metavar: str = "", name: str = "", hint: str = "") -> Any:
+    """Return an option with a fixed set of values; `hint` ends the message if another one is given."""
     names = tuple(allowed)
 
     def read(text: str) -> str:
         if text not in names:
-            raise WrongText(f"{text}: must be one of {', '.join(names)}{nearest_name(text, names)}")
+            raise WrongText(f"{text}: must be one of {', '.join(names)}{nearest_name(text, names)}{hint}")
         return text
 
     return option(metavar or "|".join(names), help_text, read, name, autocompletion=lambda: [*names])
@@ -105,15 +105,10 @@ def _span(text: str) -> range:
     return seeds
 
 
-def _read_pair(text: str, example: str = "partition=short") -> tuple[str, str]:
+def _read_setting(text: str) -> tuple[str, Any]:
     key, equals, value = (part.strip() for part in text.partition("="))
     if not (key and equals):
-        raise WrongText(f"{text}: must be KEY=VALUE, as in {example}")
-    return key, value
-
-
-def _read_setting(text: str) -> tuple[str, Any]:
-    key, value = _read_pair(text, "learning_rate=1e-3")
+        raise WrongText(f"{text}: must be KEY=VALUE, as in learning_rate=1e-3")
     return key, read_value(value)
 
 
@@ -155,10 +150,9 @@ PlotFolder = Annotated[Path | None, option("DIR", "Where to write (default: RESU
 Outcomes = Annotated[Several, option("NAME", "One of docs/outcomes.md, instead of the usual (repeatable).")]
 Workers = Annotated[Any, count("Runs trained at once (default: one a core).")]
 _WHERE = "Where runs are trained, as docs/scaling.md says (default: local)."
-Executor = Annotated[str | None, choice(EXECUTORS, _WHERE)]
+_QUEUES = "; docs/scaling.md shows how to use the queue of a cluster"
+Executor = Annotated[str | None, choice(EXECUTORS, _WHERE, hint=_QUEUES)]
 Address = Annotated[str | None, option("HOST:PORT", "The cluster of --executor ray (default: its own).")]
-_JOBS = "What jobs of --executor slurm ask for: partition, time, mem, …"
-Slurm = Annotated[SeveralRead, option("KEY=VALUE", _JOBS, _read_pair)]
 
 
 # --- What they say together ------------------------------------------------------------------------
@@ -228,18 +222,15 @@ class Place:
     workers: Workers = None
     executor: Executor = None
     address: Address = None
-    slurm: Slurm = None
 
-    def config(self, **more: Any) -> ExecutorConfig:
-        """Return it with other fields; refuse options that do not go together."""
-        executor, given = self.executor or LOCAL, {**vars(self), **more}
-        for name, needed in {"address": RAY, "slurm": SLURM, "detach": SLURM}.items():
-            if given.get(name) and executor != needed:
-                raise UserError(f"--{name}: goes with --executor {needed}")
-        asked = tuple((key.replace("-", "_"), value) for key, value in self.slurm or ())
-        config = ExecutorConfig(executor=executor, address=self.address, slurm=asked, **more)
-        room = load_executor(config).most_workers(config)  # refuses a place that cannot be reached
-        return replace(config, workers=self.workers or room)
+    def config(self) -> ExecutorConfig:
+        """Return the executor's configuration; refuse options that do not go together."""
+        executor = self.executor or LOCAL
+        if self.address and executor != RAY:
+            raise UserError(f"--address requires --executor {RAY}")
+        config = ExecutorConfig(executor=executor, address=self.address)
+        most_workers = load_executor(config).most_workers(config)  # refuses a place that cannot be reached
+        return replace(config, workers=self.workers or most_workers)
 
 
 def words_of(asked: Any) -> list[object]:

@@ -28,7 +28,6 @@ from pneuma.cli.study_run import train as train_study
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.search import FIRST_SEED
 from pneuma.study import shipped, spec
-from pneuma.study.executors.base import Detached
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
@@ -199,9 +198,8 @@ def run(
     except Unfinished as error:
         say(f"Stopped: {error}")
         code = 1
-    except KeyboardInterrupt as left:
-        stopped = str(left) if isinstance(left, Detached) else "Stopped."
-        say(f"{stopped} The same command goes on where the search was stopped.")
+    except KeyboardInterrupt:
+        say("Stopped. The same command goes on where the search was stopped.")
         code = 130
     words, then = [name, *opt.words_of(asked)], {"See its trials": "status", "Draw it": "plot"}
     shown = [f"{what} with: {command('search', verb, *words)}" for what, verb in then.items()]

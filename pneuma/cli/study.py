@@ -148,7 +148,7 @@ def status(
     """Say how far the runs of a study are."""
     if name is None:
         return _every_status(picked)
-    jobs, data = _queued(picked.store), picked.choose(name)
+    data = picked.choose(name)
     say(data.text(picked.store.root))
     for problem in picked.index.problems:
         say(f"Note: {problem}.")
@@ -158,13 +158,10 @@ def status(
     for run in runs:
         label = f"{run['status']} as published" if run["published"] else run["status"]
         label += f" at step {run['step']:,}" if run["step"] and run["status"] not in FINISHED else ""
-        if job := jobs.get(run["run_id"]):
-            label += f" job {job['job']} {job['state'].lower()}"
         table.append((f"  {run['condition']}", f"seed {run['seed']}", run["run_id"], label))
     text: list[str | Table] = [Table([""] * 4, table), tallied(run["status"] for run in runs)]
     text += [f"Stored too: {other}" for other in data.others]
-    queued = {run["run_id"]: jobs[run["run_id"]] for run in runs if run["run_id"] in jobs}
-    return Result({"study": data.study.name, "runs": runs, "jobs": queued}, text, table=runs)
+    return Result({"study": data.study.name, "runs": runs}, text, table=runs)
 
 
 def _every_status(picked: opt.StoredFilter) -> Result:
@@ -181,14 +178,3 @@ def _every_status(picked: opt.StoredFilter) -> Result:
     nothing = f"No study was run in {picked.store.root} yet."
     shown = Table([""] * 4, [[*row.values()] for row in table]) if table else nothing
     return Result({"studies": studies}, [shown], table=table)
-
-
-def _queued(store: Store) -> dict[str, dict[str, Any]]:
-    """Return Slurm's jobs by the runs that they train; print a note if the queue cannot be asked."""
-    from pneuma.study.executors.slurm import queued
-
-    try:
-        return {run_id: {"job": job.id, "state": job.state} for run_id, job in queued(store).items()}
-    except UserError as error:
-        say(f"Note: runs were submitted to Slurm, but its queue cannot be asked: {error}")
-        return {}

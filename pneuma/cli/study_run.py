@@ -17,7 +17,7 @@ from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, command, frame_table, say, tallied
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.study import execute, plan, spec
-from pneuma.study.executors.base import Detached, ExecutorConfig
+from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.progress import duration, expected_seconds, stored_paces
 from pneuma.study.provenance import uncommitted
 from pneuma.study.store import Status, Store
@@ -112,7 +112,6 @@ def run(
     name: opt.Study,
     chosen: opt.TrainFilter,
     place: opt.Place,
-    detach: Annotated[bool, opt.flag("--detach", "Leave once Slurm's jobs are submitted.")] = False,
     checkpoint_seconds: Annotated[float, opt.option("S", "Between a run's checkpoints.", min=0.01)] = 15.0,
     tensorboard: Annotated[Path | None, opt.option("DIR", "Log to TensorBoard while runs train.")] = None,
     retry_failed: opt.RetryFailed = False,
@@ -127,7 +126,7 @@ def run(
         )
     planned = _plan(chosen, name, unpublished)
     how = replace(
-        place.config(detach=detach),
+        place.config(),
         checkpoint_seconds=checkpoint_seconds,
         keep_checkpoints=planned.study.keep_checkpoints,
         logs=_log_folders(planned, tensorboard) if tensorboard else {},
@@ -147,9 +146,6 @@ def train(planned: plan.Plan, store: Store, how: ExecutorConfig, retry_failed: b
         results = api.train_plan(planned, store, how, retry_failed=retry_failed, quiet=quiet, say=aside)
         code = int(any(result.status.name in UNFINISHED_STATUSES for result in results))
         text = [*_failures(results, store), *([] if quiet else _outcome(planned, results, store))]
-    except Detached as left:  # as --detach asks, or by Ctrl-C
-        say(str(left))
-        code = 0 if left.asked else STOPPED
     except KeyboardInterrupt:
         say("Stopped. The same command goes on where every run was stopped.")
     results = results or execute.cell_results(planned, store, unfinished)

@@ -34,7 +34,7 @@ MISTAKES = {
     f"{RUN} --set steps=3": "--steps",
     f"{RUN} --set momentum=0.9": "momentum",  # Adam does not read it
     "study run collapse --set scale=raw": "--set scale: conditions of study collapse set it",
-    f"{RUN} --address a:1": "--address: goes with --executor ray",
+    f"{RUN} --address a:1": "--address requires --executor ray",
     f"{RUN} --seeds 0": "--seeds 0: must be a count",
     "study collapse activation --trust": "--trust requires --fork",
     "study collapse activation --fork-seeds 1": "--fork-seeds requires --fork",
@@ -45,7 +45,7 @@ MISTAKES = {
     "study plot activation --width x": "Invalid value for '--width': ",
     "study plot algorithms --world text": "pneuma study run algorithms",
     "study compare activation tanh relu --format svg": "--format svg: must be one of table",
-    f"{RUN} --executor slurm": "--executor slurm",  # before it says that it trains
+    f"{RUN} --executor slurm": "--executor slurm: must be one of local, ray; docs/scaling.md shows",
     "study plan breakout": "pip install '.[minatar]' in Pneuma's folder",
 }
 

@@ -5,6 +5,7 @@ crashes, a full disk, two commands at once.
 from __future__ import annotations
 
 import json
+import os
 import signal
 import time
 from pathlib import Path
@@ -29,6 +30,8 @@ def test_after_ctrl_c_every_run_comes_to_a_checkpoint(tmp_path: Path) -> None:
     process = begin(tmp_path, study, "--workers", "2", "--checkpoint-seconds", "1000")
     wait_until(lambda: len(list(children(process.pid))) == 2)
     wait_until(lambda: len(list((tmp_path / "results").glob("runs/*/.lock"))) == 2)
+    for worker in children(process.pid):
+        os.kill(worker, signal.SIGTERM)  # as a shutdown or a queue does; only the parent decides
     process.send_signal(signal.SIGINT)
     out, told = process.communicate(timeout=240)  # of which a busy machine compiles most
     assert process.returncode == 130

@@ -43,8 +43,6 @@ the wait for events where the kernel gives it to a thread of a mathematical libr
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PATIENCE = 5.0
 """Seconds after a SIGTERM in which runs may go on to a checkpoint."""
-NOT_FOR_WORKERS = (signal.SIGTERM, signal.SIGUSR2)
-"""Signals that Slurm or a shutdown sends to all processes; workers learn of them from their parent."""
 _NUMERIC = (
     "JAX_", "XLA_", "TF_", "NUMBA_", "NPY_", "TORCH_", "PYTORCH_", "OMP_", "GOMP_", "KMP_", "OPENBLAS_",
     "MKL_", "CUBLAS_", "CUDNN_", "NVIDIA_TF32_",
@@ -82,26 +80,20 @@ def run_groups(
 class Interrupts:
     """Collects signals within a `with` block instead of letting them end it; in the main thread alone.
 
-    A SIGTERM, as of a shutdown, counts as a second one `PATIENCE` seconds later: what trains goes on from its
-    last checkpoint.
-
-    Args:
-        most: how many of them are counted.
-
-    Attributes:
-        seen: the signals that came, with at most one SIGHUP, which the shell of a closed terminal sends
-            again.
+    A SIGTERM, as of a shutdown or a queue's time limit, counts as a second one `PATIENCE` seconds later: what
+    trains goes on from its last checkpoint. The shell of a closed terminal sends SIGHUP again, which counts
+    once.
     """
 
-    def __init__(self, signals: Iterable[int] = SIGNALS, most: int = 2) -> None:
-        self.seen: list[int] = []
-        self._signals, self._most = signals, most
+    def __init__(self, signals: Iterable[int] = SIGNALS) -> None:
+        self._signals = signals
+        self._seen: list[int] = []
         self._before: dict[int, Any] = {}
         self._ended_by = math.inf
 
     @property
     def count(self) -> int:
-        return min(len(self.seen) + (time.monotonic() > self._ended_by), self._most)
+        return min(len(self._seen) + (time.monotonic() > self._ended_by), 2)
 
     def __enter__(self) -> Interrupts:
         if threading.current_thread() is threading.main_thread():
@@ -114,8 +106,8 @@ class Interrupts:
             signal.signal(number, handler)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
-        if number != signal.SIGHUP or not self.seen:
-            self.seen.append(number)
+        if number != signal.SIGHUP or not self._seen:
+            self._seen.append(number)
         if number == signal.SIGTERM:
             self._ended_by = min(self._ended_by, time.monotonic() + PATIENCE)
 
@@ -140,24 +132,13 @@ class _Task:
 class Supervisor:
     """Keeps workers busy until all of some groups of a job have ended.
 
-    After the first of `interrupts` every run goes on to a checkpoint; after the second all end at once. A
-    group is divided among so many workers at once as `shares` says.
+    After the first of `interrupts` every run goes on to a checkpoint; after the second all end at once.
     """
 
     def __init__(
-        self,
-        job: Job,
-        indices: Iterable[int],
-        workers: int,
-        on_event: OnEvent,
-        interrupts: Interrupts,
-        shares: int = 1,
+        self, job: Job, indices: Iterable[int], workers: int, on_event: OnEvent, interrupts: Interrupts
     ) -> None:
-        self._tasks = [
-            _Task(index, dict([*job.runs(index).items()][first::shares]))
-            for index in indices
-            for first in range(min(shares, len(job.groups[index])))
-        ]
+        self._tasks = [_Task(index, job.runs(index)) for index in indices]
         self._job, self._store, self._workers_at_once, self._on_event = job, job.store, workers, on_event
         self._interrupts, self._heeded = interrupts, 0
         self._selector = selectors.DefaultSelector()
@@ -288,7 +269,9 @@ class _Worker(subprocess.Popen[bytes]):
         last_try = ["--last-try"] * (task.tries == TRIES)
         command = [sys.executable, "-P", "-m", "pneuma.study.worker", str(job.path), str(task.index)]
         command += ["--parent", str(os.getpid()), *last_try, "--only", *task.group]
-        signal.pthread_sigmask(signal.SIG_BLOCK, NOT_FOR_WORKERS)  # inherited by the worker
+        # Inherited by the worker: a shutdown or a queue sends SIGTERM to all processes, and workers learn of
+        # it from their parent.
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
         try:
             super().__init__(
                 command,
@@ -300,7 +283,7 @@ class _Worker(subprocess.Popen[bytes]):
                 bufsize=0,
             )
         finally:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, NOT_FOR_WORKERS)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
         assert self.stdin is not None and self.stdout is not None
         self._orders, self.events = self.stdin, self.stdout
 
@@ -341,16 +324,14 @@ def worker_environment() -> dict[str, str]:
     return {**kept, **dict.fromkeys(_ONE_THREAD, "1"), **added}
 
 
-def prepare_node(gpu: bool = False) -> None:
-    """Prepare this process, on a node of a cluster, to start workers.
+def prepare_node() -> None:
+    """Prepare this process, on a node of a cluster, to start workers on its CPUs.
 
-    Compiled programs are cached by processor, because nodes differ and often share a home folder. GPUs are
-    hidden if none was requested, which Ray and some Slurm clusters do not do.
+    Compiled programs are cached by processor, because nodes differ and often share a home folder.
     """
     processor = hashlib.sha256(machine()["cpu"].encode()).hexdigest()[:8]
     os.environ["XDG_CACHE_HOME"] = str(_cache() / "nodes" / processor)
-    if not gpu:
-        os.environ["CUDA_VISIBLE_DEVICES"] = ""
+    os.environ["CUDA_VISIBLE_DEVICES"] = ""
 
 
 def _cache() -> Path:

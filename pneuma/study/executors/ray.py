@@ -12,7 +12,8 @@ from __future__ import annotations
 import os
 import signal
 import socket
-from collections.abc import Iterable, Mapping
+import time
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import chdir, suppress
 from functools import cache
 from importlib.util import find_spec
@@ -22,10 +23,10 @@ from typing import Any
 
 from pneuma.config import Run
 from pneuma.errors import UserError, install_extra
-from pneuma.study.executors.base import ExecutorConfig, OnEvent, Queued, read_job, watch, write_job
+from pneuma.study.executors.base import ExecutorConfig, OnEvent, end_event, read_job, write_job
 from pneuma.study.executors.local import Interrupts, Supervisor, prepare_node, say_stopping
 from pneuma.study.provenance import CARRIED_CODE, SOURCE, available_cores, code, machine
-from pneuma.study.store import Store
+from pneuma.study.store import Status, Store
 from pneuma.study.worker import die_with
 
 JOIN_SECONDS = 5.0
@@ -67,8 +68,8 @@ def run_groups(
         tasks: dict[Any, tuple[int, Mapping[str, Run]]] = {}
         may_restart = how.address is None
 
-        def live() -> dict[str, Queued]:
-            """Return the runs of tasks that have not ended, and keep those tasks."""
+        def live() -> dict[str, str]:
+            """Return the runs of tasks that have not ended, with where they are, and keep those tasks."""
             nonlocal may_restart
             while waiting and len(tasks) < how.workers:
                 index, group = waiting.pop(0)
@@ -86,15 +87,46 @@ def run_groups(
                 _stop([*tasks], interrupts)
                 raise KeyboardInterrupt
             return {
-                **{name: Queued("WAITING") for _, group in waiting for name in group},
-                **{name: Queued("IN THE CLUSTER") for _, group in tasks.values() for name in group},
+                **{name: "job is waiting" for _, group in waiting for name in group},
+                **{name: "job is in the cluster" for _, group in tasks.values() for name in group},
             }
 
         try:
-            watch(left, store, on_event, live, LOOK_SECONDS, "its node was lost twice", how.until)
+            _watch(left, store, on_event, live, how.until)
         finally:
             for task in tasks:
                 ray.cancel(task, force=True)
+
+
+def _watch(
+    left: set[str],
+    store: Store,
+    on_event: OnEvent,
+    live: Callable[[], Mapping[str, str]],
+    until: Mapping[str, int],
+) -> None:
+    """Report events of runs in tasks until all runs have ended; ended ones are removed from `left`.
+
+    `live` returns where the remaining runs are, by their ids. A run that is nowhere and has no result is
+    lost. `until` has the steps at which runs pause.
+    """
+    places: Mapping[str, str] = dict.fromkeys(left, "job is submitted")
+    while left:
+        before, places = places, live()
+        for name in sorted(left):
+            status, place = store.status(name), places.get(name, before.get(name))
+            if status.finished or place is None:
+                left.discard(name)
+                ended = status.finished or status.failed or status.name == "killed"
+                ended = ended or 0 < until.get(name, 0) <= status.step
+                told = status if ended else Status("killed", status.step)
+                reason = "" if ended else "its node was lost twice"
+                on_event({**end_event(name, told), "reason": reason})
+            elif status.step:
+                on_event({"event": "step", "run_id": name, "step": status.step})
+            elif place != before.get(name):
+                on_event({"event": "status", "run_id": name, "text": place})
+        time.sleep(LOOK_SECONDS if left else 0)
 
 
 def _check(task: Any) -> None:
