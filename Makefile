@@ -95,7 +95,7 @@ storm: $(TESTED)  ## Kill and damage studies at random, and compare every bit
 test-all: test docs release-check slow-0 slow-1 slow-2  ## The same, then the slow tests, links of pages, and archives
 
 # The slow tests in three parts; .ci/run runs one of them, by the day of the year.
-SLOW_0 = tests/test_*.py tests/env tests/godot tests/figures
+SLOW_0 = tests/test_*.py tests/env tests/figures
 SLOW_1 = tests/engines tests/search
 SLOW_2 = tests/study
 

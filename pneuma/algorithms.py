@@ -10,8 +10,6 @@ from typing import Any
 
 MAILMAN = "pneuma/Mailman-v0"
 """The only environment with a table of states (thesis Fig. 2.1)."""
-GODOT = "Godot-v0"
-"""The id of a game made with Godot, which is started as a program: see `pneuma.godot.game`."""
 
 OPEN_LEARNERS = {
     "sac": "stable_baselines3:SAC",

@@ -23,7 +23,7 @@ BASE = (
 
 LAYERS = (
     BASE,
-    ("pneuma.env", "pneuma.godot"),
+    ("pneuma.env",),
     ("pneuma.engines",),
     ("pneuma.study", "pneuma.imports"),
     ("pneuma.analysis",),

@@ -5,7 +5,7 @@ what it is paid; `kernel.py` calls them, `worlds.py` owns the state, `slots.py` 
 `gym.py`, `gym_vector.py`, `pettingzoo.py` and `sb3.py` are the faces that other libraries know.
 """
 
-from pneuma.algorithms import GODOT, MAILMAN
+from pneuma.algorithms import MAILMAN
 from pneuma.env.fields import ENVIRONMENTS
 
 MO_ENVIRONMENTS = tuple(name.replace("/", "/mo-") for name in ENVIRONMENTS)
@@ -37,4 +37,3 @@ def register_environments() -> None:
             kwargs={"env_id": name},
         )
     gymnasium.register(MAILMAN, entry_point="pneuma.engines.mailman:MailmanEnv")
-    gymnasium.register(GODOT, entry_point="pneuma.godot.game:GodotGame", disable_env_checker=True)

@@ -9,7 +9,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pneuma.algorithms import GODOT
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields
 from pneuma.env.fields import are_own_characters, is_own_level, own_rewards, read_field
 from pneuma.files import read_whole
@@ -149,6 +148,5 @@ def describe_user_code(fields: Mapping[str, object]) -> dict[str, str]:
         for key, own in named.items()
     }
     if arguments := fields.get("env_kwargs"):
-        env = fields.get("env")
-        described["env_kwargs"] = f"{'start the game of' if env == GODOT else f'make {env} with'} {arguments}"
+        described["env_kwargs"] = f"make {fields.get('env')} with {arguments}"
     return described

@@ -25,7 +25,6 @@ COMMANDS = {
 }
 RECORDS: dict[str, dict[str, Any]] = {
     "arguments": {"env": INSTALLED, "env_kwargs": {"program": "mark"}},
-    "game": {"env": "Godot-v0", "env_kwargs": {"env_path": "mark"}},
     "module": {"env": "CartPole-v1", "env_module": "marking"},
     "wrapper": {"env": "CartPole-v1", "wrappers": ("marking:Own",)},
     "reward": {"reward": ("marking:pay",)},
