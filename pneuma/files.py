@@ -1,7 +1,4 @@
-"""Files: read with a limit on their size, written whole or not at all, and documents with a checksum.
-
-Files that are read may be untrusted; nothing waits for a pipe.
-"""
+"""Files: written whole or not at all, documents with a checksum, and what reading stored files may raise."""
 
 from __future__ import annotations
 
@@ -11,8 +8,8 @@ import json
 import os
 import stat
 import uuid
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -24,9 +21,7 @@ _CHECKSUM, _END = "sha256", b"\n}\n"
 
 MADE_BY = "made by pneuma"
 """Words in a report and in an exported policy, by which a command knows what it may replace."""
-LARGEST_BYTES = 512 * 2**20
-LARGEST_TEXT = 2**20
-"""Most bytes of a TOML file; a study of a thousand conditions has a tenth of it."""
+LONGEST_REASON = 100
 
 
 def shipped_folder(package: str, place: str) -> Path:
@@ -37,31 +32,47 @@ def shipped_folder(package: str, place: str) -> Path:
         return Path(__file__).parents[1] / place
 
 
-def read_whole(path: Path, most: int = LARGEST_BYTES) -> bytes:
-    """Return the contents of a file.
+@contextmanager
+def stored_file(path: Path) -> Iterator[None]:
+    """Turn whatever is raised while a stored file is read into a UserError that names the file.
 
-    Raises:
-        OSError: when it cannot be read, is no ordinary file, or is larger than `most` bytes.
+    Stored files may be damaged or come from anybody, so there is no list of the errors that reading them, or
+    calculating with their numbers, can raise.
     """
     try:
-        with open(path, "rb", opener=open_ordinary) as file:
-            size = os.fstat(file.fileno()).st_size
-            if size > most:
-                much = f"is larger than {most / 2**20:.0f} MB, the most that is read"
-                raise OSError(errno.EFBIG, much, str(path))
-            return file.read(size)  # not `most`: memory is taken for what is asked
-    except MemoryError:
-        raise OSError(errno.ENOMEM, "does not fit into memory") from None
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        raise UserError(f"{path}: cannot be read ({_reason(error)})") from None
 
 
-def read_text(path: Path, most: int = LARGEST_TEXT) -> str:
+def _reason(error: Exception) -> str:
+    """Return why something cannot be read, in one line."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    lines = str(error).splitlines() or [""]
+    if isinstance(error, ValueError):
+        return lines[0][:LONGEST_REASON]
+    return f"{type(error).__name__}: {lines[0][:LONGEST_REASON]}"
+
+
+def read_text(path: Path) -> str:
     """Return the text of a user's file, with all line ends as one character."""
     try:
-        text = read_whole(path, most).decode("utf-8-sig")
+        return path.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise UserError(f"{path}: cannot be read: {reason}") from None
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_whole(path: Path, most: int) -> bytes:
+    """Return the contents of a search's log of at most so many bytes."""
+    with open(path, "rb", opener=open_ordinary) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > most:
+            raise OSError(errno.EFBIG, f"is larger than {most / 2**20:.0f} MB", str(path))
+        return file.read(size)
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -143,7 +154,7 @@ def dump_checksummed(document: Mapping[str, Any]) -> bytes:
 def load_checksummed(path: Path) -> dict[str, Any] | None:
     """Return a document that `dump_checksummed` wrote; None if it is missing or damaged."""
     try:
-        data = read_whole(path)
+        data = path.read_bytes()
         head, found, tail = data.rpartition(f',\n  "{_CHECKSUM}": "'.encode())
         if not found or tail != f'{checksum(head + _END)}"'.encode() + _END:
             return None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -173,24 +172,3 @@ def write_events(path: Path, points: Sequence[tuple[str, int, float]], after: in
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(encode_events(points, after))
     return path
-
-
-UNLIKE = ("pipe", "device", "ring", "folder", "sparse")
-"""What may lie in the place of a file; the last is one of 256 GB."""
-
-
-def put_unlike(path: Path, kind: str) -> None:
-    """Put something in the place of a file."""
-    path.unlink(missing_ok=True)
-    match kind:
-        case "pipe":
-            os.mkfifo(path)
-        case "device":
-            path.symlink_to("/dev/zero")
-        case "ring":
-            path.symlink_to(path)
-        case "folder":
-            path.mkdir()
-        case "sparse":
-            path.touch()
-            os.truncate(path, 2**38)

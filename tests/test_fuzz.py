@@ -20,19 +20,19 @@ from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records
 from pneuma.env.characters import load_characters
 from pneuma.env.load_level import load_level
 from pneuma.errors import UserError
-from pneuma.files import checksum, dump_checksummed
+from pneuma.files import checksum, dump_checksummed, to_json
 from pneuma.imports.tensorboard import read_event_file
 from pneuma.search.spec import load_search
-from pneuma.study.checkpoints import CheckpointFile, encode, file_name, read_checkpoint
-from pneuma.study.row_builder import row_cells
-from pneuma.study.rows import decode_row, encode_row
+from pneuma.study.checkpoints import CheckpointFile, encode, file_name, read_checkpoint, table_files
+from pneuma.study.row_builder import row_cells, stored_row
+from pneuma.study.rows import encode_row
 from pneuma.study.series import Recorded
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, read_checkpoint_name
-from pneuma.study.tables import record_table, to_parquet
+from pneuma.study.tables import to_parquet
 
 from .cli.calls import policy_of
-from .hand_made import UNLIKE, encode_events, put_unlike
+from .hand_made import encode_events
 
 READERS: dict[str, Callable[[str], Any]] = {
     "study": load_study,
@@ -41,15 +41,6 @@ READERS: dict[str, Callable[[str], Any]] = {
     "characters": load_characters,
     "level": lambda path: load_level(str(Path(path).parent), {}),
 }
-
-
-@pytest.mark.parametrize("kind", UNLIKE)
-@pytest.mark.parametrize("reader", READERS)
-def test_fuzz_what_is_no_ordinary_file_is_refused_at_once(tmp_path: Path, reader: str, kind: str) -> None:
-    path = tmp_path / ("obstacles.csv" if reader == "level" else "mine.toml")
-    put_unlike(path, kind)
-    with pytest.raises(UserError):
-        READERS[reader](str(path))
 
 
 @pytest.mark.parametrize("text", ["a." * 5000 + "a = 1", f"[{'a.' * 900}a]", f"a = {'[' * 5000}"])
@@ -84,12 +75,22 @@ def _published(path: Path) -> None:
         assert [*filter(None, map(index.row, index.frame.index))] or index.problems
 
 
+def _run_file(path: Path) -> None:
+    """Read the row of a run with a file whose checksum is right, whatever it holds."""
+    documents = {"run.json": to_json({"run": {"steps": 1000}}), "provenance.json": to_json({})}
+    tables = {f"{name}.parquet": data for name, data in table_files(Records()).items()}
+    store = Store(path.parent / "results")
+    store.save_run(RUN, Status("done", 1000), {**documents, **tables, path.name: path.read_bytes()})
+    stored_row(store, RUN)
+
+
 def _level(path: Path) -> None:
     (path.parent / "objects.csv").write_text("code,x,y\n400,-96,-64\n390,96,64\n")
     load_level(str(path.parent), {390: "bamboo"})
 
 
-CELLS = row_cells("a0" * 8, Status("done", 1000), {"steps": 1000}, Recorded({}, [{"step": 500}]), {})
+RUN = "a0" * 8
+CELLS = row_cells(RUN, Status("done", 1000), {"steps": 1000}, Recorded({}, [{"step": 500}]), {})
 ROWS = [{"step": 256, "policy_loss": 0.1, "entropy": 1.0}, {"step": 512, "policy_loss": 0.2, "entropy": 0.9}]
 ROW = {**dict.fromkeys(EPISODE_COLUMNS, 1), "ending": "died"}
 CHECKPOINT = Checkpoint(256, {"weights": np.arange(6.0).reshape(2, 3)}, {"seed": 3}, Records(episodes=[ROW]))
@@ -102,19 +103,13 @@ FILES: dict[str, tuple[str, Callable[[], bytes], Callable[[Path], object]]] = {
     "level": ("island/obstacles.csv", lambda: b"-1,-1,-1,-1,-1,-1\n" * 6, _level),
     "checkpoint": ("256.safetensors", lambda: encode(CHECKPOINT, HISTORY, ""), _checkpoint),
     "policy": ("policy.safetensors", policy_of().to_bytes, lambda path: read_sound_policy(path.read_bytes())),
-    "run table": (
-        "metrics.parquet", lambda: to_parquet(ROWS, tuple(ROWS[0])),
-        lambda path: record_table(path.read_bytes(), "metrics"),
-    ),
+    "run table": ("metrics.parquet", lambda: to_parquet(ROWS, tuple(ROWS[0])), _run_file),
     "published": (TABLE, (ROOT / "results" / TABLE).read_bytes, _published),
     "listing": (
         "studies/mine.json", lambda: dump_checksummed({"study": "mine", "runs": []}),
         lambda path: Store(path.parent.parent).listing("mine"),
     ),
-    "row": (
-        "row.arrow", lambda: encode_row(CELLS),
-        lambda path: decode_row(path.read_bytes()),
-    ),
+    "row": ("row.arrow", lambda: encode_row(CELLS), _run_file),
     "events": ("events.out.tfevents.1.host", lambda: encode_events(POINTS), read_event_file),
 }  # fmt: skip
 """Of every file that is read: its name, one that is sound, and its reader."""
@@ -141,7 +136,7 @@ def test_fuzz_a_damaged_file_gives_a_value_or_one_error(tmp_path: Path, kind: st
             start, end = sorted((int(first * len(data)), int(last * len(data))))
             data = data[:start] + put + data[end:]
         path.write_bytes(data)
-        with contextlib.suppress(UserError, *([ValueError] if kind in ("run table", "row") else [])):
+        with contextlib.suppress(UserError):
             read(path)
 
     damaged()

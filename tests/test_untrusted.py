@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import ast
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -20,8 +18,7 @@ from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
-from pneuma.files import checksum, read_whole
-from pneuma.study import tables
+from pneuma.files import checksum
 from pneuma.study.published import encode_published
 from pneuma.study.row_builder import stored_row
 from pneuma.study.rows import decode_row
@@ -30,7 +27,7 @@ from pneuma.study.tables import from_ipc, from_parquet
 
 from .analysis.published_runs import publish, save_run
 from .cli.calls import call
-from .hand_made import UNLIKE, put_unlike, save_listing, study_of
+from .hand_made import save_listing, study_of
 
 RUN = "a0" * 8
 ONE = {("a", 0): RUN}
@@ -42,99 +39,6 @@ def store(tmp_path: Path) -> Store:
     save_run(store, RUN, 0)
     save_listing(store, ONE)
     return store
-
-
-@pytest.mark.parametrize("kind", UNLIKE)
-def test_untrusted_what_is_no_ordinary_file_is_never_waited_for_nor_read(store: Store, kind: str) -> None:
-    folder = store.run_folder(RUN)
-    before = store.listing("mine")
-    put_unlike(store.listing_path("mine"), kind)
-    assert before and store.listing("mine") is None
-    with pytest.raises(OSError):
-        read_whole(store.listing_path("mine"))
-    put_unlike(folder / "metrics.parquet", kind)
-    assert store.status(RUN).name == "damaged"
-    store.write(store.published_path("other"), b"")
-    put_unlike(store.published_path("other"), kind)
-    index = RunIndex(store, shipped=False)
-    assert not index.tables and "other.parquet: cannot be read" in index.problems[0]
-    put_unlike(folder / ".lock", kind)
-    put_unlike(folder / "status.json", kind)
-    assert store.status(RUN).name == "damaged"
-    for command in (("study", "status", "mine"), ("run", "list"), ("run", "show", RUN)):
-        assert call(*command, "--results", store.root).code in (0, 2)
-
-
-def _packed(table: pa.Table, **options: Any) -> bytes:
-    sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, compression="zstd", **options)
-    return sink.getvalue().to_pybytes()
-
-
-def _lying() -> bytes:
-    """A table whose footer says that its 200,000 numbers are one: in as many bytes, as Thrift may."""
-
-    def number(value: int, least: int = 0) -> bytes:
-        parts = [(2 * value) >> shift & 127 for shift in range(0, 35, 7)]
-        while len(parts) > least and not parts[-1]:
-            parts.pop()
-        return bytes([part | 128 for part in parts[:-1]] + parts[-1:])
-
-    data = _packed(
-        pa.table({"step": pa.array(np.zeros(200_000))}), use_dictionary=False, write_statistics=False
-    )
-    group = pq.read_metadata(pa.BufferReader(data)).row_group(0)
-    begins = group.column(0).data_page_offset + group.column(0).total_compressed_size
-    footer = data[begins:]
-    for told in {group.total_byte_size, group.column(0).total_uncompressed_size, 200_000}:
-        footer = footer.replace(number(told), number(1, len(number(told))))
-    told = pq.read_metadata(pa.BufferReader(data[:begins] + footer)).row_group(0).column(0)
-    assert (told.num_values, told.total_uncompressed_size) == (1, 1)
-    return data[:begins] + footer
-
-
-NUMBERS = pa.table({"step": pa.array(np.zeros(1000))})
-BOMBS: dict[str, tuple[Callable[[], bytes], str]] = {
-    "a text that a dictionary repeats": (
-        lambda: _packed(pa.table({"ending": ["x" * 200] * 10_000})), "unpacks to more than 1 MB",
-    ),
-    "texts that repeat the one before": (
-        lambda: _packed(
-            pa.table({"ending": ["x" * k for k in range(2000)]}),
-            use_dictionary=False, column_encoding={"ending": "DELTA_BYTE_ARRAY"},
-        ),
-        "is packed otherwise",
-    ),
-    "a footer that lies": (_lying, "unpacks to more than 1 MB"),
-    "zeros": (lambda: _packed(pa.table({"step": np.zeros(2**21, np.int8)})), "unpacks to more than 1 MB"),
-    "one that was cut off": (lambda: _packed(NUMBERS)[:-9], "no table that can be read"),
-    "marks alone": (lambda: b"PAR1" * 4, "no table that can be read"),
-    "pages of another kind": (lambda: _packed(NUMBERS, data_page_version="2.0"), "no table that can be read"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", BOMBS)
-def test_untrusted_a_small_table_does_not_unpack_to_a_large_one(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tables, "LARGEST_BYTES", 2**20)
-    make, words = BOMBS[kind]
-    assert len(data := make()) < 20_000
-    with pytest.raises(ValueError, match=words):
-        from_parquet(data)
-
-
-@pytest.mark.parametrize("codec", [None, "lz4", "zstd"])
-def test_untrusted_a_row_that_is_compressed_is_refused(codec: str | None) -> None:
-    sink, how = pa.BufferOutputStream(), pa.ipc.IpcWriteOptions(compression=codec)
-    with pa.ipc.new_file(sink, NUMBERS.schema, options=how) as to:
-        to.write_table(NUMBERS)
-    data = sink.getvalue().to_pybytes()
-    if codec is None:
-        assert from_ipc(data).equals(NUMBERS)
-        return
-    with pytest.raises(ValueError, match="is no plain table"):
-        from_ipc(data)
 
 
 def _swapped(store: Store, name: str, change: Any) -> None:
@@ -161,8 +65,6 @@ def _put(column: str, values: Any) -> Any:
         ("metrics", _put("entropy", "text")),
         ("metrics", lambda table: table.drop_columns(["step"])),
         ("metrics", lambda table: table.append_column("step", table["step"])),
-        ("episodes", _put("slot", 0.5)),
-        ("episodes", _put("ending", 3)),
         ("evaluations", _put("step", {"a": 1})),
     ],
 )
@@ -173,7 +75,8 @@ def test_untrusted_a_checksummed_table_that_makes_no_sense_is_one_line(
     index = RunIndex(store, shipped=False)
     with pytest.raises(UserError, match="no finished run of study mine"):
         open_study(index, "mine")
-    assert "its records make no sense (column" in index.problems[0] or "has two" in index.problems[0]
+    (problem,) = index.problems
+    assert problem.startswith(f"{store.run_folder(RUN)}: cannot be read (") and "\n" not in problem
 
 
 @pytest.mark.parametrize(

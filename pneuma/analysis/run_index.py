@@ -13,7 +13,7 @@ import pandas as pd
 from pneuma.algorithms import ALGORITHM_ENGINES
 from pneuma.config import Run
 from pneuma.errors import UserError
-from pneuma.files import read_whole
+from pneuma.files import stored_file
 from pneuma.study.identity import config_id
 from pneuma.study.published import Published
 from pneuma.study.row_builder import UNKNOWN, stored_row
@@ -58,9 +58,13 @@ class RunIndex:
 
     @cached_property
     def tables(self) -> dict[str, Published]:
-        return {
-            name: table for path in self.store.published(self._shipped) for name, table in self._open(path)
-        }
+        tables = {}
+        for path in self.store.published(self._shipped):
+            try:
+                tables[path.stem] = _read_table(path)
+            except UserError as error:
+                self.problems.append(f"{error}; take it from version control again, or publish it again")
+        return tables
 
     @cached_property
     def places(self) -> Mapping[Any, Any]:
@@ -108,16 +112,6 @@ class RunIndex:
             about = status.identity or Identity(UNKNOWN, 0, 0)
             yield run_id, about.config_id, about.seed, about.steps, status.name, status.step, ""
 
-    def _open(self, path: Path) -> Iterator[tuple[str, Published]]:
-        try:
-            about = path.stat()
-            yield path.stem, _read_table(path, about.st_ino, about.st_mtime_ns, about.st_size)
-        except (OSError, ValueError) as error:
-            reason = error.strerror if isinstance(error, OSError) else error
-            self.problems.append(
-                f"{path}: cannot be read ({reason}); take it from version control again, or publish it anew"
-            )
-
     def _read_row(self, run_id: str) -> Row | None:
         if where := self._where[run_id]:
             return next((row for _, row in self._published(run_id, where)), None)
@@ -137,11 +131,17 @@ class RunIndex:
             if run_id in table.places and alone in ("", str(table.path)):
                 try:
                     yield table.path, table.row(run_id)
-                except ValueError as error:
-                    self.problems.append(f"{table.path}: {error}")
+                except UserError as error:
+                    self.problems.append(str(error))
+
+
+def _read_table(path: Path) -> Published:
+    """Read a published table, once in a process until its file changes; all of Pneuma's take 0.3 s."""
+    with stored_file(path):
+        file = path.stat()
+        return _read_version(path, file.st_ino, file.st_mtime_ns, file.st_size)
 
 
 @lru_cache(maxsize=100)
-def _read_table(path: Path, *_version: int) -> Published:
-    """Read a published table, once in a process until its file changes; all of Pneuma's take 0.3 s."""
-    return Published(path, read_whole(path))
+def _read_version(path: Path, *_version: int) -> Published:
+    return Published(path, path.read_bytes())

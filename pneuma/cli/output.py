@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pneuma.errors import UserError, nearest_name, plain, print_aside
 from pneuma.figures import FIGURE_FORMATS
-from pneuma.files import MADE_BY, read_whole, write_whole
+from pneuma.files import MADE_BY, write_whole
 from pneuma.study.shipped import read_head, shipped_names
 from pneuma.study.store import Store
 
@@ -212,7 +212,7 @@ def check_file(out: Path, endings: Collection[str], force: bool = True) -> None:
         raise UserError(f"--out {out}: is a folder; name a file")
     if out.is_symlink():
         raise UserError(f"--out {out}: is a link; name the file itself")
-    if not force and out.is_file() and MADE_BY.encode() not in read_whole(out):
+    if not force and out.is_file() and MADE_BY.encode() not in out.read_bytes():
         raise UserError(f"--out {out}: is there already and not made by Pneuma; --force replaces it")
 
 

@@ -36,7 +36,6 @@ from pneuma.schema import Table, TomlFile, read_model, read_toml
 
 LEVELS = Path(__file__).parent / "data" / "levels"
 MAX_SIDE = 1000
-LARGEST_LAYER = 16 * 2**20
 """Most bytes of a layer."""
 MOST_PLACES = 1000
 """Most start places and monsters together in a level."""
@@ -162,7 +161,7 @@ def _codes(path: Path, table: np.ndarray) -> np.ndarray:
 
 def _read_table(path: Path, kinds: Any, head: str = "") -> np.ndarray:
     """Return a CSV table of numbers, of these kinds a column, below the line `head` if given."""
-    lines = read_text(path, LARGEST_LAYER).splitlines()
+    lines = read_text(path).splitlines()
     if head and lines[:1] != [head]:
         raise UserError(f"{path}: the first line must be {head}")
     below = int(bool(head))

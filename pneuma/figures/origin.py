@@ -20,13 +20,11 @@ from pydantic import BaseModel, ConfigDict, FailFast
 from pneuma import __version__
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError, plain
-from pneuma.files import checksum, read_whole
+from pneuma.files import checksum
 from pneuma.values import shown_seeds
 
 KEYS = {"png": "Description", "svg": "Description", "pdf": "Subject"}
 """Where each format has the document; XMP maps all three to `dc:description`."""
-LARGEST_FIGURE = 64 * 2**20
-"""Most bytes of a file that is read; Pillow unpacks at most 1 MiB of text."""
 TOO_LARGE = (Image.DecompressionBombError, Image.DecompressionBombWarning)
 MOST_IDS = 8
 """With more ids of a condition than this, their number and checksum are written."""
@@ -83,7 +81,7 @@ def read_origin(path: Path) -> Origin:
         UserError: when the file cannot be read, or has none.
     """
     try:
-        data = read_whole(path, LARGEST_FIGURE)
+        data = path.read_bytes()
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from None
     try:

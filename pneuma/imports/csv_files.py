@@ -17,7 +17,6 @@ import numpy as np
 import pandas as pd
 
 from pneuma.errors import UserError, counted
-from pneuma.files import read_whole
 from pneuma.imports.logs import AGENT_STEPS, ImportedRun, Log, file_facts, store_logs
 from pneuma.imports.points import ONE_EPISODE
 from pneuma.study.quantities import TAGS
@@ -100,7 +99,7 @@ def _log(
         tables.append(sound.assign(superseded=sound.duplicated("step", keep="last")))
         if again := int(tables[-1]["superseded"].sum()):
             notes.append(f"{tag}: {counted(again, 'step')} that came again; the last value counts")
-    files = [file_facts(read_whole(path)) for path in paths]
+    files = [file_facts(path.read_bytes()) for path in paths]
     hashes = [file["sha256"] for file in files]
     about = {"import_version": IMPORT_VERSION, "averaged_over": averaged_over, "files": files}
 
@@ -132,7 +131,7 @@ def _return_columns(path: Path, frame: pd.DataFrame, step: str, returns: str) ->
 def _read_table(path: Path) -> tuple[pd.DataFrame, list[str]]:
     """Return a file's columns as text, and notes on how it was read."""
     try:
-        text = read_whole(path).decode("utf-8-sig")
+        text = path.read_bytes().decode("utf-8-sig")
         if text.startswith("#"):  # what a monitor says of its environment
             text = text.partition("\n")[2]
         separator = max(",;\t", key=text.partition("\n")[0].count)

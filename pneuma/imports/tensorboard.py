@@ -15,7 +15,6 @@ from typing import NamedTuple
 import pandas as pd
 
 from pneuma.errors import UserError, counted, install_extra
-from pneuma.files import read_whole
 from pneuma.imports.logs import ImportedRun, Log, file_facts, store_logs
 from pneuma.study.store import Store
 
@@ -65,7 +64,7 @@ def _read_log(parts: tuple[str, ...], paths: Sequence[Path]) -> Log:
     files, rows, notes = [], [], []
     for place, path in enumerate(paths):
         try:
-            data = read_whole(path)
+            data = path.read_bytes()
         except OSError as error:
             raise UserError(f"{path}: cannot be read ({error.strerror})") from None
         files.append(file_facts(data))

@@ -31,15 +31,13 @@ from pneuma.engines.records import (
     Row,
 )
 from pneuma.errors import UserError
-from pneuma.files import SCHEMA, checksum, read_whole
+from pneuma.files import SCHEMA, checksum
 from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.provenance import Attempt, finished_provenance
 from pneuma.study.store import CHECKPOINTS, Store, read_checkpoint_name
 from pneuma.study.tables import from_parquet, to_parquet
 
 LATEST_KEPT = 2
-LARGEST_CHECKPOINT = 2**36
-"""Most bytes of a checkpoint that is read: it may hold a large replay buffer."""
 WRITE_SHARE = 40
 """Time between checkpoints is at least this many times what the last one took to write."""
 TABLES = {"episodes": EPISODE_COLUMNS, "metrics": METRIC_COLUMNS, "evaluations": EVALUATION_COLUMNS}
@@ -162,7 +160,7 @@ def file_name(step: int, data: bytes) -> str:
 def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, Any]]] | None:
     """Read a checkpoint and its attempts; None if it is damaged, no checkpoint, or of another step or run."""
     try:
-        data = read_whole(file.path, LARGEST_CHECKPOINT)
+        data = file.path.read_bytes()
         if checksum(data)[:16] != file.digest:
             return None
         checkpoint, about = decode(data)

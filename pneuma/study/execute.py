@@ -13,7 +13,6 @@ from typing import Any
 from pneuma.algorithms import OF_OPEN_LEARNERS
 from pneuma.config import OF_GYMNASIUM, Run, env_config, is_open
 from pneuma.errors import counted
-from pneuma.files import read_whole
 from pneuma.study.executors.base import Event, ExecutorConfig, load_executor
 from pneuma.study.plan import Cell, Plan
 from pneuma.study.store import Status, Store, run_identity
@@ -70,7 +69,7 @@ def prepare(
         store.save_listing(plan.study.name, about)
     elif plan.steps:
         if plan.study.own_path:
-            store.write(store.studies / plan.study.path.name, read_whole(plan.study.path))
+            store.write(store.studies / plan.study.path.name, plan.study.path.read_bytes())
         before = store.noted_steps(plan.study.name).get(plan.study.variant, [])
         steps = [*(each for each in before if each != plan.steps), plan.steps]
         if steps != before:

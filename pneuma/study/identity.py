@@ -11,7 +11,6 @@ from typing import Any
 
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields
 from pneuma.env.fields import are_own_characters, is_own_level, own_rewards, read_field
-from pneuma.files import read_whole
 from pneuma.own_modules import in_package
 
 _MODULE_FILES = ("pneuma.own_modules", "module_files")
@@ -84,7 +83,7 @@ def user_files_digest(fields: Mapping[str, Any]) -> str:
     paths = [path for _, found in _own_files(fields) for path in found]
     digest = hashlib.sha256()
     for path in paths:
-        data = read_whole(path)
+        data = path.read_bytes()
         digest.update(f"{path.name}\0{len(data)}\0".encode() + data)
     return digest.hexdigest() if paths else ""
 

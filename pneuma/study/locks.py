@@ -8,10 +8,8 @@ run is finished: of a file that is removed sooner two could hold a lock.
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import os
-import stat
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -28,7 +26,7 @@ def run_lock(folder: Path) -> Iterator[bool]:
     The operating system releases the lock when the process ends, however it ends.
 
     Raises:
-        OSError: when it cannot be created, or its path is not a file.
+        OSError: when it cannot be created.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with open(folder / ".lock", "a+b", opener=_open) as file:
@@ -52,16 +50,8 @@ def is_held(folder: Path) -> bool:
 
 
 def _open(path: str, flags: int) -> int:
-    """Open a lock file without following a link or waiting for a pipe.
-
-    Raises:
-        OSError: when it cannot be opened, or is not an ordinary file.
-    """
-    descriptor = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)  # less the umask
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-        os.close(descriptor)
-        raise OSError(errno.EINVAL, f"{os.path.basename(path)} is no ordinary file; remove it")
-    return descriptor
+    """Open a lock's file, which a link must not lead out of the results."""
+    return os.open(path, flags | os.O_NOFOLLOW, 0o666)  # less the umask
 
 
 def _take(descriptor: int) -> bool:

@@ -16,7 +16,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pneuma.files import checksum, parse_json
+from pneuma.files import checksum, parse_json, stored_file
 from pneuma.study.rows import CURVE, Row, column_type, read_row, sound_rows
 from pneuma.study.tables import from_parquet
 
@@ -70,6 +70,9 @@ _NO_SUM = "sha256:" + "0" * 64
 """Placeholder for the checksum over all other bytes of a published table."""
 _SUM = re.compile(rb"sha256:([0-9a-f]{64})")
 
+INDEX_COLUMNS = ["run_id", "config_id", "seed", "steps", "status", "end"]
+_INDEX_SCHEMA = pa.schema([pa.field(name, column_type(name), nullable=False) for name in INDEX_COLUMNS])
+
 
 class Published:
     """A published table, which may be untrusted. Its rows are read when the first one is asked for.
@@ -80,23 +83,21 @@ class Published:
         places: the place of each run, by id.
 
     Raises:
-        ValueError: for a damaged file, or one that `encode_published` did not make.
+        UserError: for a file that is damaged, or that `encode_published` did not make.
     """
 
     def __init__(self, path: Path, data: bytes) -> None:
-        if _SUM.findall(data) != [checksum(_SUM.sub(_NO_SUM.encode(), data)).encode()]:
-            raise ValueError("damaged")
         self.path = path
         self._data = data
-        index = from_parquet(data, ["run_id", "config_id", "seed", "steps", "status", "end"])
-        self.about = parse_json((index.schema.metadata or {}).get(b"pneuma", b""))
-        if self.about.get("schema") != 3:
-            raise ValueError("of another version of Pneuma")
-        if [column_type(name) for name in index.column_names] != index.schema.types or any(
-            column.null_count for column in index.columns
-        ):
-            raise ValueError("its runs make no sense")
-        self.index = list(zip(*(column.to_pylist() for column in index.columns), strict=True))
+        with stored_file(path):
+            if _SUM.findall(data) != [checksum(_SUM.sub(_NO_SUM.encode(), data)).encode()]:
+                raise ValueError("damaged")
+            index = from_parquet(data, INDEX_COLUMNS).select(INDEX_COLUMNS)
+            self.about = parse_json(index.schema.metadata[b"pneuma"])
+            if self.about.get("schema") != 3:
+                raise ValueError("of another version of Pneuma")
+            columns = index.cast(_INDEX_SCHEMA).to_pydict().values()
+        self.index = list(zip(*columns, strict=True))
         self.places = {run_id: place for place, (run_id, *_) in enumerate(self.index)}
 
     @cached_property
@@ -107,9 +108,10 @@ class Published:
         """Return the row of one of its runs.
 
         Raises:
-            ValueError: where the table makes no sense.
+            UserError: if the table is invalid.
         """
-        return read_row(self._rows, self.places[run_id], published=True)
+        with stored_file(self.path):
+            return read_row(self._rows, self.places[run_id], published=True)
 
     def rows(self) -> dict[str, Row]:
         return {run_id: self.row(run_id) for run_id in self.places}

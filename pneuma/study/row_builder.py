@@ -21,7 +21,7 @@ import pyarrow.compute as pc
 
 from pneuma.config import Run, as_fields
 from pneuma.errors import UserError
-from pneuma.files import parse_json
+from pneuma.files import parse_json, stored_file
 from pneuma.study import rows, series
 from pneuma.study.checkpoints import TABLES, sound_checkpoint, table_files
 from pneuma.study.quantities import (
@@ -31,7 +31,7 @@ from pneuma.study.quantities import (
 )
 from pneuma.study.rows import Row, curve_column, decode_row, encode_row
 from pneuma.study.store import ROW_FILE, SCALARS_FILE, Status, Store, run_identity
-from pneuma.study.tables import record_table
+from pneuma.study.tables import from_parquet
 
 if TYPE_CHECKING:
     import pandas as pd  # of logs alone: workers do not load it
@@ -67,19 +67,15 @@ def of_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> seri
 
 def stored_row(store: Store, name: str) -> Row:
     """Return the row of a finished run; made from the run's other files if it is missing or damaged."""
-    try:
+    with suppress(Exception):  # whatever is wrong with it
         return decode_row(store.read_file(name, ROW_FILE))
-    except (UserError, ValueError):
-        pass
-    folder = store.run_folder(name)
-    try:
+    with stored_file(store.run_folder(name)):
         files = {file: store.read_file(name, file) for file in store.checksums(name) if file != ROW_FILE}
         data = encode_row(cells_of_files(name, store.status(name, quick=True), files))
-    except (KeyError, TypeError, ValueError) as error:
-        raise UserError(f"{folder}: its records make no sense ({error})") from None
+        row = decode_row(data)
     with suppress(UserError):  # a folder that cannot be written is still read
         store.save_row(name, data)
-    return decode_row(data)
+    return row
 
 
 def row_until(store: Store, name: str, run: Run, step: int) -> Row:
@@ -93,24 +89,19 @@ def row_until(store: Store, name: str, run: Run, step: int) -> Row:
                 f"{store.run_folder(name)}: has no sound checkpoint at step {step:,}; search again"
             )
         files = table_files(latest.records)
-    tables = {table: record_table(data, table) for table, data in files.items()}
+    tables = {table: from_parquet(data) for table, data in files.items()}
     tables = {key: table.filter(pc.less_equal(table["step"], step)) for key, table in tables.items()}
     status, fields = Status("done", step, identity=run_identity(run)), as_fields(replace(run, steps=step))
     return decode_row(encode_row(row_cells(name, status, fields, of_tables(fields, tables), {})))
 
 
 def cells_of_files(name: str, status: Status, files: Mapping[str, bytes]) -> dict[str, Any]:
-    """Return the cells of a finished run's row, from the files that it leaves.
-
-    Raises:
-        KeyError, TypeError, ValueError: for files that make no sense.
-    """
+    """Return the cells of a finished run's row, from the files that it leaves."""
     fields = parse_json(files["run.json"])["run"]
-    tables = {
-        file.removesuffix(".parquet"): record_table(data, file.removesuffix(".parquet"))
-        for file, data in files.items()
-        if file.endswith(".parquet")
-    }
+    tables = {}
+    for file, data in files.items():
+        if file.endswith(".parquet"):
+            tables[file.removesuffix(".parquet")] = from_parquet(data)
     provenance = parse_json(files["provenance.json"])
     if "scalars" in tables:
         from pneuma.imports.points import of_log
@@ -125,10 +116,8 @@ def record_frame(store: Store, name: str, table: str) -> pd.DataFrame:
     """Return a run's episodes or metrics as recorded, for export; of a log, all its scalars by step."""
     logged = SCALARS_FILE in store.checksums(name)
     file = SCALARS_FILE if logged else f"{table}.parquet"
-    try:
-        frame = record_table(store.read_file(name, file), file.removesuffix(".parquet")).to_pandas()
-    except ValueError as error:
-        raise UserError(f"{store.run_folder(name) / file}: {error}") from None
+    with stored_file(store.run_folder(name) / file):
+        frame = from_parquet(store.read_file(name, file)).to_pandas()
     if not logged:
         return frame
     from pneuma.imports.points import by_step

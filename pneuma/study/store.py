@@ -45,7 +45,6 @@ from pneuma.files import (
     load_checksummed,
     names_in,
     parse_json,
-    read_whole,
     replace_files,
     to_json,
 )
@@ -374,7 +373,7 @@ def read_sound(folder: Path, name: str, expected: str | None) -> bytes | None:
     """Return a file of a run; None if it lacks the checksum that the run's status lists."""
     with suppress(OSError):
         if expected and _FILE_NAME.fullmatch(name):
-            data = read_whole(folder / name)
+            data = (folder / name).read_bytes()
             return data if checksum(data) == expected else None
     return None
 

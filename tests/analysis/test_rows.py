@@ -193,7 +193,7 @@ def test_one_flipped_bit_anywhere_or_a_cut_is_noticed(store: Store) -> None:
         for place in range(0, len(data), 5003)
     ]
     for wrong in (*broken, *(data[:size] for size in (0, 1, 100, -1))):
-        with pytest.raises(ValueError, match="damaged"):
+        with pytest.raises(UserError, match="damaged"):
             Published(path, wrong)
         path.write_bytes(wrong)
         index = RunIndex(store, shipped=False)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from pneuma.cli.options import seeds
 from pneuma.figures import FIGURE_FORMATS
-from pneuma.figures.origin import LARGEST_FIGURE, Origin, read_origin, sample
+from pneuma.figures.origin import Origin, read_origin, sample
 from pneuma.figures.style import house_style, save_figure
 from pneuma.values import shown_seeds
 
@@ -92,10 +92,7 @@ def test_untrusted_a_file_that_tells_no_origin_is_one_line(tmp_path: Path, kind:
 
 
 def test_untrusted_what_cannot_be_read_is_one_line(tmp_path: Path) -> None:
-    huge = tmp_path / "huge.png"
-    with open(huge, "wb") as file:
-        file.truncate(LARGEST_FIGURE + 1)
-    for path in (tmp_path, tmp_path / "none.svg", huge, Path("/dev/zero")):
+    for path in (tmp_path, tmp_path / "none.svg"):
         code, out, said = call("figure", path)
         assert (code, out, said.count("\n")) == (2, "", 1) and "cannot be read" in said
 

@@ -122,16 +122,13 @@ def test_a_damaged_file_keeps_what_came_before_and_gives_no_wrong_value(tmp_path
             assert [scalar[:3] for scalar in scalars] == sound and length == last
 
 
-def test_a_torn_file_is_imported_and_one_too_large_is_told(tmp_path: Path) -> None:
+def test_a_torn_file_is_imported(tmp_path: Path) -> None:
     path = write_events(tmp_path / "logs" / "a_1" / FILE, POINTS)
     path.write_bytes(path.read_bytes()[:-5])
     (run,), notes = _import(tmp_path)
     assert (run.log.steps, len(run.log.points)) == (4 * 256, 4)
     assert notes and re.search(r"a_1: .* is damaged: its last \d\d of \d\d\d bytes are left out", notes[0])
     assert Store(tmp_path / "results").status(run.run_id) == Status("done", 4 * 256)
-    os.truncate(path, 2**40)
-    with pytest.raises(UserError, match="is larger than"):
-        _import(tmp_path)
 
 
 def test_tags_of_evaluations_are_evaluations_the_last_written_of_a_step(tmp_path: Path) -> None:

@@ -31,9 +31,3 @@ def test_who_only_looks_keeps_nobody_out(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(time, "sleep", lambda seconds: os.close(looking))  # it has seen what it wanted
     with run_lock(tmp_path) as mine:
         assert mine
-
-
-def test_a_pipe_in_place_of_a_lock_is_named(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / ".lock")
-    with pytest.raises(OSError, match="ordinary file"), run_lock(tmp_path):
-        pass
