@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-import re
-import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import pandas as pd
 
 from pneuma.analysis import EDGED_BANDS, EXPORT_TABLES
@@ -18,7 +15,7 @@ from pneuma.analysis.intervals import decimals, shown
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.study_data import NAMING, StudyData
 from pneuma.analysis.summaries import summary_table
-from pneuma.errors import UserError, plain
+from pneuma.errors import UserError
 from pneuma.study.locks import run_lock
 from pneuma.study.published import encode_published
 from pneuma.study.quantities import EPISODE_QUANTITIES
@@ -118,92 +115,69 @@ def publish_runs(store: Store, data: StudyData, curves: Sequence[str]) -> Public
     return Publication(path, len(new), len(rows) - len(new), len(encoded))
 
 
-_MINUS = re.compile(r"(?<![\w.$-])-(?=[\d.])")
-"""A hyphen that is the sign of a number."""
-CHARACTERS_OF_A_LINE = 72
-"""In LaTeX's article; a table of more is set in smaller type."""
-
-
-def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
-    """Encode a table as csv, parquet, latex or markdown; the last two have rounded numbers."""
-    if form == "csv":  # so that spreadsheets run no text: names may be untrusted
-        texts = frame.select_dtypes(include=["object", "string"])
-        safe = frame.assign(**{str(name): texts[name].map(_as_text) for name in texts})
-        return safe.rename(columns=_as_text).to_csv(index=False, lineterminator="\n").encode()
-    if form == "parquet":
-        return bytes(frame.to_parquet(index=False))
-    shown = pd.DataFrame(_read_rows(frame), columns=frame.columns)
-    numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
-    if form == "latex":
-        columns = "".join(map(_latex_column, numeric, shown.to_numpy().T))
-        lines = shown.map(lambda cell: cell.replace("\n", _NEW_LINE))
-        long = len(frame) > LINES_OF_A_PAGE
-        text = lines.to_latex(index=False, escape=True, column_format=columns, longtable=long)
-        text = _MINUS.sub("$-$", text.replace(_NEW_LINE, r" \newline ").translate(_LATEX))
-        widths = [max(len(str(name)), *map(len, shown[name])) for name in shown]
-        if sum(widths) > CHARACTERS_OF_A_LINE and "p{" not in columns:
-            text = f"{{\\footnotesize\\setlength{{\\tabcolsep}}{{1.5pt}}\n{text}}}\n"
-        packages = "booktabs and longtable" if long else "booktabs"
-        return f"% needs the package{'s' * long} {packages}\n{text}".encode()
-    rows = [
-        [_markdown(name) for name in shown.columns],
-        ["---:" if right else "---" for right in numeric],
-    ]
-    rows += [[_markdown(cell) for cell in row] for row in shown.to_numpy()]
-    return "".join(f"| {' | '.join(row)} |\n" for row in rows).encode()
-
-
-def _markdown(cell: object) -> str:
-    """Return a cell without marks of its own; what looks like a link or an image stays text."""
-    return str(cell).translate(_MARKDOWN).replace("](", r"]\(")
-
-
-def _as_text(cell: object) -> object:
-    """Return a cell without invisible characters, and with a ' before what a spreadsheet would run."""
-    if not isinstance(cell, str):
-        return cell
-    cell = _AFTER_SEPARATOR.sub(r"\1'", plain(cell))  # where cells end at semicolons
-    if not unicodedata.normalize("NFKC", cell).lstrip().startswith(("=", "+", "-", "@")):
-        return cell
-    return cell if re.fullmatch(r"[+-][\d.]+(e[+-]?\d+)?", cell) else "'" + cell
-
-
-def _read_rows(frame: pd.DataFrame) -> Iterator[list[str]]:
-    """Yield the cells of each row with rounded numbers.
-
-    Numbers with an interval are rounded with it; others keep six digits.
-    """
-    for row in frame.to_dict("records"):
-        if {"value", "low", "high"} <= row.keys():
-            whole = row.get("statistic") == "count"
-            places = 0 if whole else decimals(row["value"], row["low"], row["high"])
-            row |= {key: shown(row[key], places) for key in ("value", "low", "high")}
-        yield [_cell(cell) for cell in row.values()]
-
-
-def _cell(cell: object) -> str:
-    if isinstance(cell, float):
-        return "–" if math.isnan(cell) else f"{cell:.6g}"
-    return str(cell)
-
-
-def _latex_column(right: bool, cells: np.ndarray) -> str:
-    return "r" if right else PARAGRAPH if max(map(len, cells), default=0) > LONGEST_IN_A_LINE else "l"
-
-
 LINES_OF_A_PAGE = 40
 """Most rows of a LaTeX table that is not broken over pages."""
 LONGEST_IN_A_LINE = 40
+"""Most characters of a cell in LaTeX whose text does not break into lines."""
 PARAGRAPH = r"p{0.2\linewidth}"
-"""A LaTeX column whose cells may have several lines."""
-_NEW_LINE = "\x00"
-_AFTER_SEPARATOR = re.compile("(;\\s*)(?=[=+\\-@＝＋－＠])")
 _LATEX = str.maketrans({
     "−": "$-$", "±": r"$\pm$", "×": r"$\times$", "≤": r"$\leq$", "∞": r"$\infty$", "∇": r"$\nabla$",
     "‖": r"$\|$", "α": r"$\alpha$", "β": r"$\beta$", "γ": r"$\gamma$", "λ": r"$\lambda$",
     "ϵ": r"$\epsilon$", "ϑ": r"$\vartheta$", "₀": "$_0$", "₁": "$_1$", "₂": "$_2$", "ₜ": "$_t$", "²": "$^2$",
 })  # fmt: skip
-"""What pdfLaTeX's usual encodings lack."""
-_MARKDOWN = str.maketrans(
-    {"\n": "<br>", "|": r"\|", "\\": r"\\", "<": "&lt;", "*": r"\*", "_": r"\_", "`": r"\`"}
-)
+"""What pdfLaTeX stops at."""
+
+
+def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
+    """Encode a table as csv, parquet, latex or markdown; the last two have rounded numbers."""
+    if form == "csv":
+        return frame.to_csv(index=False, lineterminator="\n").encode()
+    if form == "parquet":
+        return bytes(frame.to_parquet(index=False))
+    cells = pd.DataFrame(_formatted_rows(frame), columns=frame.columns)
+    numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
+    text = _latex(cells, numeric) if form == "latex" else _markdown(cells, numeric)
+    return text.encode()
+
+
+def _formatted_rows(frame: pd.DataFrame) -> list[list[str]]:
+    """Return the cells of each row as text with rounded numbers.
+
+    Numbers with an interval are rounded with it; others keep six digits.
+    """
+    rows = []
+    for row in frame.to_dict("records"):
+        if {"value", "low", "high"} <= row.keys():
+            is_count = row.get("statistic") == "count"
+            places = 0 if is_count else decimals(row["value"], row["low"], row["high"])
+            for key in ("value", "low", "high"):
+                row[key] = shown(row[key], places)
+        rows.append([_formatted(value) for value in row.values()])
+    return rows
+
+
+def _formatted(value: object) -> str:
+    if not isinstance(value, float):
+        return str(value)
+    return "–" if math.isnan(value) else f"{value:.6g}"
+
+
+def _latex(cells: pd.DataFrame, numeric: Sequence[bool]) -> str:
+    columns = []
+    for name, is_numeric in zip(cells, numeric, strict=True):
+        longest = cells[name].str.len().max()
+        column = "r" if is_numeric else "l"
+        columns.append(PARAGRAPH if longest > LONGEST_IN_A_LINE else column)
+    is_long = len(cells) > LINES_OF_A_PAGE
+    text = cells.to_latex(index=False, escape=True, column_format="".join(columns), longtable=is_long)
+    return text.translate(_LATEX)
+
+
+def _markdown(cells: pd.DataFrame, numeric: Sequence[bool]) -> str:
+    """Return a table in Markdown. `to_markdown` of pandas needs another package, and escapes nothing."""
+    rules = ["---:" if is_numeric else "---" for is_numeric in numeric]
+    lines = []
+    for row in (cells.columns, rules, *cells.to_numpy()):
+        line = " | ".join(str(cell).replace("|", r"\|").replace("\n", "<br>") for cell in row)
+        lines.append(f"| {line} |\n")
+    return "".join(lines)

@@ -18,7 +18,6 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import compare_conditions, summary_table
 from pneuma.study.store import Store
 
-from ..cli.calls import printed
 from ..hand_made import healthy, learning, save_collapse, study_of
 
 FINALS = {"a": (0.2, 0.4, 0.5, 0.9), "b": (0.3, 0.3, 0.3, 0.3)}
@@ -100,18 +99,6 @@ def test_markdown_and_latex_keep_the_digits_that_the_interval_leaves_certain(sto
     assert mean == "| a | final-share-killed | mean | 0.50 | 0.18 | 0.82 | t | 5 |"
     latex = encode_table(data, "summary", "latex", store)[0].decode()
     assert r"a & final-share-killed & mean & 0.50 & 0.18 & 0.82 & t & 5 \\" in latex
-
-
-def test_a_spreadsheet_runs_no_name_that_is_exported(tmp_path: Path) -> None:
-    store, names = Store(tmp_path / "results"), ("=cmd|' /C calc'!A0", "-2+3", "-0.5", "\x1b]0;a\x07")
-    cells = {(name, 0): f"{place:016x}" for place, name in enumerate(names)}
-    for own in cells.values():
-        save_collapse(store, own, healthy(), learning())
-    study_of(store, cells)
-    out = tmp_path / "summary.csv"
-    printed("study", "export", "mine", "--table", "summary", "--out", out, "--results", store.root)
-    told = dict.fromkeys(line.split(",")[0] for line in out.read_text().splitlines()[1:])
-    assert list(told) == ["'=cmd|' /C calc'!A0", "'-2+3", "-0.5", "\\u001b]0;a\\u0007"]
 
 
 @pytest.mark.parametrize(
