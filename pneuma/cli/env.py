@@ -25,7 +25,7 @@ ABOUT = {
     "pneuma/PneumaHard-v0": "200 random islands, four kinds of monsters, slow snow, sight by rays, 300 steps",
     "pneuma/Mailman-v0": "the three states of the thesis's Fig. 2.1, for tabular methods",
 }
-"""A description of each environment; those with vector rewards share that of their counterparts."""
+"""A description of each environment."""
 
 CAMERAS = ("map", "follow")
 PLAYERS = ("random", "hunter")
@@ -43,12 +43,10 @@ def list_() -> Result:
 
     rows: list[dict[str, Any]] = []
     for name in pneuma.env.REGISTERED:
-        scalar = name.replace("/mo-", "/")
-        about = ABOUT[name] if name in ABOUT else f"{scalar[7:]} with its reward as a vector of six parts"
         with closing(gymnasium.make(name).unwrapped) as env:
             seen = str(env.observation_space.shape or env.observation_space)
             actions = int(env.action_space.n)  # type: ignore[attr-defined]
-        rows.append({"id": name, "observation": seen, "actions": actions, "about": about})
+        rows.append({"id": name, "observation": seen, "actions": actions, "about": ABOUT[name]})
     return rows_result("environments", rows)
 
 
@@ -84,7 +82,7 @@ def render(
         raise UserError(f"--player {player} is for videos, and {out} is a picture: name a .gif or .mp4")
     _check_drawable(name)
     policy, own = (None, {}) if player in PLAYERS else _load_player(player, name, results, trust)
-    worlds = Worlds(1, make_env_config({**own, **dict(set_ or ())}, name.replace("/mo-", "/")))
+    worlds = Worlds(1, make_env_config({**own, **dict(set_ or ())}, name))
     worlds.seed([seed])
     worlds.reset()
     draws = np.random.default_rng(seed)
@@ -111,7 +109,7 @@ def _load_player(player: str, name: str, results: Path, trust: bool) -> tuple[Po
         policy, env, settings = load_policy(player, results, trust=trust)
     except UserError as error:
         raise UserError(f"--player {player}: {error}") from None
-    if env != name.replace("/mo-", "/"):
+    if env != name:
         raise UserError(f"--player {player}: was trained in {env}, not in {name}")
     paid = settings.get("reward") or ()
     settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in paid] or REWARDS[:1]

@@ -8,10 +8,7 @@ what it is paid; `kernel.py` calls them, `worlds.py` owns the state, `slots.py` 
 from pneuma.algorithms import MAILMAN
 from pneuma.env.fields import ENVIRONMENTS
 
-MO_ENVIRONMENTS = tuple(name.replace("/", "/mo-") for name in ENVIRONMENTS)
-"""The same worlds with vector rewards, for multi-objective learning."""
-
-REGISTERED = (*ENVIRONMENTS, *MO_ENVIRONMENTS, MAILMAN)
+REGISTERED = (*ENVIRONMENTS, MAILMAN)
 
 
 def register_environments() -> None:
@@ -21,19 +18,11 @@ def register_environments() -> None:
     """
     import gymnasium  # which takes long, and registers them when it is imported
 
-    for name, mo_name in zip(ENVIRONMENTS, MO_ENVIRONMENTS, strict=True):
+    for name in ENVIRONMENTS:
         gymnasium.register(
             name,
             entry_point="pneuma.env.gym:PneumaEnv",
             vector_entry_point="pneuma.env.gym_vector:PneumaVectorEnv",
-            kwargs={"env_id": name},
-        )
-        # Gymnasium's passive checker knows no vector rewards and would warn at the first step.
-        gymnasium.register(
-            mo_name,
-            entry_point="pneuma.env.mo:PneumaMOEnv",
-            vector_entry_point="pneuma.env.mo:PneumaMOVectorEnv",
-            disable_env_checker=True,
             kwargs={"env_id": name},
         )
     gymnasium.register(MAILMAN, entry_point="pneuma.engines.mailman:MailmanEnv")

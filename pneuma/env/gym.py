@@ -152,7 +152,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
         self._show()
         return self.state.observations[0, 0].copy(), {"action_mask": self.state.masks[0, 0].copy()}
 
-    def step(self, action: np.int64) -> tuple[np.ndarray, Any, bool, bool, dict[str, Any]]:
+    def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Play one action; see `gymnasium.Env.step`."""
         index = operator.index(action)
         if not 0 <= index < self.state.action_space.n:
@@ -163,20 +163,18 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
         self._actions[0, 0] = index
         ended = state.advance(self._actions)
         observation, info = self._seen()
+        reward = state.events["reward"].item()
         if not ended:
             if state.worlds["ending"][0]:
                 raise ResetNeeded("the episode has ended: call reset first")
-            return observation, self._reward(), False, False, info
+            return observation, reward, False, False, info
         info |= ending_info(state)
         truncated = bool(state.truncated[0])
-        return observation, self._reward(), not truncated, truncated, info
+        return observation, reward, not truncated, truncated, info
 
     def get_keys_to_action(self) -> dict[tuple[int, ...], int]:
         """Return the keys that `gymnasium.utils.play.play` asks for; see `pneuma.env.watch.KEYS`."""
         return keys_to_action(self.state.action_names)
-
-    def _reward(self) -> Any:
-        return self.state.events["reward"].item()
 
 
 PneumaEnv.__doc__ = inspect.cleandoc(PneumaEnv.__doc__ or "").replace(

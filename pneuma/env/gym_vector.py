@@ -110,14 +110,11 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         infos = self._final(slots.step(actions))
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
             waiting = slots.world_over
-        rewards = self._rewards()
+        rewards = slots.rewards.copy()
         if waiting.any():  # in NEXT_STEP this step resets what the last one ended
             self.state.reset(waiting)
         self._show()
         return slots.observations, rewards, slots.terminated, slots.truncated, self._infos(infos)
-
-    def _rewards(self) -> np.ndarray:
-        return self.slots.rewards.copy()
 
     def _infos(self, infos: dict[str, Any] | None = None) -> dict[str, Any]:
         return {

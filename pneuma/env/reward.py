@@ -1,4 +1,4 @@
-"""Rewards: named formulas (`PneumaEnv` tells them), users' own functions, and vectors of the same parts.
+"""Rewards: named formulas (`PneumaEnv` describes them), and users' own functions.
 
 `module:function` names a user's own reward. It is called after every step as
 
@@ -26,9 +26,6 @@ from pneuma.own_modules import load_module
 
 THESIS, PYGAME, _GODOT, KILLS, SIGMOID = range(len(REWARDS))
 SIGMOID_MIDDLE, SIGMOID_WIDTH = 150.0, 50.0  # pixels
-
-PARTS = ("xp", "hp", "xp_gained", "hp_lost", "notices", "contacts")
-"""Parts of a vector reward: XP and HP share after the step, XP gained, HP share lost, circles entered."""
 
 RewardFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], Any]
 
@@ -76,25 +73,6 @@ def _refusal(function: RewardFunction, name: str, problem: str) -> UserError:
     code = getattr(function, "__code__", None)
     where = f"{code.co_filename}, line {code.co_firstlineno}: " if code else ""
     return UserError(f"reward {name!r}: {where}{problem}")
-
-
-def reward_parts(events: np.ndarray, players: np.ndarray, stats: np.ndarray) -> np.ndarray:
-    """Return the vector reward: (N, P) events -> (N, P, len(PARTS)) float32.
-
-    Absent players' parts are zero. `thesis` is xp - hp, `kills` is xp_gained - hp_lost.
-    """
-    parts = np.stack(
-        [
-            players["xp"],
-            players["hp"] / stats["hp"],
-            events["xp_gained"],
-            events["hp_lost"] / stats["hp"],
-            events["notices"].astype(float),
-            events["contacts"].astype(float),
-        ],
-        axis=-1,
-    )
-    return np.where(present(events)[..., None], parts, 0.0).astype(np.float32)
 
 
 # --- The named formulas (compiled) -----------------------------------------------------------------

@@ -224,7 +224,7 @@ def test_xp_outlives_an_unseeded_reset_and_not_a_seeded_one() -> None:
 
 @pytest.mark.parametrize(
     ("name", "steps", "terminated"),
-    [(THESIS, 7, False), (THESIS, 1200, False), (GODOT, 7, True), ("pneuma/mo-PneumaArena-v0", 7, False)],
+    [(THESIS, 7, False), (THESIS, 1200, False), (GODOT, 7, True)],
 )
 def test_a_limit_is_the_worlds_own(name: str, steps: int, terminated: bool, arena: str) -> None:
     env = wrapped = gymnasium.make(name, level=arena, episode_steps=steps)

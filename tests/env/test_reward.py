@@ -1,4 +1,4 @@
-"""Rewards: every formula by hand, functions of a user's own, vectors."""
+"""Rewards: every formula by hand, and functions of a user's own."""
 
 from __future__ import annotations
 
@@ -8,14 +8,10 @@ import re
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 
-from pneuma.env import MO_ENVIRONMENTS
-from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.gym import PneumaEnv
-from pneuma.env.reward import PARTS
+from pneuma.env.fields import make_env_config
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
@@ -123,39 +119,3 @@ def test_a_mistake_is_told_at_once_with_file_and_line(folder: Path, body: str, l
     file = folder / f"{name.partition(':')[0]}.py"
     start = re.escape(f"reward '{name}': {file}, line {line}: ")
     assert re.match(f"{start}.*{re.escape(told)}.*$", str(caught.value))
-
-
-# --- Vector rewards -------------------------------------------------------------------------------
-
-
-def test_the_parts_are_what_they_are_called(arena: str) -> None:
-    env: Any = gymnasium.make(MO_ENVIRONMENTS[0], disable_env_checker=True, level=arena).unwrapped
-    env.reset(seed=0)
-    players, monsters = env.state.players, env.state.monsters
-    players["xp"], players["hp"], players["facing"], monsters["hp"][0, 0] = 3, 50, 3, 20
-    monsters["x"][0, :3], monsters["y"][0, :3] = (80.0, -40.0, -200.0), 0.0
-    # A kill (1 XP and 7 HP) before it is noticed, a bite of 7, two notices and one contact.
-    assert env.step(np.int64(ATTACK))[1].tolist() == pytest.approx([4, 0.5, 1, 0.07, 2, 1])
-
-
-@pytest.mark.parametrize(("name", "world"), list(zip(MO_ENVIRONMENTS, ENVIRONMENTS, strict=True))[:2])
-def test_two_parts_make_a_formula_and_none_leaves_its_space(name: str, world: str, pit: str) -> None:
-    """In the pit a player is bitten by five monsters and dies, or kills some of them first."""
-    settings: dict[str, Any] = {"level": pit, "episode_steps": 40}
-    vectors: Any = gymnasium.make(name, disable_env_checker=True, **settings).unwrapped
-    envs = [vectors, *(PneumaEnv(world, reward=formula, **settings) for formula in ("thesis", "kills"))]
-    generator = np.random.default_rng(1)
-    endings: set[str] = set()
-    for _ in range(20):
-        for env in envs:
-            env.reset(seed=3 + len(endings))
-        over = False
-        while not over:
-            action = np.int64(generator.choice([0, 1, 2, 3, ATTACK, ATTACK]))
-            (_, parts, *ends, info), *others = (env.step(action) for env in envs)
-            assert vectors.reward_space.contains(parts) and len(parts) == vectors.reward_dim == len(PARTS)
-            xp, hp, gained, lost = parts[:4]
-            assert [told[1] for told in others] == pytest.approx([xp - hp, gained - lost], abs=1e-5)
-            over = any(ends)
-        endings.add(info["ending"])
-    assert "killed" in endings
