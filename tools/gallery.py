@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pneuma.env.fields import DASH, SPELL_NAMES, make_env_config
+from pneuma.env.fields import SPELL_NAMES, make_env_config
 from pneuma.env.players import Hunter
 from pneuma.env.render import GIF_FACTOR, Renderer
 from pneuma.env.rules import RIGHT
@@ -44,8 +44,6 @@ REWARDS = {
     "godot": "circles entered; at a kill, all XP",
     "arena": "XP gained minus HP lost",
 }
-AWAY = 400.0
-"""Pixels beyond which a monster does not notice."""
 ISLANDS = ("random:train:17", "random:test:17")
 HUNTED, SHOWN = 120, 130
 """Steps that the hunter plays in each world, and that the moving picture of the agent lasts."""
@@ -129,11 +127,11 @@ def _classes() -> Figure:
 
 
 def _spells() -> Figure:
-    """Show the two spells, and the dash."""
+    """Show the two spells."""
     frames = {}
-    for name in (*SPELL_NAMES, DASH):
-        worlds = level_worlds(config=make_env_config({"classes": "mage", "magic": True, "dash": True}))
-        _put_ahead(worlds, np.zeros(3, np.int64), np.array([120.0, 200.0, 280.0]) + AWAY * (name == DASH))
+    for name in SPELL_NAMES:
+        worlds = level_worlds(config=make_env_config({"classes": "mage", "magic": True}))
+        _put_ahead(worlds, np.zeros(3, np.int64), np.array([120.0, 200.0, 280.0]))
         worlds.players["hp"] = 30.0
         (frames[name],) = _acted(worlds, name, 480, ahead=110)
     return _page(frames)[0]

@@ -103,7 +103,7 @@ def share_of_commonest(run: Row) -> float:
     """Return the share of the most frequent action at the end of training."""
     shares = [run.statistic(f"action_{i}", "last") for i in range(len(ACTION_NAMES))]
     most = is_gymnasium_id(run.fields.get("env"))  # whose columns are the most frequent actions
-    others = 0.0 if most else 1 - float(np.sum(shares))  # flame, heal and dash have none: together
+    others = 0.0 if most else 1 - float(np.sum(shares))  # flame and heal have none: together
     return max(*shares, others)
 
 

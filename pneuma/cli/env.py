@@ -139,8 +139,7 @@ def play(
     """Play with the keyboard. The world waits while you hold no key.
 
     Arrows or W, A, S, D walk, space attacks, with --set magic=true F throws a flame and H heals,
-    with --set dash=true E dashes, 1 and 2 take up a weapon, escape leaves. Needs pygame-ce and a
-    display.
+    escape leaves. Needs pygame-ce and a display.
     """
     import gymnasium
 

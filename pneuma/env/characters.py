@@ -24,8 +24,6 @@ from pneuma.schema import Table, TomlFile, read_model, read_toml, wrong
 TICKS_PER_SECOND = 60
 TICKS_PER_STEP = 8
 """Godot RL Agents repeats every action for this many ticks."""
-DASH_PACE, DASH_TICKS, DASH_COOLDOWN = 3.0, 8, 60
-"""A dash: its speed in walking speeds, its length in ticks, and the ticks until the next one."""
 
 DATA = Path(__file__).parent / "data"
 FACINGS = ("down", "left", "up", "right")
@@ -197,17 +195,14 @@ def monster_codes(characters: Characters) -> dict[int, str]:
     return {kind.code: name for name, kind in characters.monsters.items()}
 
 
-def player_stats(characters: Characters, classes: Sequence[str], weapons: Sequence[str]) -> np.ndarray:
-    """Return the stats of each player, (P,) `state.PLAYER_STATS`; the weapon 'own' is the class's."""
+def player_stats(characters: Characters, classes: Sequence[str]) -> np.ndarray:
+    """Return the stats of each player, (P,) `state.PLAYER_STATS`."""
     stats = np.zeros(len(classes), state.PLAYER_STATS)
-    for row, name, weapon in zip(stats, classes, weapons, strict=True):
+    for row, name in zip(stats, classes, strict=True):
         if name not in characters.players:
             raise unknown_name("class", name, characters.players)
         character = characters.players[name]
-        weapon = character.weapon if weapon == "own" else weapon
-        if weapon not in characters.weapons:
-            raise unknown_name("weapon", weapon, ["own", *characters.weapons])
-        _fill_player(row, character, characters.weapons[weapon], characters.spells)
+        _fill_player(row, character, characters.weapons[character.weapon], characters.spells)
     return stats
 
 
@@ -227,8 +222,8 @@ def monster_stats(
 
 def fastest(players: np.ndarray, monsters: np.ndarray) -> float:
     """Return the greatest speed of any body, in pixels per tick."""
-    speeds = players["speed"], players["dash_speed"], players["sword"]["knock_speed"]
-    return float(max(each.max(initial=0.0) for each in (*speeds, monsters["speed"], monsters["knock_speed"])))
+    speeds = players["speed"], players["sword"]["knock_speed"], monsters["speed"], monsters["knock_speed"]
+    return float(max(speed.max(initial=0.0) for speed in speeds))
 
 
 # --- Filling the rows -----------------------------------------------------------------------------
@@ -300,5 +295,4 @@ def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:
         x = np.abs(strike["x"] - players["body_x"][:, None]) + strike["half_width"]
         y = np.abs(strike["y"] - players["body_y"][:, None]) + strike["half_height"]
         furthest.append(float(np.hypot(x, y).max()) + furthest[0])
-    fastest_player = max(players["speed"].max(), players["dash_speed"].max())
-    return max(furthest) + float(fastest_player) * TICKS_PER_STEP + 1.0
+    return max(furthest) + float(players["speed"].max()) * TICKS_PER_STEP + 1.0

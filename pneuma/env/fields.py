@@ -22,8 +22,6 @@ ORDERS = ("nearest", "fixed")
 SCALES = ("unit", "map", "raw")
 ACTION_NAMES = ("down", "left", "up", "right", "attack")
 SPELL_NAMES = ("flame", "heal")
-DASH = "dash"
-WEAPON_NAMES = ("first_weapon", "second_weapon")
 KINDS_OF_MONSTERS = ("bamboo", "mixed", "golems")
 MAX_PLAYERS = MOST_NAMES
 MOST_STEPS = 1_000_000
@@ -75,23 +73,7 @@ class EnvConfig:
         names_like(r"[\w-]+", "a class, or a list of one a player"),
         doc("`base`, `tank`, `mage`, `warrior`, or a list of one per player"),
     ] = ("base",)
-    weapons: Annotated[
-        tuple[str, ...],
-        names_like(r"[\w-]+", "a weapon, or a list of one a player"),
-        doc("`own` (the class's), `blade`, `sword`, `lance`, `axe`, `rapier`, `sai`, or a list"),
-    ] = ("own",)
-    second_weapon: Annotated[
-        str,
-        matching(r"|[\w-]+", "a weapon"),
-        doc("one that every player has too, with two actions to take up either"),
-    ] = ""
     magic: Annotated[bool, doc("whether there are the actions flame and heal")] = False
-    dash: Annotated[bool, doc("whether there is the action dash (thesis chapter 7)")] = False
-    tokens: Annotated[
-        int,
-        Interval(ge=0, le=8),
-        doc("so many last actions say a token, which the other players observe next; up to 8"),
-    ] = 0
     reward: Annotated[
         tuple[str, ...],
         names_like(_REWARD, _REWARD_ALLOWED, REWARDS),
@@ -196,9 +178,7 @@ OBSERVATION_FIELDS = {
 
 def action_names(config: EnvConfig) -> tuple[str, ...]:
     """Return the names of a world's actions, in order."""
-    names = ACTION_NAMES + (SPELL_NAMES if config.magic else ()) + ((DASH,) if config.dash else ())
-    names += WEAPON_NAMES if config.second_weapon else ()
-    return names + tuple(f"say_{token}" for token in range(1, config.tokens + 1))
+    return ACTION_NAMES + SPELL_NAMES if config.magic else ACTION_NAMES
 
 
 # --- Resolving -----------------------------------------------------------------------------------
@@ -227,7 +207,7 @@ def with_layout(values: Mapping[str, Any]) -> dict[str, Any]:
     return {**values, **{key: values.get(key) or implied for key, implied in layout.items()}}
 
 
-OF_PLAYERS = ("classes", "weapons", "reward")
+OF_PLAYERS = ("classes", "reward")
 """Fields with one name, or one for each player."""
 
 

@@ -26,7 +26,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
 
     ## Actions
 
-    `Discrete(5)`, or more:
+    `Discrete(5)`, or 7 with magic:
 
     | action | | with |
     | --- | --- | --- |
@@ -34,13 +34,9 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     | 4 | attack towards the last direction walked, for 24 ticks | |
     | 5 | flame: 5 damage plus the class's magic in a box of 320 x 64 px ahead; 20 energy | `magic` |
     | 6 | heal: 20 HP up to full; 10 energy | `magic` |
-    | then | dash: 8 ticks ahead at three times the pace; 60 ticks of rest | `dash` |
-    | then | two: take up the first weapon, or the second; takes the step | `second_weapon` |
-    | the last ones | say a token; takes the step | `tokens` |
 
-    `info["action_mask"]` is 0 for actions without effect: into terrain, a spell without enough energy, a dash
-    too early, the weapon that is held, and all but attack and tokens while an attack or spell lasts for the
-    whole step. Attack and tokens are always 1.
+    `info["action_mask"]` is 0 for actions without effect: into terrain, a spell without enough energy, and
+    all but attack while an attack or spell lasts for the whole step. Attack is always 1.
 
     ## Observations
 
@@ -55,9 +51,6 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     | 8 + 4i | distance to the nearest living monster, the next, ...; in its notice radii | 0 | 16.2 |
     | 9 + 4i, 10 + 4i | direction to it, x and y | -1 | 1 |
     | 11 + 4i | its HP over its full HP | 0 | 1 |
-
-    Before the monsters come, where there are such: whether the second weapon is held; and for each other
-    player and each token, whether it said it in the last step, starting with the next player.
 
     Rows of the dead are zeros, at the end. `pneuma/Pneuma-v0` has 60 numbers, without the facing, and
     `pneuma/PneumaGodot-v0` 74, by `observation`, the layout:

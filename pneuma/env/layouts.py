@@ -102,8 +102,7 @@ def observation_space(
     xp = (-most if forever else -config.ending_cost * settings["xp_scale"], most)
     energy, way, flag = (0.0, player["energy"] * player["energy_scale"]), (-1.0, 1.0), (0.0, 1.0)
     own = [x, y, way, way, hp, energy] if config.observation == "pygame" else [x, y, hp, xp]
-    heard = config.tokens * (config.players - 1)
-    own += [flag] * (4 * config.observe_facing + bool(config.second_weapon) + heard)
+    own += [flag] * (4 * config.observe_facing)
     distance = (0.0, diagonal * monsters["distance_scale"].max(initial=0.0))
     its_hp = (0.0, (monsters["hp"] * monsters["hp_scale"]).max(initial=0.0))
     its_xp = (0.0, (monsters["xp"] * monsters["xp_scale"]).max(initial=0.0))

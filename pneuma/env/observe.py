@@ -101,15 +101,6 @@ def _write_player(s: State, w: int, p: int, out: Array) -> int:
         for facing in range(4):
             out[at + facing] = player.facing == facing
         at += 4
-    if settings.hold >= 0:
-        out[at] = player.second
-        at += 1
-    players = s.players.shape[1]
-    for other in range(1, players):
-        token = s.players[w, (p + other) % players].token
-        for said in range(settings.tokens):
-            out[at + said] = token == said + 1
-        at += settings.tokens
     return at
 
 
@@ -234,28 +225,16 @@ def _mask_actions(s: State, w: int, p: int) -> None:
     """Write which actions would have an effect in the next step.
 
     While an attack lasts through the whole step no action does anything; then only attack counts as allowed.
-    Also without effect are walking or dashing against a wall that the player already faces, a spell without
-    enough energy, a dash too soon after the last one, and taking up the weapon that is held. A token can be
-    said at any time.
+    Also without effect are walking against a wall that the player already faces, and a spell without enough
+    energy.
     """
     player = s.players[w, p]
     stats = s.player_stats[p]
     free = player.busy < s.settings[0].ticks
     for a in range(4):
         s.masks[w, p, a] = free
-    ahead = free and _may_walk(s, w, p)
-    s.masks[w, p, player.facing] = ahead
+    s.masks[w, p, player.facing] = free and _may_walk(s, w, p)
     s.masks[w, p, rules.ATTACK] = 1
-    dash = s.settings[0].dash
-    if dash >= 0:
-        # a dash may begin up to the step's last tick
-        s.masks[w, p, dash] = ahead and player.dash_cooldown < s.settings[0].ticks
-    actions = s.masks.shape[2]
-    for a in range(actions - s.settings[0].tokens, actions):
-        s.masks[w, p, a] = 1
-    if s.settings[0].hold >= 0:
-        for weapon in range(2):
-            s.masks[w, p, s.settings[0].hold + weapon] = free and player.second != weapon
     if s.settings[0].magic:
         energy = player.energy
         for _ in range(s.settings[0].ticks - 1):  # a spell may begin up to the step's last tick
@@ -268,5 +247,5 @@ def _mask_actions(s: State, w: int, p: int) -> None:
 def _may_walk(s: State, w: int, p: int) -> bool:
     """Return whether terrain lets a player walk on for a tick; bodies are ignored, as they may move."""
     player = s.players[w, p]
-    x, y = rules.ahead(s, w, p, s.player_stats[p].speed, s.settings[0].player_stops & ~(1 << rules.BODIES))
+    x, y = rules.ahead(s, w, p, s.settings[0].player_stops & ~(1 << rules.BODIES))
     return x != player.x or y != player.y

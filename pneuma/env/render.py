@@ -41,10 +41,6 @@ PANEL_WIDTH = 360
 """Pixels of a frame's width for each step that the strip is enlarged by."""
 STRIDE = 40.0  # pixels between two poses: a player's distance in one agent step
 FLASH_TICKS = 12  # how long a bite shows
-GHOSTS = ((3, 35), (2, 50), (1, 70))
-"""Behind who dashes: by how many pictures, and how opaque in percent."""
-WAYS = ((0, 1), (-1, 0), (0, -1), (1, 0))
-"""Where the `FACINGS` lead."""
 PLUSES = ((-9, 0), (8, 3), (-1, 8))
 """Signs of healing: how far aside of a player and above it they begin, in art pixels."""
 FLAME_GAP = 40.0
@@ -165,15 +161,14 @@ class Renderer:
             yield from self._standing(picture, monster, stats)
 
     def _players(self, world: int) -> Iterator[Item]:
-        bitten, all_stats = self._bitten(world), self.worlds.weapon_stats(world)
-        for index, (player, stats) in enumerate(zip(self.worlds.players[world], all_stats, strict=True)):
+        bitten = self._bitten(world)
+        for index, player in enumerate(self.worlds.players[world]):
+            stats = self.worlds.player_stats[index]
             if player["hp"] <= 0:
                 yield from self._standing(sprites.obstacle_picture("grave"), player, stats)
                 continue
             flash = sprites.RED if bitten[index] else ""
             does = player["action_kind"] if player["busy"] > 0 else 0
-            if does == rules.DASHING:
-                yield from self._ghosts(index, player, stats)
             yield from self._standing(_player_picture(index, player, flash), player, stats)
             if does == rules.BLADE:
                 yield from self._blow(player, stats)
@@ -207,18 +202,6 @@ class Renderer:
         _, foot = self._place(0.0, _foot(player, stats))
         sword = sprites.sword_picture(facing, moment)
         yield _centred(foot + (-0.2 if facing == "up" else 0.2), sword, x, y)
-
-    def _ghosts(self, index: int, player: Any, stats: Any) -> Iterator[Item]:
-        """Yield pale pictures of who dashes along the way it came."""
-        settings, facing = self.worlds.settings[0], int(player["facing"])
-        way_x, way_y = WAYS[facing]
-        gone = float(settings["dash_ticks"] - player["busy"]) * float(stats["dash_speed"])
-        for number, opaque in GHOSTS:
-            back = number * STRIDE * 0.6
-            if back <= gone:
-                x, y = self._place(player["x"] - way_x * back, _foot(player, stats) - way_y * back)
-                picture = sprites.faded(_player_picture(index, player, ""), opaque)
-                yield _above(y - 0.4, picture, x, y + 1)
 
     def _flames(self, player: Any, stats: Any) -> Iterator[Item]:
         """Yield flames all over the box that burns, which die down in the last third."""

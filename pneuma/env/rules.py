@@ -23,8 +23,8 @@ from pneuma.env.compiling import inlined, inlined_early, kernel
 from pneuma.env.state import Array, State
 
 DOWN, LEFT, UP, RIGHT, ATTACK, FLAME, HEAL = 0, 1, 2, 3, 4, 5, 6
-BLADE, DASHING, BURNING, HEALING = 1, 2, 3, 4
-"""What a busy player does: attack with its sword, dash, or cast a spell."""
+BLADE, BURNING, HEALING = 1, 2, 3
+"""What a busy player does: attack with its sword, or cast a spell."""
 OPEN, SOLID, COAST, SLOW = 0, 1, 2, 3
 BODIES = 8
 """Beside codes of terrain, what can stop a body: bit 1 << BODIES says that other bodies do."""
@@ -98,9 +98,6 @@ def step_world(s: State, w: int, actions: Array) -> bool:
     world = s.worlds[w]
     settings = s.settings[0]
     count = _gather_active(s, w)
-    for p in range(s.players.shape[1]):
-        said = max(actions[w, p] - (s.masks.shape[2] - settings.tokens) + 1, 0)
-        s.players[w, p].token = said if s.players[w, p].hp > 0.0 else 0
     _gather_near(s, w, count)
     for _ in range(settings.ticks):
         for p in range(s.players.shape[1]):
@@ -213,7 +210,7 @@ def _gap(x: float, y: float, player: Array, stats: Array) -> float:
 def _begin_tick(s: State, w: int, p: int, action: int) -> None:
     """Let a living player act, and record what it strikes."""
     player = s.players[w, p]
-    stats = s.player_stats[p + s.players.shape[1] * player.second]
+    stats = s.player_stats[p]
     settings = s.settings[0]
     tick = s.tick[p]
     tick.there = player.hp > 0.0
@@ -228,10 +225,6 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
         player.busy -= 1
         if player.action_kind == BLADE:
             tick.strikes = BLADE
-        elif player.action_kind == DASHING:
-            _walk(s, w, p, stats.dash_speed)
-    if player.dash_cooldown > 0:
-        player.dash_cooldown -= 1
     player.energy = min(player.energy + stats.energy_gain, stats.energy)
     if settings.deadly_coast and _tile_at(s, s.worlds[w].level, player.x, player.y) == COAST:
         tick.there = 0
@@ -245,26 +238,12 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
 
 @inlined
 def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> None:
-    """Let an idle player walk for a tick, or start an attack, a dash, or a spell that it can pay for.
-
-    Who says a token or takes up a weapon stands still.
-    """
-    hold = s.settings[0].hold
-    if action >= s.masks.shape[2] - s.settings[0].tokens:
-        return
-    if hold >= 0 and (action == hold or action == hold + 1):
-        player.second = action - hold
-        return
-    if action == s.settings[0].dash:
-        if player.dash_cooldown == 0:
-            player.busy = s.settings[0].dash_ticks
-            player.dash_cooldown = s.settings[0].dash_ticks + s.settings[0].dash_cooldown
-            player.action_kind = DASHING
-    elif action == ATTACK:
+    """Let an idle player walk for a tick, or start an attack, or a spell that it can pay for."""
+    if action == ATTACK:
         player.busy = stats.swing
         player.action_kind = BLADE
         player.attack += 1
-    elif action == FLAME:  # with a dash or another weapon in place of spells these are the same numbers
+    elif action == FLAME:
         if player.energy >= stats.flame_cost:
             player.energy -= stats.flame_cost
             player.busy = stats.flame_ticks
@@ -281,7 +260,7 @@ def _act(s: State, w: int, p: int, player: Array, stats: Array, action: int) -> 
                     _heal(s.players[w, other], s.player_stats[other], s.events[w, other], stats.heal)
     else:
         player.facing = action
-        _walk(s, w, p, stats.speed)
+        _walk(s, w, p)
 
 
 @inlined
@@ -299,16 +278,17 @@ def _heal(player: Array, stats: Array, event: Array, most: float) -> None:
 
 
 @kernel
-def _walk(s: State, w: int, p: int, speed: float) -> None:
+def _walk(s: State, w: int, p: int) -> None:
     player = s.players[w, p]
-    player.x, player.y = ahead(s, w, p, speed, s.settings[0].player_stops)
+    player.x, player.y = ahead(s, w, p, s.settings[0].player_stops)
     _pack(s, w, s.monsters.shape[1] + p)
 
 
 @inlined
-def ahead(s: State, w: int, p: int, speed: float, stops: int) -> tuple[float, float]:
-    """Return where a player is after one tick in the direction it faces."""
+def ahead(s: State, w: int, p: int, stops: int) -> tuple[float, float]:
+    """Return where a player is after walking for one tick in the direction it faces."""
     facing = s.players[w, p].facing
+    speed = s.player_stats[p].speed
     dx = speed if facing == RIGHT else -speed if facing == LEFT else 0.0
     dy = speed if facing == DOWN else -speed if facing == UP else 0.0
     return moved(s, w, s.monsters.shape[1] + p, dx, dy, stops)
@@ -371,15 +351,15 @@ def _tick_monster(s: State, w: int, m: int) -> None:
 
 
 @inlined
-def _strike(s: State, w: int, p: int) -> Array:
+def _strike(s: State, p: int) -> Array:
     """Return what a player strikes with."""
-    stats = s.player_stats[p + s.players.shape[1] * s.players[w, p].second]
+    stats = s.player_stats[p]
     return stats.flame if s.tick[p].strikes == BURNING else stats.sword
 
 
 @inlined
 def _is_struck(s: State, w: int, p: int, monster: Array, kind: Array) -> bool:
-    player, strike = s.players[w, p], _strike(s, w, p)
+    player, strike = s.players[w, p], _strike(s, p)
     x, y = player.x + strike.x[player.facing], player.y + strike.y[player.facing]
     across = abs(monster.x + kind.body_x - x) < strike.half_width[player.facing] + kind.half_width
     return across and abs(monster.y + kind.body_y - y) < strike.half_height[player.facing] + kind.half_height
@@ -392,7 +372,7 @@ def _apply_hit(s: State, w: int, m: int, p: int) -> None:
     if monster.struck_by[p] == player.attack or monster.safe > 0 or monster.hp <= 0.0:
         return
     kind = s.monster_stats[s.worlds[w].level, m]
-    strike = _strike(s, w, p)
+    strike = _strike(s, p)
     monster.struck_by[p] = player.attack
     if kind.pair_ticks > 0 and not _is_wounded(monster, kind, p, player.facing):
         return

@@ -142,13 +142,6 @@ def outlined(picture: np.ndarray) -> np.ndarray:
     return framed
 
 
-def faded(picture: np.ndarray, share: int) -> np.ndarray:
-    """Return a picture with a share, in percent, of its opacity."""
-    pale = picture.copy()
-    pale[..., 3] = picture[..., 3].astype(np.uint16) * share // 100
-    return pale
-
-
 # --- Bars and text -------------------------------------------------------------------------------
 
 

@@ -46,14 +46,11 @@ PLAYER = _record(
     ("xp", "f8"),
     ("energy", "f8"),
     ("facing", "i4"),
-    ("busy", "i4"),  # ticks that the current attack, dash or spell still lasts
-    ("action_kind", "i4"),  # what that is: BLADE, DASHING, BURNING or HEALING; 0: there was none yet
+    ("busy", "i4"),  # ticks that the current attack or spell still lasts
+    ("action_kind", "i4"),  # what that is: BLADE, BURNING or HEALING; 0: there was none yet
     ("attack", "i4"),  # number of the latest attack of this episode
     ("safe", "i4"),  # ticks in which bites do nothing
     ("kills", "i4"),
-    ("dash_cooldown", "i4"),  # ticks until the player can dash again
-    ("second", "i2"),  # whether it holds its second weapon
-    ("token", "i2"),  # said in this step, from 1; 0: none
 )
 MONSTER = _record(  # what every step looks at comes first: it shares a line of cache
     ("x", "f8"),
@@ -108,7 +105,6 @@ PLAYER_STATS = _record(
     ("heal", "f8"),
     ("heal_cost", "f8"),
     ("heal_reach", "f8"),  # other players within it are healed too; 0: none
-    ("dash_speed", "f8"),  # 0 where nobody dashes
     ("reward", "i4"),  # which formula
     ("hp_scale", "f8"),  # of an observation
     ("energy_scale", "f8"),
@@ -151,12 +147,7 @@ SETTINGS = _record(
     ("monster_stops", "i8"),
     ("body_reach", "f8"),  # a body further off on x or y cannot stop another within a step
     ("slow_factor", "f8"),  # of speeds on slow tiles; 1 where there are none
-    ("dash", "i4"),  # number of this action; -1: there is none
-    ("dash_ticks", "i4"),  # that it lasts
-    ("dash_cooldown", "i4"),  # ticks from its end until the next one may begin
     ("magic", "i4"),  # whether there are spells
-    ("hold", "i4"),  # number of the action that takes up the first weapon, before the second; -1: none
-    ("tokens", "i4"),  # that players can say, by the last actions
     ("shared_reward", "i4"),  # whether players get the mean of all their rewards
     ("blow_on_entry", "i4"),  # whether a monster is hit when it enters the sword's box, not once an attack
     ("bite_while_knocked", "i4"),
@@ -238,7 +229,7 @@ class State(NamedTuple):
     worlds: Annotated[Array, WORLD, "N"]
     players: Annotated[Array, PLAYER, "N P"]
     monsters: Annotated[Array, MONSTER, "N M"]
-    player_stats: Annotated[Array, PLAYER_STATS, "2P"]  # of players, then with their second weapon
+    player_stats: Annotated[Array, PLAYER_STATS, "P"]
     monster_stats: Annotated[Array, MONSTER_STATS, "L M"]
     settings: Annotated[Array, SETTINGS, "1"]
     terrain: Annotated[Array, np.uint8, "L R C"]  # OPEN, SOLID, COAST or SLOW

@@ -33,8 +33,7 @@ SECONDS_AFTER_LAST_KILL = 2
 
 KEYS = {
     "up": ("up", "w"), "left": ("left", "a"), "down": ("down", "s"), "right": ("right", "d"),
-    "attack": ("space",), "flame": ("f",), "heal": ("h",), "dash": ("e",), "first_weapon": ("1",),
-    "second_weapon": ("2",),
+    "attack": ("space",), "flame": ("f",), "heal": ("h",),
 }  # fmt: skip
 """The keys of actions, by pygame's names; of those held together the last counts."""
 

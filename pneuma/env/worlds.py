@@ -46,22 +46,24 @@ class Worlds:
     def __init__(self, count: int, config: EnvConfig | None = None) -> None:
         config = self.config = make_env_config(vars(config or EnvConfig()))  # checked, however it was made
         cast = characters.load_characters(config.characters)
-        self._stats = _both_weapons(cast, config)
+        self.player_stats = characters.player_stats(cast, _one_each(config.classes, config))
+        if config.attack_ticks:
+            self.player_stats["swing"] = config.attack_ticks
         self.action_names = fields.action_names(config)
         self.levels = load_levels(config, characters.monster_codes(cast))
         rewards = _one_each(config.reward, config)
         codes = {name: code for code, name in enumerate(fields.REWARDS)}
-        self._stats["reward"] = 2 * [codes.get(name, -1) for name in rewards]
+        self.player_stats["reward"] = [codes.get(name, -1) for name in rewards]
         self._custom = [
             (name, load_reward(name), [p for p, reward in enumerate(rewards) if reward == name])
             for name in dict.fromkeys(fields.own_rewards(rewards))
         ]
-        self.monster_stats = characters.monster_stats(cast, self.levels, self._stats, config.magic)
+        self.monster_stats = characters.monster_stats(cast, self.levels, self.player_stats, config.magic)
         for level, kinds in zip(self.levels, self.monster_stats, strict=True):
             refuse_bad_places(level, self.player_stats, kinds, config)
         self._refuse_lonely(config)
         self.settings = self._settings(config)
-        fill_scales(self.settings[0], self._stats, self.monster_stats, config, self.levels)
+        fill_scales(self.settings[0], self.player_stats, self.monster_stats, config, self.levels)
         self.spaces = [
             observation_space(self.settings[0], player, self.monster_stats, config, self.levels)
             for player in self.player_stats
@@ -83,7 +85,7 @@ class Worlds:
         no_events = np.zeros(1, state.EVENTS)
         no_events["distance"] = np.inf
         given = {
-            "player_stats": self._stats,
+            "player_stats": self.player_stats,
             "monster_stats": self.monster_stats,
             "settings": self.settings,
             "terrain": np.array([level.terrain for level in self.levels]),
@@ -123,15 +125,6 @@ class Worlds:
         kernel.load_rules()
         self._shown = tuple(state.read_only(each) for each in (self.events, self.players, self.player_stats))
 
-    @property
-    def player_stats(self) -> np.ndarray:
-        return self._stats[: self.config.players]
-
-    def weapon_stats(self, world: int) -> np.ndarray:
-        """Return the stats of a world's players with the weapons that they hold, (P,)."""
-        players = self.players[world]
-        return self._stats[np.arange(len(players)) + len(players) * players["second"]]
-
     def __len__(self) -> int:
         return len(self.worlds)
 
@@ -166,14 +159,11 @@ class Worlds:
         row["monster_stops"] = (trees | 1 << rules.COAST if config.terrain_stops == "all" else 0) | bodies
         slow = any((level.terrain == rules.SLOW).any() for level in self.levels)
         row["slow_factor"] = config.slow_factor if slow else 1.0
-        row["dash"] = self.action_names.index(fields.DASH) if config.dash else -1
-        row["dash_ticks"], row["dash_cooldown"] = characters.DASH_TICKS, characters.DASH_COOLDOWN
-        row["hold"] = self.action_names.index(fields.WEAPON_NAMES[0]) if config.second_weapon else -1
         row["shared_reward"] = config.shared_reward and not self._custom
         row["blow_on_entry"] = config.blow == "entry"
         row["credit_near"] = config.kill_credit == "near"
         row["keep_xp"] = config.xp_scope == "forever"
-        fastest = characters.fastest(self._stats, self.monster_stats.ravel())
+        fastest = characters.fastest(self.player_stats, self.monster_stats.ravel())
         row["body_reach"] = 2 * (self._largest_body() + fastest * characters.TICKS_PER_STEP) + 1.0
         if fastest > self.level.tile:
             raise UserError(f"a speed of {fastest * 60:g} px/s jumps over tiles of {self.level.tile:g} px")
@@ -188,8 +178,6 @@ class Worlds:
                 raise UserError(
                     f"players = 1 is not allowed: on level {level.name} a {kind} falls to two players only"
                 )
-        if config.tokens:
-            raise UserError(f"tokens = {config.tokens} is not allowed: with players = 1 nobody hears them")
 
     def _largest_body(self) -> float:
         """Return how far a body reaches from its position, on x or y, in pixels."""
@@ -332,20 +320,6 @@ def _checked(given: np.ndarray, shape: tuple[int, ...], kinds: str, what: str) -
         of = "booleans" if kinds == "b" else "whole numbers"
         raise ValueError(f"{what}: must be {of} of shape {shape}, not {array.dtype} of {array.shape}")
     return np.ascontiguousarray(array, np.bool_ if kinds == "b" else np.int64)
-
-
-def _both_weapons(cast: characters.Characters, config: EnvConfig) -> np.ndarray:
-    """Return the stats of all players, and then with their second weapon, (2 P,) `state.PLAYER_STATS`."""
-    classes, weapons = _one_each(config.classes, config), _one_each(config.weapons, config)
-    seconds = (config.second_weapon,) * config.players if config.second_weapon else weapons
-    if config.second_weapon and config.second_weapon in weapons:
-        raise UserError(f"second_weapon = {config.second_weapon} is not allowed: it is the first one too")
-    stats = characters.player_stats(cast, classes * 2, weapons + seconds)
-    if config.dash:
-        stats["dash_speed"] = characters.DASH_PACE * stats["speed"]
-    if config.attack_ticks:
-        stats["swing"] = config.attack_ticks
-    return stats
 
 
 def _one_each(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:

@@ -33,7 +33,7 @@ OnProgress = Callable[[Cell, Event], None]
 
 SHAPED_BY = (
     "algorithm", "engine", "actor", "critic", "activation", "horizon", "minibatch", "epochs", "slots",
-    "optimizer", "env", "players", "observation", "observe_facing", "perceive", "magic", "dash",
+    "optimizer", "env", "players", "observation", "observe_facing", "perceive", "magic",
 )  # fmt: skip
 """Fields by which runs are grouped: those in which they agree likely share their compiled programs."""
 MOST_IN_GROUP = 8

@@ -25,7 +25,7 @@ from pneuma.study.stored_runs import trusted_settings
 CONTROL = "control"
 FIXED = (
     "env", "engine", "algorithm", "level", "random_levels", "monsters", "players", "classes", "characters",
-    "weapons", "second_weapon", "magic", "dash", "tokens", "learners", "observation", "observe_facing",
+    "magic", "learners", "observation", "observe_facing",
     "perceive", "slots", "horizon", "actor", "critic", "first_layer_scale", "buffer_size", "learning_starts",
     "seed", "steps", *OF_GYMNASIUM,
 )  # fmt: skip

@@ -43,9 +43,7 @@ class Oracle:
         self.draws = self.steps = self.level = self.start = 0
         self.monsters_left = self.players_left = 0
         self.ending = RUNNING
-        self.players = [
-            Player(*of) for of in zip(book.stats, book.stats_of_second_weapons, book.rewards, strict=True)
-        ]
+        self.players = [Player(stats, reward) for stats, reward in zip(book.stats, book.rewards, strict=True)]
         self.monsters: list[Monster] = []
 
     @property
@@ -69,7 +67,7 @@ class Oracle:
         for p, player in enumerate(self.players):
             xp = 0.0 if book.config.xp_scope == "episode" else player.xp
             (x, y), stats = places[(self.start + p) % len(places)], player.stats
-            given = stats, player.armed_otherwise, player.reward, x, y, stats.hp, xp, stats.energy
+            given = stats, player.reward, x, y, stats.hp, xp, stats.energy
             self.players[p] = Player(*given, events=player.events)
         self.monsters = [
             Monster(kind, *home, kind.hp, [0] * len(self.players), [0] * len(self.players))
@@ -83,8 +81,6 @@ class Oracle:
             player.events = Events()
         if self.ending != RUNNING:
             return False
-        for player, action in zip(self.players, actions, strict=True):
-            player.token = self._token(action) if player.hp > 0.0 else 0
         for _ in range(self.book.settings.ticks):
             self._tick(actions)
         self.steps += 1
@@ -105,11 +101,6 @@ class Oracle:
             for player in self.players:
                 if player.events.present or player.events.died:
                     player.events.reward = mean
-
-    def _token(self, action: int) -> int:
-        """Return what an action says: say_1 is the token 1."""
-        said, _, token = self.book.actions[action].partition("_")
-        return int(token) if said == "say" else 0
 
     # --- Random numbers --------------------------------------------------------------------------
 
@@ -172,25 +163,20 @@ class Oracle:
 
     def _act(self, player: Player, action: int) -> Blow | None:
         """Let a player act, unless an attack or spell still lasts; return what strikes in this tick."""
-        stats, name = player.weapon, self.book.actions[action]
+        stats, name = player.stats, self.book.actions[action]
         struck = None
         if player.busy == 0:
-            if name in ("first_weapon", "second_weapon"):
-                player.second = int(name == "second_weapon")
-            elif name == "dash":
-                if player.dash_cooldown == 0:  # 8 ticks of dashing, then 60 before the next
-                    player.busy, player.dash_cooldown, player.action_kind = 8, 68, 2
-            elif name == "attack":
+            if name == "attack":
                 player.busy, player.action_kind = stats.swing, 1
                 player.attack += 1
             elif name == "flame" and player.energy >= stats.flame_cost:
                 player.energy -= stats.flame_cost
-                player.busy, player.action_kind = stats.flame_ticks, 3
+                player.busy, player.action_kind = stats.flame_ticks, 2
                 player.attack += 1
                 struck = player.blow(player.stats.flame)
             elif name == "heal" and player.energy >= stats.heal_cost:
                 player.energy -= stats.heal_cost
-                player.busy, player.action_kind = stats.heal_ticks, 4
+                player.busy, player.action_kind = stats.heal_ticks, 3
                 for other in self.players:
                     dx, dy = other.x - player.x, other.y - player.y
                     near = dx * dx + dy * dy <= stats.heal_reach * stats.heal_reach and stats.heal_reach > 0.0
@@ -202,9 +188,6 @@ class Oracle:
             player.busy -= 1
             if player.action_kind == 1:
                 struck = player.blow(stats.sword)
-            if player.action_kind == 2:
-                player.x, player.y = self.walked(player, player.facing, self._others(player), pace=3)
-        player.dash_cooldown = max(player.dash_cooldown - 1, 0)
         player.energy = min(player.energy + stats.energy_gain, stats.energy)
         if self.book.config.coast == "deadly" and self.ground.is_sea(player.x, player.y):
             player.events.hp_lost += player.hp
@@ -216,10 +199,10 @@ class Oracle:
         player.facing = way
         player.x, player.y = self.walked(player, way, self._others(player))
 
-    def walked(self, player: Player, way: int, others: list[Box], pace: int = 1) -> Pair:
-        """Return where one tick of walking takes a player among others; or of dashing, at thrice the pace."""
+    def walked(self, player: Player, way: int, others: list[Box]) -> Pair:
+        """Return where one tick of walking takes a player among others."""
         stats, slow = player.stats, self.ground.pace(player.box, self.book.config.slow_factor)
-        dx, dy = (part * (pace * stats.speed) * slow for part in WAYS[way])
+        dx, dy = (part * stats.speed * slow for part in WAYS[way])
         offset = stats.body_x, stats.body_y
         closed = self.book.closed_to_players
         return move((player.x, player.y), offset, player.box.half, (dx, dy), self.ground, closed, others)

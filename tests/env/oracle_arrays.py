@@ -7,7 +7,6 @@ float32. Of the eight places that a monster keeps for players, those of existing
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -33,10 +32,6 @@ def read_rulebook(worlds: Worlds) -> Rulebook:
     corner = float(row["left"]), float(row["top"]), float(row["tile"])
     trees = {SOLID} if config.trees == "wall" else set()
     coast = {COAST} if config.coast == "wall" else set()
-    other_weapons = worlds.player_stats
-    if config.second_weapon:
-        otherwise = replace(config, weapons=(config.second_weapon,), second_weapon="")
-        other_weapons = Worlds(1, otherwise).player_stats
     return Rulebook(
         config=config,
         actions=worlds.action_names,
@@ -45,7 +40,6 @@ def read_rulebook(worlds: Worlds) -> Rulebook:
         closed_to_monsters=frozenset(trees | {COAST} if config.terrain_stops == "all" else ()),
         settings=_read_row(row),
         stats=[_read_row(stats) for stats in worlds.player_stats],
-        stats_of_second_weapons=[_read_row(stats) for stats in other_weapons],
         kinds=[[_read_row(kind) for kind in level] for level in worlds.monster_stats],
         grounds=[Ground(*corner, level.terrain.tolist()) for level in worlds.levels],
         starts=[[(x, y) for x, y in level.starts.tolist()] for level in worlds.levels],

@@ -27,7 +27,7 @@ from .oracle_maps import GRASS, KINDS, SAND, Map, maps
 from .oracle_parts import Player
 
 CLASSES = ("base", "tank", "mage", "warrior")
-WEAPONS = ("own", "blade", "sword", "lance", "axe", "rapier", "sai")
+WEAPONS = ("blade", "sword", "lance", "axe", "rapier", "sai")
 STEPS_OF_A_MOOD = 4
 
 # --- Characters --------------------------------------------------------------------------------------
@@ -41,6 +41,7 @@ _REACHES = (
 _POOLS: dict[str, dict[str, Sequence[Any]]] = {
     "players": {
         "hp": (3.9, 10.1, 30, 70), "energy": (0, 25, 60.7), "attack": (0, 12, 0.7), "magic": (0, 4, 30.3),
+        "weapon": tuple(f'"{name}"' for name in WEAPONS),
         "speed": (0, 60, 300, 431.7), "body": _BODIES, "body_at": _PLACES, "invulnerable": (0.0, 0.05, 0.3),
         "energy_recovery": (0, 0.6, 10.3),
     },
@@ -62,7 +63,7 @@ _POOLS: dict[str, dict[str, Sequence[Any]]] = {
     },
 }  # fmt: skip
 _NAMES = {
-    "players": CLASSES, "weapons": WEAPONS[1:], "spells": ("flame", "heal"), "monsters": tuple(KINDS),
+    "players": CLASSES, "weapons": WEAPONS, "spells": ("flame", "heal"), "monsters": tuple(KINDS),
 }  # fmt: skip
 _FLIGHTS = ((1200, 0.05), (333.3, 0.4), (0, 0.2), (600, 0))
 
@@ -134,9 +135,6 @@ def configurations(draw: st.DrawFn, level: Map) -> dict[str, Any]:
         **chosen,
         "players": players,
         "classes": one_each(CLASSES),
-        "weapons": one_each(WEAPONS),
-        "second_weapon": draw(st.sampled_from(["", "", *WEAPONS[1:]])),
-        "tokens": draw(st.sampled_from([0, 0, 1, 3])) if players > 1 else 0,
         "attack_ticks": draw(st.sampled_from([0, 0, 1, 25])),
         "reward": one_each(REWARDS),
         "perceive": draw(perceive),
@@ -220,9 +218,9 @@ def choose_actions(case: Case, oracles: Sequence[Oracle], step: int) -> np.ndarr
 
 
 def _act(world: Oracle, player: Player, mood: int, step: int) -> int:
-    """Return what a player does: hunts, burns, heals, dashes, walks straight on, or anything."""
+    """Return what a player does: hunts, burns, heals, walks straight on, or anything."""
     names = world.book.actions
-    for below, name in ((100, "attack"), (130, "flame"), (145, "heal"), (180, "dash")):
+    for below, name in ((100, "attack"), (130, "flame"), (145, "heal")):
         if mood < below:
             action = names.index(name) if name in names else ATTACK
             return hunt(world, player, action) if mood < 130 else action

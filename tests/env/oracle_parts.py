@@ -37,7 +37,6 @@ class Rulebook:
     closed_to_monsters: frozenset[int]
     settings: Row  # ticks, and scales of what is seen
     stats: list[Row]
-    stats_of_second_weapons: list[Row]
     kinds: list[list[Row]]
     grounds: list[Ground]
     starts: list[list[tuple[float, float]]]
@@ -82,7 +81,6 @@ class Player:
     """A player; dead without HP."""
 
     stats: Row
-    armed_otherwise: Row  # the same with its second weapon
     reward: str
     x: float = 0.0
     y: float = 0.0
@@ -95,15 +93,7 @@ class Player:
     attack: int = 0
     safe: int = 0
     kills: int = 0
-    dash_cooldown: int = 0
-    second: int = 0
-    token: int = 0
     events: Events = field(default_factory=Events)
-
-    @property
-    def weapon(self) -> Row:
-        """What it holds; only what is of a weapon differs."""
-        return self.armed_otherwise if self.second else self.stats
 
     @property
     def box(self) -> Box:

@@ -24,11 +24,6 @@ def observe(world: Oracle, player: Player) -> list[float]:
     about = _about_player(world, player)
     if config.observe_facing:
         about += [float(player.facing == way) for way in (DOWN, LEFT, UP, RIGHT)]
-    if config.second_weapon:
-        about.append(float(player.second))
-    at = world.players.index(player)
-    for other in world.players[at + 1 :] + world.players[:at]:
-        about += [float(other.token == token) for token in range(1, config.tokens + 1)]
     size = len(about) + settings.perceived * ROW[config.observation]
     living = [_distance(monster, player) for monster in world.monsters if monster.hp > 0.0]
     player.events.distance = min(living, default=math.inf)
@@ -50,18 +45,12 @@ def mask(world: Oracle, player: Player) -> list[int]:
     gets_on = world.walked(player, player.facing, []) != (player.x, player.y)
     energy = _energy_at_last(player, ticks)
     of_use = {
-        "dash": gets_on and player.dash_cooldown < ticks,
         "flame": energy >= stats.flame_cost,
         "heal": energy >= stats.heal_cost,
-        "first_weapon": player.second == 1,
-        "second_weapon": player.second == 0,
         world.book.actions[player.facing]: gets_on,
     }
     free = player.busy < ticks
-    return [
-        int(name == "attack" or name.startswith("say_") or (free and of_use.get(name, True)))
-        for name in world.book.actions
-    ]
+    return [int(name == "attack" or (free and of_use.get(name, True))) for name in world.book.actions]
 
 
 def _energy_at_last(player: Player, ticks: int) -> float:

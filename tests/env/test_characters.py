@@ -43,14 +43,15 @@ def numbers(row: Any, *names: str) -> list[float]:
 # --- The published numbers -----------------------------------------------------------------------
 
 
-def test_every_number_of_a_class_and_a_weapon_reaches_the_rules() -> None:
+def test_every_number_of_a_class_and_a_weapon_reaches_the_rules(tmp_path: Path) -> None:
     for name, (hp, energy, attack, magic, speed) in CLASSES.items():
         row = player_row(classes=name)
         assert numbers(row, "hp", "energy", "speed", "heal", "safe") == [hp, energy, speed, 20, 18]  # 300 ms
         # With the sword; a flame's strength is 5.
         assert (row["sword"]["damage"], row["flame"]["damage"]) == (attack + 15, 5 + magic)
     for name, (damage, cooldown) in WEAPONS.items():
-        row = player_row(classes="mage", weapons=name)
+        file = characters_file(tmp_path, f'[players.mage]\nweapon = "{name}"\n')
+        row = player_row(classes="mage", characters=file)
         assert (row["sword"]["damage"], row["swing"]) == (7 + damage, round((400 + cooldown) * 0.06))
 
 

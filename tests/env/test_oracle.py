@@ -37,7 +37,6 @@ FEW = settings(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 MANY = settings(FEW, max_examples=2000)
-DASHING = 2
 ROUNDING = 1e-6
 
 # --- Whatever is played ------------------------------------------------------------------------------
@@ -57,7 +56,7 @@ def test_the_kernel_plays_as_the_oracle_tells(tmp_path: Path, many: settings) ->
     ends = [f"ending {ending}" for ending in (KILLED, CLEARED, TIME_LIMIT)]
     expected = (
         "hits", "kills", "notices", "contacts", "healed", "drowned", "bitten", "flying", "opened", "masked",
-        "second weapon", "token", "in contact", *ends,
+        "in contact", *ends,
     )  # fmt: skip
     assert all(happened[name] for name in expected), happened
 
@@ -116,7 +115,7 @@ def held(pair: Pair, index: int, actions: np.ndarray) -> Iterator[tuple[Player, 
     """Yield whose action its mask forbids, and its place and facing, which then stay."""
     world = pair.oracles[index]
     for player, (_, mask), action in zip(world.players, pair.seen[index], actions[index], strict=True):
-        if player.hp > 0 and not mask[action] and not (player.busy and player.action_kind == DASHING):
+        if player.hp > 0 and not mask[action]:
             yield player, (player.x, player.y, player.facing)
 
 
@@ -128,8 +127,6 @@ def count_events(pair: Pair, happened: Counter[str]) -> None:
         happened["flying"] += sum(monster.knocked > 0 for monster in world.monsters)
         happened[f"ending {world.ending}"] += world.steps > 0
         for player in world.players:
-            happened["second weapon"] += player.second
-            happened["token"] += player.token > 0
             drowned = bool(player.events.died) and world.ground.is_sea(player.x, player.y)
             happened["drowned"] += drowned
             happened["bitten"] += player.events.died - drowned

@@ -70,20 +70,6 @@ def test_blade_and_circles_reach_as_far_as_in_the_scenes(
         assert pair.told(what) == [further == 0]
 
 
-@pytest.mark.parametrize(("cooldown", "begins"), [(7, 1), (8, 0)])
-def test_a_dash_goes_at_thrice_the_pace_if_it_can_begin_within_the_step(
-    arena: str, cooldown: int, begins: int
-) -> None:
-    pair = stage(arena, dash=True)
-    pair.put(y=-200.0, dash_cooldown=cooldown)
-    assert pair.worlds.masks[0, 0, 5] == begins  # the last action, without magic
-    pair.play(5)
-    assert (pair.told("x"), pair.told("dash_cooldown")) == ([15 * begins], [67 * begins])  # in its last tick
-    if begins:
-        pair.play(5, UP)  # the other 7 ticks of the dash, one of rest, and 8 of walking
-        assert (pair.told("x"), pair.told("y")) == ([120], [-240])
-
-
 def test_who_walks_over_a_slow_tile_takes_twice_as_long_on_it(tmp_path: Path) -> None:
     # Half of 5 px a tick where the body's centre, 1.5 px left of the player's place, is at 128 <= x < 192.
     level = replace(FIELD, sand=tuple((12, row) for row in range(20))).write(tmp_path)
@@ -210,9 +196,6 @@ def test_who_drowns_in_the_first_tick_pays_nothing_and_shares_the_reward(arena: 
     ("fields", "message"),
     [
         ({"level": "random:train:1", "monsters": "golems"}, "a golem falls to two players only"),
-        ({"tokens": 2}, "with players = 1 nobody hears them"),
-        ({"second_weapon": "lanse"}, "did you mean lance"),
-        ({"weapons": "lance", "second_weapon": "lance"}, "it is the first one too"),
     ],
 )
 def test_what_one_player_cannot_play_is_refused(fields: dict[str, object], message: str) -> None:
