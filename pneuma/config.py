@@ -296,7 +296,7 @@ def round_up(run: Run, steps: int) -> int:
 
 def reads(run: Run) -> frozenset[str]:
     """Return the names of the fields that affect a run, given its other fields."""
-    idle = {"slow_factor": not run.slow, "dampening": not run.momentum, "clip": run.gradient_limit is None}
+    idle = {"dampening": not run.momentum, "clip": run.gradient_limit is None}
     idle |= {"learners": run.players == 1, **{key: not getattr(run, key) for key in OF_OPEN_LEARNERS}}
     return _read_by(run.env, run.algorithm, run.optimizer) - {key for key, unread in idle.items() if unread}
 

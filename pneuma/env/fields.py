@@ -12,7 +12,7 @@ from typing import Annotated, Any, get_type_hints
 from annotated_types import DocInfo, Interval, MinLen, doc
 
 from pneuma.errors import UserError, unknown_name
-from pneuma.values import MOST_NAMES, OneOf, Reads, matching, names_like
+from pneuma.values import MOST_NAMES, OneOf, matching, names_like
 
 SHIPPED_LEVELS = ("thesis",)
 SHIPPED_CHARACTERS = ("pygame",)
@@ -34,13 +34,6 @@ MODULE = r"(.+/)?\w+\.py|[A-Za-z_]\w*(\.\w+)*"
 """The form of a module: the path of its file, or its name."""
 _REWARD = rf"{'|'.join(REWARDS)}|({MODULE}):\w+"
 _REWARD_ALLOWED = f"one of {', '.join(REWARDS)}, or module:function"
-
-
-def _read_codes(value: Any) -> tuple[int, ...]:
-    codes = (value,) if type(value) is int else tuple(value)
-    if not all(type(code) is int and 0 <= code < 2**28 for code in codes):
-        raise ValueError
-    return tuple(sorted({*codes}))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,22 +85,10 @@ class EnvConfig:
     start: Annotated[
         str, OneOf(("random", "first")), doc("a random start place of the level, or always the first")
     ] = "random"
-    bodies: Annotated[
-        str, OneOf(("block", "pass")), doc("whether living bodies stop each other, or `pass`")
-    ] = "block"
-    coast: Annotated[
-        str, OneOf(("wall", "deadly")), doc("or `deadly`: who is over the sea drowns, at no cost of XP")
-    ] = "wall"
     trees: Annotated[str, OneOf(("wall", "pass")), doc("whether trees and other obstacles stop bodies")] = (
         "wall"
     )
     terrain_stops: Annotated[str, OneOf(("all", "players")), doc("whom trees and coast stop")] = "all"
-    slow: Annotated[
-        tuple[int, ...],
-        Reads(_read_codes, "a list of codes of the ground, from 0"),
-        doc("codes of the ground that slows bodies: 1 snow, 2 grass, 3 sand"),
-    ] = ()
-    slow_factor: Annotated[float, Interval(gt=0, le=1), doc("of their speed there")] = 0.5
     attack_ticks: Annotated[
         int, Interval(ge=0, le=3600), doc("that every attack lasts; 0: the weapon's, 24 for `blade`")
     ] = 0
@@ -116,8 +97,6 @@ class EnvConfig:
         OneOf(("attack", "entry")),
         doc("a sword hits a monster once an attack; or on each `entry` into its box"),
     ] = "attack"
-    bite_while_knocked: Annotated[bool, doc("whether a monster bites while it is knocked back")] = False
-    healing_cap: Annotated[bool, doc("whether healing by a kill stops at full HP")] = False
     kill_credit: Annotated[
         str, OneOf(("striker", "near")), doc("who gains: who struck, or all within the attack circle")
     ] = "striker"
@@ -127,7 +106,7 @@ class EnvConfig:
     ending_cost: Annotated[
         float,
         Interval(ge=0, le=1000),
-        doc("XP lost by death from bites, clearing the level and the time limit"),
+        doc("XP lost by death, clearing the level and the time limit"),
     ] = 0.0
     episode_steps: Annotated[int, Interval(ge=1, le=MOST_STEPS), doc("the world's time limit")] = 1000
     time_limit: Annotated[
@@ -157,7 +136,7 @@ ENVIRONMENT_FIELDS: dict[str, dict[str, Any]] = {
     },
     "pneuma/PneumaHard-v0": {
         "reward": "kills", "observe_facing": True, "perceive": "rays:32", "level": "random:train:0",
-        "random_levels": 200, "monsters": "mixed", "slow": (1,), "episode_steps": 300,
+        "random_levels": 200, "monsters": "mixed", "episode_steps": 300,
     },
 }  # fmt: skip
 """What each environment sets other than the defaults: the published code's quirks for Godot's; for the arena
@@ -194,10 +173,10 @@ def make_env_config(given: Mapping[str, object], env: str = ENVIRONMENTS[0]) -> 
 def with_environment(env: str, given: Mapping[str, object]) -> dict[str, Any]:
     """Return an environment's fields with given ones over them.
 
-    Setting `level` drops the preset's `random_levels`, `monsters` and `slow`.
+    Setting `level` drops the preset's `random_levels` and `monsters`.
     """
     fields = ENVIRONMENT_FIELDS.get(env, {})
-    left = ("random_levels", "monsters", "slow") if "level" in given else ()
+    left = ("random_levels", "monsters") if "level" in given else ()
     return {**{key: value for key, value in fields.items() if key not in left}, **given}
 
 
@@ -224,8 +203,6 @@ def resolve_world(values: dict[str, Any]) -> dict[str, Any]:
             values[key] = values[key][:1]
     if players == 1:
         values.pop("shared_reward", None)
-    if not values.get("slow"):
-        values.pop("slow_factor", None)  # nothing reads it
     if values.get("random_levels", 1) > 1 and not is_random_level(values.get("level", "")):
         raise UserError(
             f"random_levels = {values['random_levels']} is not allowed: only random levels come in numbers"

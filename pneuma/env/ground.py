@@ -48,14 +48,6 @@ def paint_ground(ground: np.ndarray) -> np.ndarray:
     return image
 
 
-def hatch(image: np.ndarray, tiles: np.ndarray) -> np.ndarray:
-    """Draw dark diagonals over some tiles, (rows, columns) bool, of a painted ground; return it."""
-    row, column = np.ogrid[: image.shape[0], : image.shape[1]]
-    lines = tiles[row // TILE, column // TILE] & ((row + column) % 4 == 0)
-    image[lines] = image[lines] // 4 * 3
-    return image
-
-
 def tile_hash(row: np.ndarray | int, column: np.ndarray | int, salt: int = 0) -> np.ndarray:
     """Return 32 well-mixed bits for each tile, from which all variation between tiles follows."""
     mixed = np.array(row, np.uint64) * np.uint64(0x9E3779B1) ^ np.array(column, np.uint64) * np.uint64(

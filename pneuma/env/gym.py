@@ -67,7 +67,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     With `perceive = "rays:16"` each ray has a row in place of each monster: the distance to the first thing
     that it meets (in the largest notice radius), then 1 for what that is, else 0: terrain, another player,
     each kind of monster of the level. The first ray leads to the right, the others follow clockwise. They
-    end at living bodies, at terrain that stops players, and at the sea; HP are not seen.
+    end at living bodies and at terrain that stops players; HP are not seen.
 
     ## Rewards
 
@@ -97,7 +97,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
 
     Three defaults are those of Pneuma-v0, PneumaGodot-v0 and PneumaArena-v0. PneumaEasy-v0 is the arena with
     `classes = tank` and `perceive = nearest:5`; PneumaHard-v0 with `level = random:train:0`,
-    `monsters = mixed`, `random_levels = 200`, `perceive = rays:32`, `slow = 1` and `episode_steps = 300`.
+    `monsters = mixed`, `random_levels = 200`, `perceive = rays:32` and `episode_steps = 300`.
 
     (The table of `pneuma.env.fields.EnvConfig`.)
     | `render_mode` | none | `rgb_array`, or `human` for a window |

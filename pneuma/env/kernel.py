@@ -73,7 +73,7 @@ def _run_worlds(handle: Any, actions: Any, work: int) -> int:
                 observe_player(s, w, p, tell)
         if work & STEP:
             for p in range(s.players.shape[1]):
-                if s.events[w, p].present or s.events[w, p].died:
+                if s.events[w, p].present > 0:
                     write_reward(s.players[w, p], s.player_stats[p], s.events[w, p])
             if s.settings[0].shared_reward:
                 share_reward(s.events[w])

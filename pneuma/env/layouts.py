@@ -91,14 +91,14 @@ def observation_space(
 ) -> spaces.Box:
     """Return the Box, with finite bounds, of a player's observations, float32."""
     edges = levels[0].grid
-    beyond = config.coast == "deadly"  # players die a little way out
-    left, top, right, bottom = edges if beyond else _land(levels)
+    left, top, right, bottom = _land(levels)
     diagonal = float(np.hypot(edges[2] - edges[0], edges[3] - edges[1]))
     forever = config.xp_scope == "forever"
     worth = float(monsters["xp"].sum(axis=-1).max(initial=0.0)) + 1.0
     most = (MOST_XP if forever else worth) * settings["xp_scale"]
     x, y = _scaled(settings, "x", left, right), _scaled(settings, "y", top, bottom)
-    hp = (0.0, most_hp(player, monsters, config) * player["hp_scale"])
+    most_hp = float(player["hp"] + monsters["heal"].sum(axis=-1).max(initial=0.0))  # by all kills, unhurt
+    hp = (0.0, most_hp * player["hp_scale"])
     xp = (-most if forever else -config.ending_cost * settings["xp_scale"], most)
     energy, way, flag = (0.0, player["energy"] * player["energy_scale"]), (-1.0, 1.0), (0.0, 1.0)
     own = [x, y, way, way, hp, energy] if config.observation == "pygame" else [x, y, hp, xp]
@@ -123,12 +123,6 @@ def observation_space(
 
 def _scaled(settings: Any, axis: str, *places: float) -> tuple[float, ...]:
     return tuple((place - settings[f"middle_{axis}"]) * settings[f"scale_{axis}"] for place in places)
-
-
-def most_hp(player: Any, monsters: np.ndarray, config: EnvConfig) -> float:
-    """Return the HP of a player who kills every monster and is never hurt."""
-    healed = 0.0 if config.healing_cap else monsters["heal"].sum(axis=-1).max(initial=0.0)
-    return float(player["hp"] + healed)
 
 
 def _land(levels: list[Level]) -> tuple[float, float, float, float]:

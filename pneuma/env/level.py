@@ -38,7 +38,7 @@ class Level:
     left: float  # of the grid of tiles
     top: float
     ground: np.ndarray  # (rows, columns) codes, for drawing; -1 where there is none
-    terrain: np.ndarray  # (rows, columns) uint8: `rules.OPEN`, `SOLID`, `COAST` or `SLOW`
+    terrain: np.ndarray  # (rows, columns) uint8: `rules.OPEN`, `SOLID` or `COAST`
     starts: np.ndarray  # (S, 2) places
     monsters: tuple[tuple[str, float, float], ...]  # kind, x and y of each
 
@@ -66,10 +66,9 @@ class Level:
 def refuse_bad_places(level: Level, players: np.ndarray, monsters: np.ndarray, config: EnvConfig) -> None:
     """Refuse a level in which a body would begin beyond the grid, stuck, or where no player can walk to.
 
-    The rules look up tiles without bounds checks, and a body that starts inside a wall may never get out. Any
-    player may start at any start place, so each must have room for all of them. Monsters that no terrain
-    stops may be anywhere. `players` are (P,) `state.PLAYER_STATS`, `monsters` (M,) `state.MONSTER_STATS` in
-    the level's order.
+    A body that starts inside a wall may never get out. Any player may start at any start place, so each must
+    have room for all of them. Monsters that no terrain stops may be anywhere. `players` are (P,)
+    `state.PLAYER_STATS`, `monsters` (M,) `state.MONSTER_STATS` in the level's order.
     """
     shapes = np.unique(players[["half_width", "half_height", "body_x", "body_y"]])
     starts = [
@@ -88,21 +87,18 @@ def refuse_bad_places(level: Level, players: np.ndarray, monsters: np.ndarray, c
         if (body.low < (left, top)).any() or (body.high > (right, bottom)).any():
             raise body.refusal(level, "reaches beyond the grid")
     side = 2 * float(max(players["half_width"].max(), players["half_height"].max()))
-    lost = first_cut_off(level, ~(trees | coast), side, len(stopped))  # players drown in a deadly sea
+    lost = first_cut_off(level, ~(trees | coast), side, len(stopped))
     if lost is not None:
         who = [*starts[:: len(shapes)], *others][lost].who
         raise UserError(f"level {level.name}: {who} is walled in or off the land, for a body of {side:g} px")
-    for body in starts:
-        _refuse_terrain(level, body, trees | coast & (config.coast == "wall"))
-    for body in stopped:
+    for body in starts + stopped:
         _refuse_terrain(level, body, trees | coast)
-    if config.bodies == "block":
-        low, high = (np.array([getattr(each, edge) for each in bodies]) for edge in ("low", "high"))
-        for body in bodies if config.players > 1 else others:
-            depth = np.minimum(high, body.high) - np.maximum(low, body.low)
-            for index in np.flatnonzero((depth > rules.CONTACT_EPS).all(axis=1)):  # touching is no overlap
-                if bodies[index].who != body.who:  # itself, or another player's body at one place
-                    raise UserError(f"level {level.name}: {body.who} begins inside {bodies[index].who}")
+    low, high = (np.array([getattr(each, edge) for each in bodies]) for edge in ("low", "high"))
+    for body in bodies if config.players > 1 else others:
+        depth = np.minimum(high, body.high) - np.maximum(low, body.low)
+        for index in np.flatnonzero((depth > rules.CONTACT_EPS).all(axis=1)):  # touching is no overlap
+            if bodies[index].who != body.who:  # itself, or another player's body at one place
+                raise UserError(f"level {level.name}: {body.who} begins inside {bodies[index].who}")
 
 
 class _Body:

@@ -58,18 +58,12 @@ class Header(Table):
 
 
 def load_levels(config: EnvConfig, monster_codes: Mapping[int, str]) -> list[Level]:
-    """Load a world's level, or `count` consecutive random ones, and mark the slow ground."""
+    """Load a world's level, or `random_levels` consecutive random ones."""
     names = [config.level]
     if config.random_levels > 1:
         split, first = parse_name(config.level)
         names = [f"{RANDOM}{split}:{first + i}" for i in range(config.random_levels)]
-    levels = [load_level(name, monster_codes, config.monsters) for name in names]
-    there = {int(code) for level in levels for code in np.unique(level.ground)}
-    if (lacking := {*config.slow} - there) and not config.level.startswith(RANDOM):
-        raise UserError(f"slow: {config.level} has no ground {sorted(lacking)}; it has {sorted(there)}")
-    for level in levels:
-        level.terrain[(level.terrain == rules.OPEN) & np.isin(level.ground, config.slow)] = rules.SLOW
-    return levels
+    return [load_level(name, monster_codes, config.monsters) for name in names]
 
 
 def load_level(name: str, monster_codes: Mapping[int, str], monsters: str = "bamboo") -> Level:

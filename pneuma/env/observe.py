@@ -192,13 +192,13 @@ def _between(low: float, high: float, way: float) -> tuple[float, float]:
 
 @inlined
 def _distance_to_terrain(s: State, w: int, x: float, y: float, dx: float, dy: float) -> float:
-    """Return the distance at which a ray meets a tile that stops or drowns players.
+    """Return the distance at which a ray meets a tile that stops players.
 
     It passes a corner only between two open tiles.
     """
     settings = s.settings[0]
     level = s.worlds[w].level
-    stops = settings.player_stops | 1 << rules.COAST
+    stops = settings.player_stops
     column = math.floor((x - settings.left) / settings.tile)
     row = math.floor((y - settings.top) / settings.tile)
     step_x = 1 if dx > 0.0 else -1
@@ -247,5 +247,5 @@ def _mask_actions(s: State, w: int, p: int) -> None:
 def _may_walk(s: State, w: int, p: int) -> bool:
     """Return whether terrain lets a player walk on for a tick; bodies are ignored, as they may move."""
     player = s.players[w, p]
-    x, y = rules.ahead(s, w, p, s.settings[0].player_stops & ~(1 << rules.BODIES))
+    x, y = rules.ahead(s, w, p, False)
     return x != player.x or y != player.y

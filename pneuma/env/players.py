@@ -30,8 +30,7 @@ class Hunter:
     """Walks straight to the nearest living monster and attacks when the sword would hit one.
 
     If something stops it, it goes another way for a few steps. It knows the whole state, not only what a
-    player observes, but no ways around lakes and no deadly sea: on islands a trained agent is the better
-    reference.
+    player observes, but no ways around lakes: on islands a trained agent is the better reference.
     """
 
     SIDE_STEPS = 4

@@ -16,7 +16,7 @@ from PIL import Image
 
 from pneuma.env import rules, sprites
 from pneuma.env.characters import FACINGS, TICKS_PER_STEP
-from pneuma.env.ground import ground_kinds, hatch, land_and_shore, paint_ground, tile_hash
+from pneuma.env.ground import ground_kinds, land_and_shore, paint_ground, tile_hash
 from pneuma.env.level import GRASS, SAND, SNOW
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
@@ -111,8 +111,7 @@ class Renderer:
                 raise UserError(f"level {level.name}: too large to draw; at most {MOST_TILES:,} tiles")
             ground = ground_kinds(level)
             solid = level.terrain == rules.SOLID
-            painted = hatch(paint_ground(ground), level.terrain == rules.SLOW)
-            self._scenes[index] = painted, tuple(_obstacles(solid, ground))
+            self._scenes[index] = paint_ground(ground), tuple(_obstacles(solid, ground))
         return self._scenes[index]
 
     def frame(self, world: int = 0, player: int = 0) -> np.ndarray:

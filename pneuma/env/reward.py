@@ -44,7 +44,7 @@ def load_reward(name: str) -> RewardFunction:
 
 def present(events: np.ndarray) -> np.ndarray:
     """Return which players were alive when the step began, for (N, P) events."""
-    return (events["present"] > 0) | (events["died"] > 0)
+    return np.asarray(events["present"] > 0)
 
 
 def custom_rewards(
@@ -99,7 +99,7 @@ def share_reward(events: Array) -> None:
     for p in range(len(events)):
         total += events[p].reward
     for p in range(len(events)):
-        if events[p].present or events[p].died:
+        if events[p].present > 0:
             events[p].reward = total / len(events)
 
 

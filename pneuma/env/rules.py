@@ -25,9 +25,7 @@ from pneuma.env.state import Array, State
 DOWN, LEFT, UP, RIGHT, ATTACK, FLAME, HEAL = 0, 1, 2, 3, 4, 5, 6
 BLADE, BURNING, HEALING = 1, 2, 3
 """What a busy player does: attack with its sword, or cast a spell."""
-OPEN, SOLID, COAST, SLOW = 0, 1, 2, 3
-BODIES = 8
-"""Beside codes of terrain, what can stop a body: bit 1 << BODIES says that other bodies do."""
+OPEN, SOLID, COAST = 0, 1, 2
 RUNNING, KILLED, CLEARED, TIME_LIMIT = 0, 1, 2, 3
 
 CONTACT_EPS = 2.0**-10
@@ -211,7 +209,6 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
     """Let a living player act, and record what it strikes."""
     player = s.players[w, p]
     stats = s.player_stats[p]
-    settings = s.settings[0]
     tick = s.tick[p]
     tick.there = player.hp > 0.0
     tick.strikes = 0
@@ -226,14 +223,7 @@ def _begin_tick(s: State, w: int, p: int, action: int) -> None:
         if player.action_kind == BLADE:
             tick.strikes = BLADE
     player.energy = min(player.energy + stats.energy_gain, stats.energy)
-    if settings.deadly_coast and _tile_at(s, s.worlds[w].level, player.x, player.y) == COAST:
-        tick.there = 0
-        tick.strikes = 0
-        s.events[w, p].hp_lost += player.hp
-        _die(player, s.events[w, p])
-        _pack(s, w, s.monsters.shape[1] + p)
-    else:
-        s.events[w, p].present += 1
+    s.events[w, p].present += 1
 
 
 @inlined
@@ -280,26 +270,18 @@ def _heal(player: Array, stats: Array, event: Array, most: float) -> None:
 @kernel
 def _walk(s: State, w: int, p: int) -> None:
     player = s.players[w, p]
-    player.x, player.y = ahead(s, w, p, s.settings[0].player_stops)
+    player.x, player.y = ahead(s, w, p, True)
     _pack(s, w, s.monsters.shape[1] + p)
 
 
 @inlined
-def ahead(s: State, w: int, p: int, stops: int) -> tuple[float, float]:
+def ahead(s: State, w: int, p: int, among_bodies: bool) -> tuple[float, float]:
     """Return where a player is after walking for one tick in the direction it faces."""
     facing = s.players[w, p].facing
     speed = s.player_stats[p].speed
     dx = speed if facing == RIGHT else -speed if facing == LEFT else 0.0
     dy = speed if facing == DOWN else -speed if facing == UP else 0.0
-    return moved(s, w, s.monsters.shape[1] + p, dx, dy, stops)
-
-
-@inlined
-def _die(player: Array, event: Array) -> None:
-    player.hp = 0.0
-    player.busy = 0
-    player.action_kind = 0
-    event.died = 1
+    return moved(s, w, s.monsters.shape[1] + p, dx, dy, s.settings[0].player_stops, among_bodies)
 
 
 # --- A tick: monsters are struck, sense, bite and move -------------------------------------------
@@ -346,7 +328,7 @@ def _tick_monster(s: State, w: int, m: int) -> None:
         dx = _approach(s.players[w, target].x - monster.x, kind.stand_off, kind.speed)
         dy = _approach(s.players[w, target].y - monster.y, kind.stand_off, kind.speed)
     if dx != 0.0 or dy != 0.0:
-        monster.x, monster.y = moved(s, w, m, dx, dy, s.settings[0].monster_stops)
+        monster.x, monster.y = moved(s, w, m, dx, dy, s.settings[0].monster_stops, True)
         _pack(s, w, m)
 
 
@@ -445,7 +427,7 @@ def _sense(s: State, w: int, m: int, p: int) -> float:
         monster.bite[p] -= 1
     else:
         tick.contacts += monster.bite[p] == 0
-        if monster.knocked > 0 and not s.settings[0].bite_while_knocked:
+        if monster.knocked > 0:
             monster.bite[p] = 1  # due as soon as it has landed
         else:
             monster.bite[p] = kind.bite_ticks
@@ -476,8 +458,6 @@ def _end_tick(s: State, w: int, p: int) -> None:
     tick = s.tick[p]
     player.safe = max(player.safe - 1, 0)
     hp = player.hp + tick.healed
-    if s.settings[0].healing_cap:
-        hp = max(player.hp, min(hp, stats.hp))
     event.hp_gained += hp - player.hp
     player.hp = hp
     if tick.bitten > 0.0 and player.safe == 0:
@@ -492,7 +472,10 @@ def _end_tick(s: State, w: int, p: int) -> None:
         event.reward = player.xp
     event.reward += tick.notices + tick.contacts
     if player.hp <= 0.0:
-        _die(player, event)
+        player.hp = 0.0
+        player.busy = 0
+        player.action_kind = 0
+        event.died = 1
         _pack(s, w, s.monsters.shape[1] + p)
         _charge(player, event, s.settings[0].ending_cost)
 
@@ -511,7 +494,7 @@ def record_step(s: State, w: int, actions: Array) -> None:
     rewards = hp_lost = 0.0
     for p in range(s.players.shape[1]):
         slot, event, has_died = s.slots[w, p], s.events[w, p], s.players[w, p].hp <= 0.0
-        present = event.present > 0 or event.died > 0
+        present = event.present > 0
         if present:
             slot.returns += event.reward
             slot.lengths += 1
@@ -533,34 +516,26 @@ def record_step(s: State, w: int, actions: Array) -> None:
 
 
 @kernel
-def moved(s: State, w: int, me: int, dx: float, dy: float, stops: int) -> tuple[float, float]:
-    """Return where a body moves, x first, among terrain and other bodies; slower on slow ground.
+def moved(
+    s: State, w: int, me: int, dx: float, dy: float, stops: int, among_bodies: bool
+) -> tuple[float, float]:
+    """Return where a body moves, x first, in terrain, and among other bodies if asked for.
 
-    `me` is its index, players after monsters; `stops` the bits of what stops it.
+    `me` is its index, players after monsters; `stops` has a bit for each code of terrain that stops it.
     """
     x, y, shape = body(s, w, me)
-    slow = s.settings[0].slow_factor
-    if slow < 1.0 and _tile_at(s, s.worlds[w].level, x + shape[0], y + shape[1]) == SLOW:
-        dx *= slow
-        dy *= slow
     for axis in range(2):
         distance = dy if axis else dx
         if distance != 0.0:
-            there = _moved_along(s, w, me, axis == 0, x, y, shape, distance, stops)
+            there = _moved_along(s, w, me, axis == 0, x, y, shape, distance, stops, among_bodies)
             x, y = (x, there) if axis else (there, y)
     return x, y
 
 
 @inlined
-def _tile_at(s: State, level: int, x: float, y: float) -> int:
-    settings = s.settings[0]
-    return s.terrain[level, int((y - settings.top) / settings.tile), int((x - settings.left) / settings.tile)]
-
-
-@inlined
 def _moved_along(
     s: State, w: int, me: int, on_x: bool, x: float, y: float, shape: tuple[float, float, float, float],
-    distance: float, stops: int,
+    distance: float, stops: int, among_bodies: bool,
 ) -> float:  # fmt: skip
     """Return x, or y, after a move along it, stopped flush at the first obstacle."""
     start, _ = _turned(on_x, x, y)
@@ -569,7 +544,7 @@ def _moved_along(
     half, breadth = _turned(on_x, shape[2], shape[3])
     way = 1.0 if distance > 0.0 else -1.0
     stop = _stop_at_tiles(s, w, on_x, way, middle + distance, half, aside, breadth, stops)
-    if stops >> BODIES & 1:
+    if among_bodies:
         stop = min(stop, _stop_at_bodies(s, w, me, on_x, way, middle, half, aside, breadth))
     if way * (middle + distance) <= stop:
         return start + distance

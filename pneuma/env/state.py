@@ -142,18 +142,14 @@ SETTINGS = _record(
     ("ticks", "i4"),  # of one agent step
     ("episode_steps", "i8"),
     ("end_on_clear", "i4"),
-    ("deadly_coast", "i4"),
-    ("player_stops", "i8"),  # bit 1 << code: tiles of this code stop players, or bodies do
+    ("player_stops", "i8"),  # bit 1 << code: tiles of this code stop players
     ("monster_stops", "i8"),
     ("body_reach", "f8"),  # a body further off on x or y cannot stop another within a step
-    ("slow_factor", "f8"),  # of speeds on slow tiles; 1 where there are none
     ("magic", "i4"),  # whether there are spells
     ("shared_reward", "i4"),  # whether players get the mean of all their rewards
     ("blow_on_entry", "i4"),  # whether a monster is hit when it enters the sword's box, not once an attack
-    ("bite_while_knocked", "i4"),
-    ("healing_cap", "i4"),  # whether the HP of a kill stop at full HP
     ("credit_near", "i4"),  # a kill pays those within the attack circle, not the striker
-    ("ending_cost", "f8"),  # XP lost by an ending other than the coast's
+    ("ending_cost", "f8"),  # XP lost by every ending
     ("keep_xp", "i4"),  # from episode to episode
     ("layout", "i4"),  # of observations
     ("observe_facing", "i4"),
@@ -232,7 +228,7 @@ class State(NamedTuple):
     player_stats: Annotated[Array, PLAYER_STATS, "P"]
     monster_stats: Annotated[Array, MONSTER_STATS, "L M"]
     settings: Annotated[Array, SETTINGS, "1"]
-    terrain: Annotated[Array, np.uint8, "L R C"]  # OPEN, SOLID, COAST or SLOW
+    terrain: Annotated[Array, np.uint8, "L R C"]  # OPEN, SOLID or COAST
     starts: Annotated[Array, np.float64, "L S 2"]
     events: Annotated[Array, EVENTS, "N P"]
     observations: Annotated[Array, np.float32, "N P F"]

@@ -152,13 +152,12 @@ class Worlds:
             if name in (state.SETTINGS.names or ()) and not isinstance(value, str):
                 row[name] = value
         row["ticks"] = characters.TICKS_PER_STEP
-        row["deadly_coast"] = config.coast == "deadly"
-        trees = (config.trees == "wall") << rules.SOLID
-        bodies = (config.bodies == "block") << rules.BODIES
-        row["player_stops"] = trees | (config.coast == "wall") << rules.COAST | bodies
-        row["monster_stops"] = (trees | 1 << rules.COAST if config.terrain_stops == "all" else 0) | bodies
-        slow = any((level.terrain == rules.SLOW).any() for level in self.levels)
-        row["slow_factor"] = config.slow_factor if slow else 1.0
+        stops = 1 << rules.COAST
+        if config.trees == "wall":
+            stops |= 1 << rules.SOLID
+        row["player_stops"] = stops
+        if config.terrain_stops == "all":
+            row["monster_stops"] = stops
         row["shared_reward"] = config.shared_reward and not self._custom
         row["blow_on_entry"] = config.blow == "entry"
         row["credit_near"] = config.kill_credit == "near"
@@ -297,18 +296,13 @@ class Worlds:
         self._begin(kernel.GO_ON)
 
     def _refuse_nowhere(self) -> None:
-        """Refuse positions that the rules cannot look up. Dead monsters may be anywhere."""
+        """Refuse positions that are none. Dead monsters may be anywhere."""
         left, top, right, bottom = self.level.grid
-        kinds, alive = self.monster_stats[self.worlds["level"]], self.monsters["hp"] > 0
-        for name, bodies, stats in (
-            ("players", self.players, self.player_stats),
-            ("monsters", self.monsters[alive], kinds[alive]),
-        ):
-            for x, y in ((0, 0), (stats["body_x"], stats["body_y"])):  # the position, and the body's middle
-                x, y = x + bodies["x"], y + bodies["y"]
-                if not ((left <= x) & (x < right) & (top <= y) & (y < bottom)).all():  # nor NaN
-                    grid = f"{left:g} to {right:g}, {top:g} to {bottom:g}"
-                    raise ValueError(f"{name}: x or y lies off the grid, {grid}")
+        for name, bodies in (("players", self.players), ("monsters", self.monsters[self.monsters["hp"] > 0])):
+            x, y = bodies["x"], bodies["y"]
+            if not ((left <= x) & (x < right) & (top <= y) & (y < bottom)).all():  # nor NaN
+                grid = f"{left:g} to {right:g}, {top:g} to {bottom:g}"
+                raise ValueError(f"{name}: x or y lies off the grid, {grid}")
         if not np.isin(self.players["facing"], range(4)).all():
             raise ValueError("players: facing is none of 0 to 3")
 

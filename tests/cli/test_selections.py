@@ -194,7 +194,6 @@ def test_several_values_of_a_field_make_conditions() -> None:
         ("betas=.9,.999", [(0.9, 0.999)]),
         ("betas=[.9,.9],[.9,.999]", [(0.9, 0.9), (0.9, 0.999)]),
         ("gradient_limit=none,.5", [None, 0.5]),
-        ("slow=1,[2,3]", [(1,), (2, 3)]),
         ("reward=[kills]", [("kills",)]),
         ("perceive=kind:bamboo,squid", ["kind:bamboo,squid"]),
     ],

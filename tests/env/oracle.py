@@ -6,14 +6,14 @@ tick, every move is checked tile by tile and body by body.
 
 A tick goes:
 
-1. Every living player acts, in order. Who gets beyond a deadly coast dies at once.
+1. Every living player acts, in order.
 2. Every living monster, in order, is struck by the players' swords and flames, in their order; if it
    lives, it looks for every player and bites those within reach; then it flies or chases.
 3. Every player who was there gets what the tick brought: first what kills heal, then the bites. Who has
    no HP left is dead from the next tick on; until then he stands in the way.
 
 Bodies are boxes around points beside which they may lie; who observes, chases or is knocked goes by the
-points. Where bodies block, the living stop each other as walls do; nobody pushes.
+points. The living stop each other as walls do; nobody pushes.
 
 An agent step is 8 of them with the same actions, or as many as `settings.ticks` says. Its end may be the
 episode's.
@@ -91,7 +91,7 @@ class Oracle:
         """Pay those who were there, once they have seen how the step ended."""
         for player in self.players:
             events = player.events
-            if events.present or events.died:
+            if events.present:
                 events.reward = player.formula()
         if self.book.config.shared_reward:
             total = 0.0  # not by `sum`, which rounds differently from Python 3.12 on
@@ -99,7 +99,7 @@ class Oracle:
                 total += player.events.reward
             mean = total / len(self.players)
             for player in self.players:
-                if player.events.present or player.events.died:
+                if player.events.present:
                     player.events.reward = mean
 
     # --- Random numbers --------------------------------------------------------------------------
@@ -150,7 +150,7 @@ class Oracle:
         for p, player in enumerate(self.players):
             if player.hp > 0.0:
                 struck = self._act(player, actions[p])
-                if struck and player.hp > 0.0:
+                if struck:
                     blows[p] = struck
         there = [p for p, player in enumerate(self.players) if player.hp > 0.0]
         for monster in self.monsters:
@@ -189,9 +189,6 @@ class Oracle:
             if player.action_kind == 1:
                 struck = player.blow(stats.sword)
         player.energy = min(player.energy + stats.energy_gain, stats.energy)
-        if self.book.config.coast == "deadly" and self.ground.is_sea(player.x, player.y):
-            player.events.hp_lost += player.hp
-            player.die()  # without XP cost
         return struck
 
     def _walk(self, player: Player, way: int) -> None:
@@ -201,16 +198,14 @@ class Oracle:
 
     def walked(self, player: Player, way: int, others: list[Box]) -> Pair:
         """Return where one tick of walking takes a player among others."""
-        stats, slow = player.stats, self.ground.pace(player.box, self.book.config.slow_factor)
-        dx, dy = (part * stats.speed * slow for part in WAYS[way])
+        stats = player.stats
+        dx, dy = (part * stats.speed for part in WAYS[way])
         offset = stats.body_x, stats.body_y
         closed = self.book.closed_to_players
         return move((player.x, player.y), offset, player.box.half, (dx, dy), self.ground, closed, others)
 
     def _others(self, mover: Player | Monster) -> list[Box]:
-        """Return the bodies that stop one: of all others who live, if bodies block at all."""
-        if self.book.config.bodies == "pass":
-            return []
+        """Return the bodies that stop one: of all others who live."""
         players = [player.box for player in self.players if player is not mover and player.hp > 0.0]
         return players + [m.box for m in self.monsters if m is not mover and m.hp > 0.0]
 
@@ -245,9 +240,8 @@ class Oracle:
         elif target is not None:
             dx = monster.approach(target.x - monster.x)
             dy = monster.approach(target.y - monster.y)
-        slow = self.ground.pace(monster.box, self.book.config.slow_factor)
         place, offset = (monster.x, monster.y), (monster.kind.body_x, monster.kind.body_y)
-        closed, others, steps = self.book.closed_to_monsters, self._others(monster), (dx * slow, dy * slow)
+        closed, others, steps = self.book.closed_to_monsters, self._others(monster), (dx, dy)
         monster.x, monster.y = move(place, offset, monster.box.half, steps, self.ground, closed, others)
 
     def _strike(self, monster: Monster, p: int, blow: Blow, there: list[int], gains: list[Gain]) -> None:
@@ -274,10 +268,10 @@ class Oracle:
     def _sense(self, monster: Monster, there: list[int], gains: list[Gain]) -> Player | None:
         """Let a monster look for all players, and bite; return the nearest that it notices.
 
-        In flight it does not bite, unless told to: what is due then comes when it has landed.
+        In flight it does not bite: what is due then comes when it has landed.
         """
         kind, target, nearest = monster.kind, None, math.inf
-        flies = monster.knocked > 0 and not self.book.config.bite_while_knocked
+        flies = monster.knocked > 0
         for p in there:
             player, gain = self.players[p], gains[p]
             gap = player.gap_squared(monster.x + kind.notice_x, monster.y + kind.notice_y)
@@ -319,7 +313,7 @@ class Oracle:
         events.reward += gain.notices + gain.contacts
 
         player.safe = max(player.safe - 1, 0)
-        player.heal(gain.kill_heal, self.book.config.healing_cap)
+        player.heal(gain.kill_heal, capped=False)
         if gain.bitten > 0.0 and player.safe == 0:
             left = max(player.hp - gain.bitten, 0.0)
             events.hp_lost += player.hp - left

@@ -31,12 +31,11 @@ def read_rulebook(worlds: Worlds) -> Rulebook:
     config, row = worlds.config, worlds.settings[0]
     corner = float(row["left"]), float(row["top"]), float(row["tile"])
     trees = {SOLID} if config.trees == "wall" else set()
-    coast = {COAST} if config.coast == "wall" else set()
     return Rulebook(
         config=config,
         actions=worlds.action_names,
         rewards=config.reward if len(config.reward) > 1 else config.reward * config.players,
-        closed_to_players=frozenset(trees | coast),
+        closed_to_players=frozenset(trees | {COAST}),
         closed_to_monsters=frozenset(trees | {COAST} if config.terrain_stops == "all" else ()),
         settings=_read_row(row),
         stats=[_read_row(stats) for stats in worlds.player_stats],

@@ -23,7 +23,7 @@ from pneuma.errors import UserError
 from pneuma.values import OneOf
 
 from .oracle import Oracle
-from .oracle_maps import GRASS, KINDS, SAND, Map, maps
+from .oracle_maps import KINDS, Map, maps
 from .oracle_parts import Player
 
 CLASSES = ("base", "tank", "mage", "warrior")
@@ -138,9 +138,6 @@ def configurations(draw: st.DrawFn, level: Map) -> dict[str, Any]:
         "attack_ticks": draw(st.sampled_from([0, 0, 1, 25])),
         "reward": one_each(REWARDS),
         "perceive": draw(perceive),
-        "bodies": draw(st.sampled_from(["block", "block", "block", "pass"])),
-        "slow": draw(st.sampled_from([[], [], [GRASS], [SAND]])),
-        "slow_factor": draw(st.sampled_from([0.5, 0.3])),
         "ending_cost": draw(st.sampled_from([0.0, 1.0, 0.3])),
         "episode_steps": draw(st.sampled_from([9, 25, 60, 200])),
     }

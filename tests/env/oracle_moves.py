@@ -10,8 +10,6 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from pneuma.env.rules import COAST, SLOW
-
 Pair = tuple[float, float]
 """Something along x and along y."""
 CONTACT_EPS = 2**-10
@@ -46,17 +44,6 @@ class Ground:
         if not (0 <= row < len(self.tiles) and 0 <= column < len(self.tiles[0])):
             return True
         return self.tiles[row][column] in closed
-
-    def is_sea(self, x: float, y: float) -> bool:
-        """Tell whether a point lies beyond the coast."""
-        return self._at(x, y) == COAST
-
-    def pace(self, body: Box, factor: float) -> float:
-        """Return what a body's speed is multiplied by where its centre is."""
-        return factor if self._at(*body.centre) == SLOW else 1.0
-
-    def _at(self, x: float, y: float) -> int:
-        return self.tiles[int((y - self.top) / self.tile)][int((x - self.left) / self.tile)]
 
     def stop(self, body: Box, axis: int, step: float, closed: Collection[int]) -> float:
         """Return how far along an axis a body's centre may get: flush to a closed tile, or anywhere.

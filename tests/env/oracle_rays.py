@@ -8,8 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator
 
-from pneuma.env.rules import COAST
-
 from .oracle import Oracle
 from .oracle_moves import Ground, Pair
 from .oracle_parts import Player
@@ -21,7 +19,7 @@ TERRAIN, PLAYER, MONSTERS = 0, 1, 2
 def look_around(world: Oracle, player: Player) -> list[float]:
     """Return a row for each ray: how far it goes, then 1 for what it meets, else 0."""
     settings, told = world.book.settings, []
-    closed = world.book.closed_to_players | {COAST}
+    closed = world.book.closed_to_players
     for way in list(zip(settings.ray_x, settings.ray_y, strict=True))[: settings.rays]:
         origin = player.x, player.y
         ends = [*_bodies(world, player, way), (_terrain(world.ground, origin, way, closed), TERRAIN)]

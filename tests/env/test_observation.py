@@ -74,7 +74,7 @@ def test_rays_tell_what_they_meet_first_and_how_far_off_it_is(zoo: str) -> None:
     # squid below is nothing; down there the coast begins at 576. A player at (-200, 200), down and left, has
     # a body from -225 to -178 and from 178 to 226, so the diagonal enters it at (-178, 178).
     places = (100.0, 0.0), (0.0, -500.0), (250.0, 0.0), (0.0, 200.0)  # bamboo, spirit, raccoon, squid
-    pair = stage(zoo, *places, players=2, bodies="pass", perceive="rays:8", scale="raw")
+    pair = stage(zoo, *places, players=2, perceive="rays:8", scale="raw")
     pair.put(x=(0.0, -200.0), y=(0.0, 200.0))
     pair.put(monsters=True, hp=[40, 1, 1, 0])
     rays = pair.worlds.observations[0, 0, 4:].reshape(8, 1 + 6)
@@ -89,9 +89,9 @@ def test_rays_tell_what_they_meet_first_and_how_far_off_it_is(zoo: str) -> None:
 
 
 @pytest.mark.parametrize(("scale", "unit"), [("unit", 300), ("map", 1280), ("raw", 1)])
-def test_rays_end_at_trees_and_at_a_sea_that_drowns(arena: str, scale: str, unit: float) -> None:
+def test_rays_end_at_trees_and_at_the_sea(arena: str, scale: str, unit: float) -> None:
     # The obstacle is from 256 to 320 and from 0 to 64; of 4 rays the first goes right, the second down.
-    rays: dict[str, Any] = {"perceive": "rays:4", "scale": scale, "coast": "deadly"}
+    rays: dict[str, Any] = {"perceive": "rays:4", "scale": scale}
     for trees, far in (("wall", 156), ("pass", 476)):
         pair = stage(arena, trees=trees, **rays)
         pair.put(x=100, y=30)

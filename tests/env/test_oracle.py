@@ -55,7 +55,7 @@ def test_the_kernel_plays_as_the_oracle_tells(tmp_path: Path, many: settings) ->
     check()
     ends = [f"ending {ending}" for ending in (KILLED, CLEARED, TIME_LIMIT)]
     expected = (
-        "hits", "kills", "notices", "contacts", "healed", "drowned", "bitten", "flying", "opened", "masked",
+        "hits", "kills", "notices", "contacts", "healed", "bitten", "flying", "opened", "masked",
         "in contact", *ends,
     )  # fmt: skip
     assert all(happened[name] for name in expected), happened
@@ -103,7 +103,7 @@ def law(world: Oracle) -> Iterator[tuple[int, ...]]:
                 yield (number,)
     living = [(number, body) for number, body in enumerate(bodies) if body.hp > 0.0]
     for (one, first), (other, second) in itertools.combinations(living, 2):
-        if book.config.bodies == "block" and shrunk(first, CONTACT_EPS + ROUNDING).meets(second.box):
+        if shrunk(first, CONTACT_EPS + ROUNDING).meets(second.box):
             yield one, other
 
 
@@ -127,9 +127,7 @@ def count_events(pair: Pair, happened: Counter[str]) -> None:
         happened["flying"] += sum(monster.knocked > 0 for monster in world.monsters)
         happened[f"ending {world.ending}"] += world.steps > 0
         for player in world.players:
-            drowned = bool(player.events.died) and world.ground.is_sea(player.x, player.y)
-            happened["drowned"] += drowned
-            happened["bitten"] += player.events.died - drowned
+            happened["bitten"] += player.events.died
             happened["healed"] += player.events.hp_gained > 0
             grown = shrunk(player, -2 * CONTACT_EPS)
             alive = [monster for monster in world.monsters if player.hp > 0 and monster.hp > 0]

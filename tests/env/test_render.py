@@ -18,7 +18,7 @@ from gymnasium.utils.play import play as play_by_keys
 from PIL import Image, ImageSequence
 
 from pneuma.env import rules, watch
-from pneuma.env.fields import ENVIRONMENTS, make_env_config
+from pneuma.env.fields import ENVIRONMENTS
 from pneuma.env.gym import PneumaEnv
 from pneuma.env.gym_vector import PneumaVectorEnv
 from pneuma.env.pettingzoo import parallel_env
@@ -46,15 +46,11 @@ def drawn_of_action(worlds: Worlds) -> np.ndarray:
     return np.stack([columns, rows]) - MIDDLE
 
 
-def test_ground_is_blue_exactly_where_the_coast_is_and_hatched_where_it_slows() -> None:
+def test_ground_is_blue_exactly_where_the_coast_is() -> None:
     """In the middle of every tile of the shipped level; borders may wander by a few pixels."""
-    firm, slow = Worlds(1), Worlds(1, make_env_config({"slow": [3]}))
-    background = Renderer(firm).background
-    centres = background[8::16, 8::16].astype(int)
-    np.testing.assert_array_equal(centres[..., 2] - centres[..., 0] > 40, firm.level.terrain == rules.COAST)
-    different = (background != Renderer(slow).background).any(axis=2)
-    tiles = different.reshape(50, 16, 57, 16).any(axis=(1, 3))
-    np.testing.assert_array_equal(tiles, (slow.level.ground == 3) & (firm.level.terrain == rules.OPEN))
+    worlds = Worlds(1)
+    centres = Renderer(worlds).background[8::16, 8::16].astype(int)
+    np.testing.assert_array_equal(centres[..., 2] - centres[..., 0] > 40, worlds.level.terrain == rules.COAST)
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,6 @@ def test_it_is_computed_from_events_players_and_stats_and_may_be_shared(folder: 
         settings: dict[str, Any] = {
             "reward": [write(folder, body), "thesis"],
             "shared_reward": shared,
-            "bodies": "pass",
         }
         worlds = stage(arena, PREY, BITER, still=True, players=2, **settings).worlds
         worlds.players["xp"][0], worlds.players["x"][0, 1] = (3, 2), 500
