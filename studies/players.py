@@ -1,6 +1,6 @@
 """What the random player and the scripted hunter kill, to compare agents with: `python studies/players.py`.
 
-A hundred episodes each, in the tasks that come with Pneuma and on the islands of the study `islands`.
+A hundred episodes each, in the arena and on the islands of the study `islands`.
 """
 
 from __future__ import annotations
@@ -13,9 +13,7 @@ from pneuma.env.worlds import Worlds
 
 EPISODES = 100
 TASKS = {
-    "easy": ("pneuma/PneumaEasy-v0", {}),
     "arena": ("pneuma/PneumaArena-v0", {}),
-    "hard": ("pneuma/PneumaHard-v0", {}),
     "islands": ("pneuma/PneumaArena-v0", {"level": "random:test:0", "random_levels": 1000}),
 }
 

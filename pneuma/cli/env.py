@@ -21,8 +21,6 @@ ABOUT = {
     "pneuma/Pneuma-v0": "the thesis's text, well posed: unit-scale observations, 1,000 steps",
     "pneuma/PneumaGodot-v0": "its published code with the quirks: raw pixels, rewarded events, XP for ever",
     "pneuma/PneumaArena-v0": "the text's rules, rewarded for XP gained less HP lost, the facing observed",
-    "pneuma/PneumaEasy-v0": "the arena as a tank who sees the five nearest monsters",
-    "pneuma/PneumaHard-v0": "200 random islands, four kinds of monsters, sight by rays, 300 steps",
     "pneuma/Mailman-v0": "the three states of the thesis's Fig. 2.1, for tabular methods",
 }
 """A description of each environment."""

@@ -130,8 +130,6 @@ class Monster(_Body):
     heal: _Points
     knock_back: _Speed | None = None
     knock_back_time: _Seconds | None = None
-    pair_time: _Seconds = 0.0
-    """If not 0, only a blow within this time of another player's, from another side, wounds it."""
 
     @model_validator(mode="after")
     def _whole_knock_back(self) -> Monster:
@@ -277,7 +275,6 @@ def _fill_monster(row: Any, kind: Monster) -> None:
     row["bite_ticks"] = _ticks(kind.bite_time)
     row["knock_ticks"] = -1 if kind.knock_back_time is None else _ticks(kind.knock_back_time)
     row["knock_speed"] = (kind.knock_back or 0.0) / TICKS_PER_SECOND
-    row["pair_ticks"] = math.ceil(kind.pair_time * TICKS_PER_SECOND)
 
 
 def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:

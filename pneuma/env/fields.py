@@ -22,14 +22,14 @@ ORDERS = ("nearest", "fixed")
 SCALES = ("unit", "map", "raw")
 ACTION_NAMES = ("down", "left", "up", "right", "attack")
 SPELL_NAMES = ("flame", "heal")
-KINDS_OF_MONSTERS = ("bamboo", "mixed", "golems")
+KINDS_OF_MONSTERS = ("bamboo", "mixed")
 MAX_PLAYERS = MOST_NAMES
 MOST_STEPS = 1_000_000
 """Most agent steps of an episode."""
-PERCEIVE = "all, nearest:K for the K nearest, kind:NAME,… for monsters of some kinds, or rays:N, 1 to 64"
+PERCEIVE = "all, nearest:K for the K nearest, or rays:N, 1 to 64"
 
 
-_PERCEIVE = r"|all|nearest:[1-9]\d*|kind:[\w-]+(,[\w-]+)*|rays:([1-9]|[1-5]\d|6[0-4])"
+_PERCEIVE = r"|all|nearest:[1-9]\d*|rays:([1-9]|[1-5]\d|6[0-4])"
 MODULE = r"(.+/)?\w+\.py|[A-Za-z_]\w*(\.\w+)*"
 """The form of a module: the path of its file, or its name."""
 _REWARD = rf"{'|'.join(REWARDS)}|({MODULE}):\w+"
@@ -53,7 +53,7 @@ class EnvConfig:
     monsters: Annotated[
         str,
         OneOf(KINDS_OF_MONSTERS),
-        doc("on random levels: `bamboo`; `mixed`: 8, 2 of each other; `golems`: 8 for two"),
+        doc("on random levels: `bamboo` alone; or `mixed`: 8, and 2 of each other"),
     ] = "bamboo"
     characters: Annotated[str, doc("a file that overrides and extends the shipped ones; or `pygame`")] = ""
     players: Annotated[
@@ -75,7 +75,7 @@ class EnvConfig:
     shared_reward: Annotated[bool, doc("whether each player gets the mean of all players' rewards")] = False
     observation: Annotated[str, OneOf(OBSERVATIONS), doc("the layout")] = "thesis"
     perceive: Annotated[
-        str, matching(_PERCEIVE, PERCEIVE), doc("`all`, `nearest:K`, `kind:NAME,...`, or `rays:N`, 1 to 64")
+        str, matching(_PERCEIVE, PERCEIVE), doc("`all`, `nearest:K`, or `rays:N`, 1 to 64")
     ] = ""
     order: Annotated[
         str, OneOf(("", *ORDERS)), doc("dead monsters are left out, or rows of zeros (HP 0 in `godot`)")
@@ -131,16 +131,9 @@ ENVIRONMENT_FIELDS: dict[str, dict[str, Any]] = {
         "end_on_clear": True,
     },
     "pneuma/PneumaArena-v0": {"reward": "kills", "observe_facing": True},
-    "pneuma/PneumaEasy-v0": {
-        "reward": "kills", "observe_facing": True, "perceive": "nearest:5", "classes": "tank",
-    },
-    "pneuma/PneumaHard-v0": {
-        "reward": "kills", "observe_facing": True, "perceive": "rays:32", "level": "random:train:0",
-        "random_levels": 200, "monsters": "mixed", "episode_steps": 300,
-    },
-}  # fmt: skip
+}
 """What each environment sets other than the defaults: the published code's quirks for Godot's; for the arena
-a reward for kills, and the facing observed; an easier and a harder task than the arena's."""
+a reward for kills, and the facing observed."""
 
 ENVIRONMENTS = tuple(ENVIRONMENT_FIELDS)
 
@@ -171,13 +164,8 @@ def make_env_config(given: Mapping[str, object], env: str = ENVIRONMENTS[0]) -> 
 
 
 def with_environment(env: str, given: Mapping[str, object]) -> dict[str, Any]:
-    """Return an environment's fields with given ones over them.
-
-    Setting `level` drops the preset's `random_levels` and `monsters`.
-    """
-    fields = ENVIRONMENT_FIELDS.get(env, {})
-    left = ("random_levels", "monsters") if "level" in given else ()
-    return {**{key: value for key, value in fields.items() if key not in left}, **given}
+    """Return an environment's fields with given ones over them."""
+    return {**ENVIRONMENT_FIELDS.get(env, {}), **given}
 
 
 def with_layout(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -246,7 +234,7 @@ def read_field(config: type[EnvConfig], key: str, value: object) -> Any:
 
 def arguments_table() -> str:
     """Return a Markdown table of all fields: their defaults, in the three worlds where they differ."""
-    worlds = [vars(make_env_config({}, env)) for env in ENVIRONMENTS[:3]]
+    worlds = [vars(make_env_config({}, env)) for env in ENVIRONMENTS]
     rows = ["| argument | default | meaning |", "| --- | --- | --- |"]
     for name, kind in get_type_hints(EnvConfig, include_extras=True).items():
         defaults = [_told_default(world[name]) for world in worlds]

@@ -95,9 +95,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
 
     ## Arguments
 
-    Three defaults are those of Pneuma-v0, PneumaGodot-v0 and PneumaArena-v0. PneumaEasy-v0 is the arena with
-    `classes = tank` and `perceive = nearest:5`; PneumaHard-v0 with `level = random:train:0`,
-    `monsters = mixed`, `random_levels = 200`, `perceive = rays:32` and `episode_steps = 300`.
+    Three defaults are those of Pneuma-v0, PneumaGodot-v0 and PneumaArena-v0.
 
     (The table of `pneuma.env.fields.EnvConfig`.)
     | `render_mode` | none | `rgb_array`, or `human` for a window |

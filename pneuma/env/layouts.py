@@ -14,41 +14,29 @@ from gymnasium import spaces
 
 from pneuma.env.fields import OBSERVATIONS, EnvConfig
 from pneuma.env.level import RANDOM, Level
-from pneuma.errors import UserError, unknown_name
 
 LAYOUT_THESIS, LAYOUT_PYGAME, LAYOUT_GODOT = range(len(OBSERVATIONS))
 MOST_XP = 1e9
 """Bound of XP, in points, that is kept through episodes."""
 
 
-def perceived_kinds(config: EnvConfig, levels: list[Level]) -> tuple[list[bool], int]:
-    """Return whether each monster is perceived, and the most rows in an observation."""
-    kinds = [kind for kind, _, _ in levels[0].monsters]
-    what, _, which = config.perceive.partition(":")
-    if what == "rays":
-        return [True] * len(kinds), 0
-    if what == "kind":
-        wanted = which.split(",")
-        for name in wanted:
-            if name not in kinds:
-                raise unknown_name("kind of monster on this level", name, sorted(set(kinds)))
-        if any([kind for kind, _, _ in level.monsters] != kinds for level in levels):
-            raise UserError("perceive = kind:… needs levels with the same monsters")
-        perceived = [kind in wanted for kind in kinds]
-        return perceived, sum(perceived)
-    most = int(which) if what == "nearest" else len(kinds)
-    return [True] * len(kinds), min(most, len(kinds))
+def most_perceived(config: EnvConfig, monsters: int) -> int:
+    """Return the most rows of monsters in an observation, on levels with so many."""
+    mode, _, number = config.perceive.partition(":")
+    if mode == "rays":
+        return 0
+    if mode == "nearest":
+        return min(int(number), monsters)
+    return monsters
 
 
 def fill_scales(
     settings: Any, players: np.ndarray, monsters: np.ndarray, config: EnvConfig, levels: list[Level]
 ) -> None:
     """Write layout and scales into rows of `state.SETTINGS`, `PLAYER_STATS` and `MONSTER_STATS`."""
-    perceived, rows = perceived_kinds(config, levels)
     settings["layout"] = OBSERVATIONS.index(config.observation)
     settings["fixed_order"] = config.order == "fixed"
-    settings["perceived"] = rows
-    monsters["perceived"] = perceived
+    settings["perceived"] = most_perceived(config, monsters.shape[1])
     raw = config.scale == "raw"
     if config.scale == "unit":
         left, top, right, bottom = _land(levels)

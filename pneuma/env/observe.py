@@ -40,7 +40,6 @@ def _order_monsters(s: State, w: int, p: int, tell: bool) -> int:
     index, and the dead fill the remaining rows, infinitely far away.
     """
     player = s.players[w, p]
-    level = s.worlds[w].level
     fixed = s.settings[0].fixed_order
     nearest = math.inf
     count: Any = np.int64(0)
@@ -52,7 +51,7 @@ def _order_monsters(s: State, w: int, p: int, tell: bool) -> int:
             y = monster.y - player.y
             length = math.sqrt(x * x + y * y)
             nearest = min(nearest, length)
-        if s.monster_stats[level, m].perceived and (fixed or length < math.inf):
+        if fixed or length < math.inf:
             _insert(s.scratch, count, m, length, False)
             count += 1
     if tell:

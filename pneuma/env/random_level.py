@@ -29,7 +29,6 @@ STARTS = 6
 KINDS = {
     "bamboo": ("bamboo",) * 14,
     "mixed": ("bamboo",) * 8 + ("squid", "raccoon", "spirit") * 2,
-    "golems": ("bamboo",) * 6 + ("golem",) * 8,
 }
 """The kinds of monsters, by the field `monsters`."""
 COUNT = 14

@@ -180,9 +180,7 @@ def _pack(s: State, w: int, me: int) -> None:
 def _may_stir(s: State, w: int, m: int) -> bool:
     monster = s.monsters[w, m]
     kind = s.monster_stats[s.worlds[w].level, m]
-    if monster.knocked > 0 or monster.safe > 0 or monster.noticed:
-        return True
-    if monster.inside or monster.opened > 0:
+    if monster.knocked > 0 or monster.safe > 0 or monster.noticed or monster.inside:
         return True
     for p in range(s.players.shape[1]):
         if monster.bite[p] > 0:
@@ -293,8 +291,6 @@ def _tick_monster(s: State, w: int, m: int) -> None:
     kind = s.monster_stats[s.worlds[w].level, m]
     if monster.safe > 0:
         monster.safe -= 1
-    if monster.opened > 0:
-        monster.opened -= 1
     for p in range(s.players.shape[1]):
         bit = np.uint8(1 << p)
         struck = s.tick[p].there and s.tick[p].strikes and _is_struck(s, w, p, monster, kind)
@@ -356,8 +352,6 @@ def _apply_hit(s: State, w: int, m: int, p: int) -> None:
     kind = s.monster_stats[s.worlds[w].level, m]
     strike = _strike(s, p)
     monster.struck_by[p] = player.attack
-    if kind.pair_ticks > 0 and not _is_wounded(monster, kind, p, player.facing):
-        return
     monster.safe = kind.safe
     monster.hp = max(monster.hp - strike.damage, 0.0)
     s.events[w, p].hits += 1
@@ -366,16 +360,6 @@ def _apply_hit(s: State, w: int, m: int, p: int) -> None:
         _credit_kill(s, w, m, p)
     elif strike.knock_ticks >= 0 and monster.knocked == 0:
         _knock_back(monster, kind, player, strike)
-
-
-@inlined
-def _is_wounded(monster: Array, kind: Array, p: int, facing: int) -> bool:
-    """Return whether a blow wounds a monster that falls to two: after another player's, from another side."""
-    wounds = monster.opened > 0 and monster.first_by != p and monster.first_facing != facing
-    monster.opened = kind.pair_ticks
-    monster.first_by = p
-    monster.first_facing = facing
-    return wounds
 
 
 @inlined

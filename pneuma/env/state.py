@@ -61,9 +61,6 @@ MONSTER = _record(  # what every step looks at comes first: it shares a line of 
     ("noticed", "u1"),  # bit p: player p is inside the notice circle
     ("bite", "i2", (MAX_PLAYERS,)),  # ticks to the next bite of player p; 0: out of reach
     ("inside", "u1"),  # bit p: player p struck where it stood in the last tick
-    ("first_by", "u1"),  # who struck first a monster that falls to two
-    ("opened", "i2"),  # ticks in which another player can wound it
-    ("first_facing", "u1"),  # of who struck first
     ("knock_x", "f8"),  # pixels a tick
     ("knock_y", "f8"),
     ("struck_by", "i4", (MAX_PLAYERS,)),  # the last attack of player p that hit it
@@ -125,11 +122,9 @@ MONSTER_STATS = _record(
     ("safe", "i4"),  # ticks after a blow in which further ones do nothing
     ("knock_ticks", "i4"),  # below 0: as the striker's
     ("knock_speed", "f8"),
-    ("pair_ticks", "i4"),  # within which two players must strike it from two sides; 0: one is enough
     ("xp", "f8"),  # for the kill
     ("heal", "f8"),
     ("reach_squared", "f8"),  # beyond this distance nothing can happen to it within one step
-    ("perceived", "i4"),  # whether it is part of observations
     ("sight", "i4"),  # number of its kind, among those that rays tell apart
     ("hp_scale", "f8"),  # of an observation
     ("distance_scale", "f8"),

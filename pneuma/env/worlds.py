@@ -61,7 +61,6 @@ class Worlds:
         self.monster_stats = characters.monster_stats(cast, self.levels, self.player_stats, config.magic)
         for level, kinds in zip(self.levels, self.monster_stats, strict=True):
             refuse_bad_places(level, self.player_stats, kinds, config)
-        self._refuse_lonely(config)
         self.settings = self._settings(config)
         fill_scales(self.settings[0], self.player_stats, self.monster_stats, config, self.levels)
         self.spaces = [
@@ -167,16 +166,6 @@ class Worlds:
         if fastest > self.level.tile:
             raise UserError(f"a speed of {fastest * 60:g} px/s jumps over tiles of {self.level.tile:g} px")
         return settings
-
-    def _refuse_lonely(self, config: EnvConfig) -> None:
-        if config.players > 1:
-            return
-        for level, stats in zip(self.levels, self.monster_stats, strict=True):
-            if (stats["pair_ticks"] > 0).any():
-                kind = level.monsters[int((stats["pair_ticks"] > 0).argmax())][0]
-                raise UserError(
-                    f"players = 1 is not allowed: on level {level.name} a {kind} falls to two players only"
-                )
 
     def _largest_body(self) -> float:
         """Return how far a body reaches from its position, on x or y, in pixels."""

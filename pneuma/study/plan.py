@@ -209,7 +209,7 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
     """Split settings into fields with one value and fields with several values to sweep.
 
     A user's files are looked for beside the study's, as those in it are. Where there is one player, several
-    classes, weapons or rewards are swept.
+    classes or rewards are swept.
     """
 
     def read(key: str, value: Any) -> Any:

@@ -195,7 +195,6 @@ def test_several_values_of_a_field_make_conditions() -> None:
         ("betas=[.9,.9],[.9,.999]", [(0.9, 0.9), (0.9, 0.999)]),
         ("gradient_limit=none,.5", [None, 0.5]),
         ("reward=[kills]", [("kills",)]),
-        ("perceive=kind:bamboo,squid", ["kind:bamboo,squid"]),
     ],
 )
 def test_a_value_is_read_as_it_is_typed_alone_and_in_a_sweep(said: str, values: list[object]) -> None:

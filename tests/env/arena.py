@@ -25,7 +25,7 @@ from pneuma.env.worlds import Worlds
 from .oracle_arrays import Pair
 from .oracle_maps import KINDS, Map
 
-THESIS, GODOT, ARENA = ENVIRONMENTS[:3]
+THESIS, GODOT, ARENA = ENVIRONMENTS
 DOWN, LEFT, UP, RIGHT, ATTACK = rules.DOWN, rules.LEFT, rules.UP, rules.RIGHT, rules.ATTACK
 FLAME, HEAL = rules.FLAME, rules.HEAL
 STAND = ATTACK  # whoever swings stands still

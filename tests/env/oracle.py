@@ -214,7 +214,6 @@ class Oracle:
     def _live(self, monster: Monster, there: list[int], blows: dict[int, Blow], gains: list[Gain]) -> None:
         """Let a monster live one tick among the players who are `there`."""
         monster.safe = max(monster.safe - 1, 0)
-        monster.opened = max(monster.opened - 1, 0)
         for p in range(len(self.players)):
             if p not in there:
                 monster.noticed.discard(p)
@@ -248,8 +247,6 @@ class Oracle:
         """Strike a living monster that a blow meets for the first time."""
         kind = monster.kind
         monster.struck_by[p] = blow.number
-        if not monster.wounds(p, blow.facing):
-            return
         monster.safe = kind.safe
         monster.hp = max(monster.hp - blow.damage, 0.0)
         gains[p].hits += 1

@@ -69,11 +69,10 @@ _FLIGHTS = ((1200, 0.05), (333.3, 0.4), (0, 0.2), (600, 0))
 
 
 @st.composite
-def character_files(draw: st.DrawFn, pairs: bool) -> str:
+def character_files(draw: st.DrawFn) -> str:
     """Draw the text of a file of characters that overrides some numbers of the shipped ones.
 
-    Every second time all players are frail: a bite or two kill them. With `pairs` some monsters fall to two
-    players only.
+    Every second time all players are frail: a bite or two kill them.
     """
     frail = {"hp": draw(st.sampled_from(_POOLS["players"]["hp"][:2]))} if draw(st.booleans()) else {}
     lines = []
@@ -88,8 +87,6 @@ def character_files(draw: st.DrawFn, pairs: bool) -> str:
             if name == "heal":  # it strikes no box
                 values = {key: value for key, value in values.items() if key not in ("length", "width")}
                 values["reach"] = draw(st.sampled_from((0, 40.3, 500)))
-            if group == "monsters" and pairs:
-                values["pair_time"] = draw(st.sampled_from((0, 0.3, 1)))
             if group == "monsters" and draw(st.booleans()):
                 values["knock_back"], values["knock_back_time"] = draw(st.sampled_from(_FLIGHTS))
             lines += [f"[{group}.{name}]", *(f"{key} = {_toml(value)}" for key, value in values.items())]
@@ -115,19 +112,16 @@ CHOICES: dict[str, Sequence[object]] = {
 
 
 @st.composite
-def configurations(draw: st.DrawFn, level: Map) -> dict[str, Any]:
+def configurations(draw: st.DrawFn) -> dict[str, Any]:
     """Draw the settings of an environment, all but level and characters."""
     players = draw(st.integers(1, 3))
 
     def one_each(names: Sequence[str]) -> list[str]:
         return draw(st.lists(st.sampled_from(names), min_size=players, max_size=players))
 
-    kinds = sorted({kind for kind, _, _ in level.monsters})
-    some = st.lists(st.sampled_from(kinds), min_size=1, unique=True).map(lambda names: ",".join(names))
     perceive = st.one_of(
         st.sampled_from(["", "all"]),
         st.integers(1, 4).map("nearest:{}".format),
-        some.map("kind:{}".format),
         st.integers(1, 9).map("rays:{}".format),
     )
     chosen = {name: draw(st.sampled_from(choices)) for name, choices in CHOICES.items()}
@@ -173,8 +167,8 @@ class Case:
 def cases(draw: st.DrawFn) -> Case:
     """Draw a case of 32 to 80 steps."""
     level = draw(maps())
-    settings = draw(configurations(level))
-    characters = draw(st.one_of(character_files(settings["players"] > 1), st.sampled_from(["", "pygame"])))
+    settings = draw(configurations())
+    characters = draw(st.one_of(character_files(), st.sampled_from(["", "pygame"])))
     count, length = draw(st.integers(1, 2)), draw(st.integers(8, 20))
     size = length * settings["players"] * count
     moods, breaks = (draw(st.binary(min_size=many, max_size=many)) for many in (size, length))

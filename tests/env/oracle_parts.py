@@ -69,7 +69,6 @@ class Blow:
 
     number: int
     box: Box
-    facing: int  # of who strikes
     hilt: tuple[float, float]  # what it knocks away from
     damage: float
     knock_speed: float
@@ -130,7 +129,6 @@ class Player:
                 (self.x + strike.x[facing], self.y + strike.y[facing]),
                 (strike.half_width[facing], strike.half_height[facing]),
             ),
-            facing=facing,
             hilt=(self.x + strike.hilt_x[facing], self.y + strike.hilt_y[facing]),
             damage=strike.damage,
             knock_speed=strike.knock_speed,
@@ -171,25 +169,12 @@ class Monster:
     knocked: int = 0
     safe: int = 0
     inside: set[int] = field(default_factory=set)  # whose strikes met it in the last tick
-    opened: int = 0
-    first_by: int = 0
-    first_facing: int = 0
 
     @property
     def box(self) -> Box:
         """The monster's body."""
         kind = self.kind
         return Box((self.x + kind.body_x, self.y + kind.body_y), (kind.half_width, kind.half_height))
-
-    def wounds(self, p: int, facing: int) -> bool:
-        """Tell whether a player's blow wounds; one that falls to two opens with every blow, for a time."""
-        time = self.kind.pair_ticks
-        if time == 0:
-            return True
-        partner, way = self.first_by, self.first_facing
-        was_open = self.opened > 0
-        self.opened, self.first_by, self.first_facing = time, p, facing
-        return was_open and p != partner and facing != way
 
     def knock_back(self, blow: Blow) -> None:
         """Fly from the hilt, unless it flies already; one that is right there stays there."""

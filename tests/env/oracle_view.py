@@ -67,11 +67,11 @@ def _energy_at_last(player: Player, ticks: int) -> float:
 def _perceived(world: Oracle, player: Player) -> list[Monster]:
     """Return the monsters in a player's view, in order.
 
-    Of the kinds that are perceived, at most so many, the nearest; ties by index. Nearest first, the
-    dead left out; or in fixed order, the dead among them, as the furthest of all.
+    At most so many, the nearest; ties by index. Nearest first, the dead left out; or in fixed order, the dead
+    among them, as the furthest of all.
     """
     settings = world.book.settings
-    monsters = [monster for monster in world.monsters if monster.kind.perceived]
+    monsters = world.monsters
     living = sorted(
         (monster for monster in monsters if monster.hp > 0.0),
         key=lambda monster: _distance(monster, player),

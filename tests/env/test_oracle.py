@@ -55,7 +55,7 @@ def test_the_kernel_plays_as_the_oracle_tells(tmp_path: Path, many: settings) ->
     check()
     ends = [f"ending {ending}" for ending in (KILLED, CLEARED, TIME_LIMIT)]
     expected = (
-        "hits", "kills", "notices", "contacts", "healed", "bitten", "flying", "opened", "masked",
+        "hits", "kills", "notices", "contacts", "healed", "bitten", "flying", "masked",
         "in contact", *ends,
     )  # fmt: skip
     assert all(happened[name] for name in expected), happened
@@ -123,7 +123,6 @@ def count_events(pair: Pair, happened: Counter[str]) -> None:
     for name in ("hits", "kills", "notices", "contacts"):
         happened[name] += int(pair.worlds.events[name].sum())
     for world in pair.oracles:
-        happened["opened"] += sum(monster.opened > 0 for monster in world.monsters)
         happened["flying"] += sum(monster.knocked > 0 for monster in world.monsters)
         happened[f"ending {world.ending}"] += world.steps > 0
         for player in world.players:

@@ -8,10 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pneuma.env.fields import make_env_config
 from pneuma.env.rules import ATTACK, DOWN, FLAME, HEAL, LEFT, RIGHT, UP
-from pneuma.env.worlds import Worlds
-from pneuma.errors import UserError
 
 from .arena import GODOT, Place, begin, play, stage
 
@@ -171,14 +168,3 @@ def test_clearing_the_level_costs_1_xp(arena: str) -> None:
     pair.put(monsters=True, hp=[20, 0, 0, 0], bite=[[30] * 8])
     pair.play(ATTACK)
     assert (pair.told("xp"), pair.told("reward"), pair.worlds.ending(0)) == ([4], [4], "cleared")  # 4 + 1 - 1
-
-
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"level": "random:train:1", "monsters": "golems"}, "a golem falls to two players only"),
-    ],
-)
-def test_what_one_player_cannot_play_is_refused(fields: dict[str, object], message: str) -> None:
-    with pytest.raises(UserError, match=message):
-        Worlds(1, make_env_config(fields))
