@@ -172,3 +172,12 @@ def write_events(path: Path, points: Sequence[tuple[str, int, float]], after: in
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(encode_events(points, after))
     return path
+
+
+def write_table(path: Path, curves: Mapping[tuple[str, int], Mapping[int, float]]) -> Path:
+    """Write runs as tidy rows of step, return, condition and seed: values by step, by condition and seed."""
+    lines = ["step,return,condition,seed"]
+    for (condition, seed), values in curves.items():
+        lines += [f"{step},{value},{condition},{seed}" for step, value in values.items()]
+    path.write_text("\n".join(lines) + "\n")
+    return path

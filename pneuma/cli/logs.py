@@ -11,7 +11,7 @@ from pneuma.errors import counted
 from pneuma.study.store import Store
 
 if TYPE_CHECKING:
-    from pneuma.imports.logs import ImportedRun
+    from pneuma.imports.logs import Import, Log
 
 app = opt.Commands("import", "Make a study of old logs.")
 
@@ -28,41 +28,62 @@ def tensorboard(
     return _imported(import_tensorboard(folders, Store(results), name), results)
 
 
-@app.command(short_help="Import CSV files: wandb's exports, Stable-Baselines3's, or any other.")
+_CONDITION = "A column, or the condition of all rows (default: as the file is called, without _SEED)."
+_SEED = "A column, or the seed of all rows (default: the number in the file's name NAME_SEED)."
+_AVERAGED = "Episodes that a return averages; 1 where each is one episode's (default: as they are)."
+
+
+@app.command(short_help="Import tables of tidy rows, or Stable-Baselines3's monitors.")
 def csv(
-    files: Annotated[
-        list[Path], opt.argument("FILE", "Of wandb, a monitor.csv, progress.csv, or NAME_SEED.csv.")
-    ],
-    step: Annotated[str, opt.option("COLUMN", "The column of agent steps, where a file does not tell.")] = "",
-    returns: Annotated[
-        str, opt.option("COLUMN", "That of returns, or of RUN - COLUMN.", name="--return")
-    ] = "",
-    averaged_over: Annotated[Any, opt.count("Episodes that a return averages, if a file is silent.")] = None,
+    files: Annotated[list[Path], opt.argument("FILE", "CSV files of tidy rows, or monitors.")],
+    step: Annotated[str, opt.option("COLUMN", "The column of agent steps.")] = "",
+    value: Annotated[
+        opt.Several, opt.option("COLUMN[=QUANTITY]", "A column of values: the return, or another quantity.")
+    ] = None,
+    condition: Annotated[str, opt.option("COLUMN|TEXT", _CONDITION)] = "",
+    seed: Annotated[str, opt.option("COLUMN|N", _SEED)] = "",
+    averaged_over: Annotated[Any, opt.count(_AVERAGED)] = None,
     name: Annotated[str | None, opt.option("NAME", "The study's name (default: the file's).")] = None,
     results: opt.Results = opt.HERE,
 ) -> Result:
-    """Import returns from CSV files: of NAME_1, NAME is the condition and the number the seed."""
-    from pneuma.imports.csv_files import import_csv
+    """Import runs from CSV files: of each row step, value, condition and seed. A monitor is one run.
 
-    return _imported(import_csv(files, Store(results), name, step, returns, averaged_over), results)
+    With condition and seed, several monitors are one run's environments. Without options the command lists
+    the columns of a file. QUANTITY is return, length, evaluated_return, success or a metric of updates.
+    """
+    from pneuma.imports.csv_files import Columns, import_csv
+
+    columns = Columns(step, tuple(value or ()), condition, seed, averaged_over)
+    return _imported(import_csv(files, columns, Store(results), name), results)
 
 
-def _imported(found: tuple[str, list[ImportedRun], list[str]], results: Path) -> Result:
-    study, runs, notes = found
+def _imported(imported: Import, results: Path) -> Result:
+    study, logs, notes = imported
     for note in notes:
         say(f"Note: {note}.")
     rows = [
-        {"run_id": run.run_id, "condition": run.condition, "seed": run.seed, "steps": run.log.steps,
-         "imported": run.new}
-        for run in runs
+        {"run_id": log.run_id, "condition": log.condition, "seed": log.seed, "steps": log.steps,
+         "imported": log.new}
+        for log in logs
     ]  # fmt: skip
-    new, points = sum(run.new for run in runs), sum(len(run.log.points) for run in runs)
-    amount = f"{counted(len(runs), 'run')}, {counted(points, 'point')}"
-    episodes = max(100, *(run.log.provenance.get("averaged_over", 100) for run in runs))
-    means = "" if episodes == 100 else "; those of runs trained here are of 100, and less smooth"
-    shown = [
-        f"{study}: {amount}; {new} imported now, {len(runs) - new} were stored.",
-        f"Returns are means of {episodes} episodes{means}.",
+    new = sum(log.new for log in logs)
+    points = sum(len(log.points) for log in logs)
+    lines = [
+        f"{study}: {counted(len(logs), 'run')}, {counted(points, 'point')}; {new} imported now, "
+        f"{len(logs) - new} were stored.",
+        _averaging(logs),
         f"Draw it with: {command('study', 'plot', study, '--results', results)}",
     ]
-    return Result({"study": study, "runs": rows, "notes": notes}, shown)
+    return Result({"study": study, "runs": rows, "notes": notes}, lines)
+
+
+def _averaging(logs: list[Log]) -> str:
+    """Return of how many episodes the runs' returns are means."""
+    averaged = {log.provenance.get("averaged_over", 100) for log in logs}
+    if None in averaged:
+        return "Returns are as in the file; --averaged-over 1 averages single episodes as runs trained here."
+    episodes = max(100, *averaged)
+    means = f"Returns are means of {episodes} episodes"
+    if episodes > 100:
+        return f"{means}; those of runs trained here are of 100, and less smooth."
+    return f"{means}."

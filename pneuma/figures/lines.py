@@ -177,7 +177,9 @@ class Column:
     def panel(self, name: str) -> Panel:
         of, label = QUANTITIES[name], QUANTITIES[name].label
         if self.data.averaged_over:  # in the log
-            label = label.replace(" of an episode", f", mean of {self.data.averaged_over} episodes")
+            episodes = self.data.averaged_over
+            words = "as logged" if episodes == 1 else f"mean of {episodes} episodes"
+            label = label.replace(" of an episode", f", {words}")
         title = of.title
         if name.startswith("action_") and without_monsters(self.data):
             title = f"Share of action {name.removeprefix('action_')}"
@@ -362,7 +364,9 @@ def _caption(column: Column) -> list[str]:
         whose = of if len(blank) <= MOST_NAMED else f"of {len(blank)} conditions"
         notes.append(f"Some runs have no value in a panel, and count in no mean there: {whose}.")
     averaged, of_budget = [], "in the 5 % of the budget before each point"
-    if names & {*EPISODE_QUANTITIES}:
+    if names & {*EPISODE_QUANTITIES} and data.averaged_over == 1:
+        notes.append("Returns and lengths are as they were logged.")
+    elif names & {*EPISODE_QUANTITIES}:
         last = f"the last {data.averaged_over or 100} episodes"
         trailing = (
             last if (column.window or data.windows[0]) == TRAILING_WINDOW else f"the episodes {of_budget}"
@@ -382,5 +386,9 @@ def _of_beside(data: StudyData, averaged: Sequence[str]) -> list[str]:
     if data.averaged_over is None:
         return []
     name, last = data.study.name, f"the last {data.averaged_over} episodes"
-    notes = [f"Those of {name} average {last}."] * (last not in averaged)
-    return [*notes, f"The environment of {name} is not recorded."]
+    notes = [f"The environment of {name} is not recorded."]
+    if data.averaged_over == 1:
+        return [f"Those of {name} are as they were logged.", *notes]
+    if last not in averaged:
+        return [f"Those of {name} average {last}.", *notes]
+    return notes

@@ -1,157 +1,302 @@
-"""CSV files as logs: exports of wandb, Stable-Baselines3's monitors and progress, and any other.
+"""Tidy tables, whose columns the user names, and Stable-Baselines3's monitors as logs.
 
-files → tables of text → columns of each run by tag → `Log` → `logs.store_logs`
-
-Nothing is left out in silence: rows without a number, steps that come twice or out of order are told.
+Nothing is guessed: what could be read in two ways is refused.
 """
 
 from __future__ import annotations
 
 import io
+import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import re
+import shlex
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
 
-import numpy as np
 import pandas as pd
 
-from pneuma.errors import UserError, counted
-from pneuma.imports.logs import AGENT_STEPS, ImportedRun, Log, file_facts, store_logs
-from pneuma.imports.points import ONE_EPISODE
-from pneuma.study.quantities import TAGS
-from pneuma.study.series import TRAILING_EPISODES
+from pneuma.errors import UserError, counted, unknown_name
+from pneuma.files import read_text
+from pneuma.imports.logs import Import, Log, choose_study_name, condition_and_seed, file_facts, store_logs
+from pneuma.study.quantities import EPISODE_QUANTITIES, EVALUATION_TAGS, TAGS, TRAINING_QUANTITIES
 from pneuma.study.store import Store
 
-SOURCE, IMPORT_VERSION = "csv", 1
-MEANS = (TAGS["return"][0], TAGS["length"][0])
-PROGRESS_STEP, WANDB_STEPS = "time/total_timesteps", ("Step", "_step", "global_step")
-MONITOR = ("r", "l", "t")
-"""Columns of a monitor: an episode's return, length, and the seconds when it ended."""
+SOURCE, IMPORT_VERSION = "csv", 2
+MONITOR = "monitor.csv"
+QUANTITIES = {quantity: TAGS[quantity] for quantity in TAGS if quantity in TRAINING_QUANTITIES}
+QUANTITIES["evaluated_return"] = (EVALUATION_TAGS["return"],) * 2
+QUANTITIES["success"] = (EVALUATION_TAGS["success"],) * 2
+"""The tags of each quantity: of means over episodes, and of single values."""
+SUGGESTED = {
+    "--step": r"_?(global_)?steps?|(total_)?timesteps|time/total_timesteps",
+    "--value": r".*(return|reward|ep_rew_mean).*",
+    "--condition": "condition",
+    "--seed": "seed",
+}
+"""Names of columns, in lower case, that the command to copy suggests."""
 
-Columns = Mapping[str, tuple[pd.Series, pd.Series]]
-"""Steps and values by tag."""
 
+@dataclass(frozen=True)
+class Columns:
+    """What of a table is imported; condition and seed are in a file's name where they are not given.
 
-def import_csv(
-    paths: Sequence[Path],
-    store: Store,
-    name: str | None = None,
-    step: str = "",
-    returns: str = "",
-    averaged_over: int | None = None,
-) -> tuple[str, list[ImportedRun], list[str]]:
-    """Import the runs of CSV files as one study; return its name, its runs, and notes for the user.
-
-    A file NAME_1.csv is the seed 1 of NAME, as a folder of a log is; of wandb, each column is a run. `step`
-    and `returns` name columns, of which wandb's are `RUN - returns`. `averaged_over` is the number of
-    episodes that a return is the mean of, where the file does not tell; 1 for every single episode.
+    Attributes:
+        step: the column of agent steps.
+        values: columns of values, COLUMN or COLUMN=QUANTITY; without a quantity they are returns.
+        condition: a column, or the condition of all rows.
+        seed: a column, or the seed of all rows.
+        averaged_over: episodes of which a return or length is the mean; None to take them as they are.
     """
-    paths = [path.resolve() for path in paths]
-    places = [path.with_suffix("") if len(paths) == 1 else path.parent for path in paths]
-    return store_logs(_read_all(paths, step, returns, averaged_over), store, SOURCE, places, name)
+
+    step: str = ""
+    values: tuple[str, ...] = ()
+    condition: str = ""
+    seed: str = ""
+    averaged_over: int | None = None
 
 
-def _read_all(paths: Sequence[Path], step: str, returns: str, averaged_over: int | None) -> Iterator[Log]:
-    """Yield each run in some files; the monitors in a folder are of one run."""
-    shared = os.path.commonpath([path.parent.parent for path in paths])
-    monitors: dict[Path, list[tuple[Path, pd.DataFrame]]] = {}
-    for path in sorted({*paths}):
-        frame, notes = _read_table(path)
-        folder = path.parent.relative_to(shared).parts
-        if not (step or returns) and {*MONITOR} <= {*frame}:
-            monitors.setdefault(path.parent, []).append((path, frame))
-        elif not (step or returns) and PROGRESS_STEP in frame:
-            tags = [tag for tag in map(str, frame) if tag.startswith(AGENT_STEPS) and tag != PROGRESS_STEP]
-            columns = {tag: _logged(frame, PROGRESS_STEP, tag) for tag in tags}
-            yield _log(folder, [path], columns, TRAILING_EPISODES, notes)
+def import_csv(paths: Sequence[Path], columns: Columns, store: Store, name: str | None = None) -> Import:
+    """Import the runs in some files as one study; all files are read before anything is written.
+
+    Each monitor is a run, unless condition and seed name one run, whose environments the monitors are then.
+
+    Raises:
+        UserError: for whatever could be read in two ways.
+    """
+    shared = Path(os.path.commonpath([path.resolve().parent for path in paths]))
+    alone = len(paths) == 1 and paths[0].name != MONITOR
+    study = choose_study_name(name, paths[0].with_suffix("") if alone else shared, store, SOURCE)
+    logs: list[Log] = []
+    monitors: dict[Path, str] = {}
+    for path in sorted(set(paths)):
+        text = read_text(path)
+        if text.startswith("#"):
+            monitors[path] = text
         else:
-            at = step or next((known for known in WANDB_STEPS if known in frame), "")
-            for name, column in _return_columns(path, frame, at, returns).items():
-                metric = column.rpartition(" - ")[2]
-                told = {ONE_EPISODE[0]: 1, MEANS[0]: TRAILING_EPISODES}.get(metric, averaged_over)
-                over = told or TRAILING_EPISODES
-                guess = f"its returns are taken for means of {over} episodes;"
-                guess += " --averaged-over N tells otherwise"
-                points = {(ONE_EPISODE if over == 1 else MEANS)[0]: _logged(frame, at, column, not name)}
-                yield _log((name or path.stem,), [path], points, over, [*notes, *[guess] * (not told)])
-    for place, read in monitors.items():
-        whole = pd.concat([frame for _, frame in read])[[*MONITOR]].apply(_numbers)
-        whole = whole.sort_values("t", kind="stable")
-        steps = whole["l"].cumsum()
-        columns = dict(zip(ONE_EPISODE, ((steps, whole["r"]), (steps, whole["l"])), strict=True))
-        yield _log(place.relative_to(shared).parts, [path for path, _ in read], columns, 1, [])
-
-
-def _log(
-    parts: tuple[str, ...], paths: Sequence[Path], columns: Columns, averaged_over: int, notes: list[str]
-) -> Log:
-    """Return a run of sound points, with notes on those that are not."""
-    tables = []
-    for tag, (steps, values) in columns.items():
-        whole = pd.DataFrame({"tag": tag, "step": steps, "value": values})
-        sound = whole[np.isfinite(whole["step"]) & np.isfinite(whole["value"]) & (whole["step"] >= 0)]
-        if tag in (*ONE_EPISODE, *MEANS) and (lost := len(whole) - len(sound)):
-            notes.append(f"{lost} of {counted(len(whole), 'row')} have no step or no value, and are left out")
-        if (sound["step"].diff() < 0).any():
-            notes.append(f"the steps of {tag} are out of order, and are sorted")
-        sound = sound.astype({"step": np.int64}).sort_values("step", kind="stable")
-        tables.append(sound.assign(superseded=sound.duplicated("step", keep="last")))
-        if again := int(tables[-1]["superseded"].sum()):
-            notes.append(f"{tag}: {counted(again, 'step')} that came again; the last value counts")
-    files = [file_facts(path.read_bytes()) for path in paths]
-    hashes = [file["sha256"] for file in files]
-    about = {"import_version": IMPORT_VERSION, "averaged_over": averaged_over, "files": files}
-
-    def identify(condition: str, seed: int) -> str:
-        return repr([SOURCE, IMPORT_VERSION, averaged_over, condition, seed, hashes, sorted(columns)])
-
-    return Log(parts, pd.concat(tables, ignore_index=True), identify, {"imported": SOURCE, **about}, notes)
-
-
-def _return_columns(path: Path, frame: pd.DataFrame, step: str, returns: str) -> dict[str, str]:
-    """Return the columns of returns by the run that each is of, which is empty for a file of one run."""
-    columns = [name for name in map(str, frame) if not name.endswith(("__MIN", "__MAX"))]
-    of_runs = {name.rpartition(" - ")[0]: name for name in columns if " - " in name}
-    metrics = {name.rpartition(" - ")[2] for name in of_runs.values()}
-    found = {run: f"{run} - {returns}" for run in of_runs if f"{run} - {returns}" in columns}
-    if returns in columns:
-        found = {"": returns}
-    elif not returns and len(metrics) == 1:
-        found = of_runs
-    if step not in columns or not found:
-        lacking = f"--step {step}" if step and step not in columns else "which columns are steps and returns"
+            logs += _read_runs(path, shared, text, columns)
+    if monitors and (columns.step or columns.values):
         raise UserError(
-            f"{path}: does not tell {lacking}; name two of its columns with --step and --return: "
-            f"{', '.join(columns[:10])}"
+            f"{next(iter(monitors))}: is a monitor, whose columns are known: leave out --step and --value"
         )
-    return found
+    if monitors and columns.condition and columns.seed:
+        logs.append(_read_monitors(monitors, shared, columns))
+    else:
+        logs += [_read_monitors({path: text}, shared, columns) for path, text in monitors.items()]
+    return store_logs(logs, store, SOURCE, study, adds=name is not None)
 
 
-def _read_table(path: Path) -> tuple[pd.DataFrame, list[str]]:
-    """Return a file's columns as text, and notes on how it was read."""
+def _name_parts(path: Path, shared: Path) -> tuple[str, ...]:
+    """Return the names of a file and its folders, below the folder that all files share."""
+    name = path.name.removesuffix(MONITOR).removesuffix(".csv").rstrip(".")
+    folders = path.resolve().parent.relative_to(shared).parts
+    if name:
+        return (*folders, name)
+    return folders or (shared.name,)
+
+
+def _make_log(
+    name: str,
+    run: tuple[str, int],
+    points: list[pd.DataFrame],
+    selection: Sequence[object],
+    averaged_over: int | None,
+    files: Iterable[str],
+    notes: list[str],
+) -> Log:
+    facts = [file_facts(text.encode()) for text in files]
+    about = {"import_version": IMPORT_VERSION, "averaged_over": averaged_over, "selection": selection}
+    return Log(
+        name=name,
+        condition=run[0],
+        seed=run[1],
+        points=pd.concat(points, ignore_index=True).assign(superseded=False),
+        identity=repr([SOURCE, run, about, facts]),
+        provenance={"imported": SOURCE, **about, "files": facts},
+        notes=notes,
+    )
+
+
+# --- Tidy tables ------------------------------------------------------------------------------------
+
+
+def _read_runs(path: Path, shared: Path, text: str, columns: Columns) -> Iterator[Log]:
+    """Yield the runs of a table."""
+    table = _read_cells(path, text)
+    if not (columns.step and columns.values):
+        raise UserError(_columns_to_choose(path, _names(table)))
+    quantities = dict(_column_and_quantity(table, value) for value in columns.values)
+    if len(set(quantities.values())) < len(columns.values):
+        raise UserError("--value: names two columns for one quantity; give one of them, or COLUMN=QUANTITY")
+    steps = _whole_numbers(path, _find_column(table, "--step", columns.step))
+    values = {column: _numbers(path, table[column]) for column in quantities}
+    condition, seed = condition_and_seed(_name_parts(path, shared))
+    runs = pd.DataFrame({"condition": columns.condition or condition, "seed": seed}, index=table.index)
+    if columns.condition in table:
+        runs["condition"] = table[columns.condition]
+        _refuse_cells(path, table[columns.condition][table[columns.condition] == ""], "a condition")
+    if columns.seed.isdecimal():
+        runs["seed"] = int(columns.seed)
+    elif columns.seed:
+        runs["seed"] = _whole_numbers(path, _find_column(table, "--seed", columns.seed))
+    for condition, seed in runs.drop_duplicates().itertuples(index=False):
+        rows = runs.index[(runs["condition"] == condition) & (runs["seed"] == seed)]
+        run = f"{condition} with seed {seed}"
+        notes, points = [], []
+        for column, quantity in quantities.items():
+            finite = values[column][rows][values[column][rows].map(math.isfinite)]
+            lost = len(rows) - len(finite)
+            if lost:
+                notes.append(
+                    f"{lost} of {counted(len(rows), 'row')} have no finite {column} and are left out"
+                )
+            _refuse_two_runs(path, steps[finite.index], run)
+            mean_tag, single_tag = QUANTITIES[quantity]
+            as_means = quantity in EPISODE_QUANTITIES and columns.averaged_over != 1
+            tag = mean_tag if as_means else single_tag
+            points.append(pd.DataFrame({"tag": tag, "step": steps[finite.index], "value": finite}))
+        yield _make_log(
+            name=f"{path.name}, {run}",
+            run=(condition, int(seed)),
+            points=points,
+            selection=[columns.step, quantities, columns.condition, columns.seed],
+            averaged_over=columns.averaged_over,
+            files=[text],
+            notes=notes,
+        )
+
+
+def _read_cells(path: Path, text: str) -> pd.DataFrame:
+    """Return the cells of a table as text, by the number of their row."""
     try:
-        text = path.read_bytes().decode("utf-8-sig")
-        if text.startswith("#"):  # what a monitor says of its environment
-            text = text.partition("\n")[2]
-        separator = max(",;\t", key=text.partition("\n")[0].count)
-        how: Any = {"sep": separator, "dtype": str, "keep_default_na": False, "index_col": False}
-        frame = pd.read_csv(io.StringIO(text), **how)
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise UserError(f"{path}: cannot be read as CSV ({why})") from None
-    frame.columns = frame.columns.str.strip()
-    commas = any(column.str.fullmatch(r"\s*[+-]?\d+,\d+\s*").any() for _, column in frame.items())
-    return frame, ["decimal commas are read as points"] if commas else []
+        rows = pd.read_csv(io.StringIO(text), header=None, dtype=str, keep_default_na=False)
+    except ValueError as error:
+        raise UserError(f"{path}: cannot be read as CSV ({str(error).strip()})") from None
+    rows = rows.apply(lambda cells: cells.str.strip())
+    rows.index += 1
+    header = rows.iloc[0]
+    if header.duplicated().any():
+        raise UserError(f"{path}: two columns are called {header[header.duplicated()].iloc[0]!r}; rename one")
+    return rows.iloc[1:].set_axis(list(header), axis="columns")
 
 
-def _numbers(column: pd.Series) -> pd.Series:
-    """Return numbers; NaN for what is none, or not finite."""
-    read = pd.to_numeric(column.str.strip().str.replace(",", "."), errors="coerce")
-    return read.astype(float)
+def _columns_to_choose(path: Path, header: Sequence[str]) -> str:
+    """Return which columns a table has, and a command with those that their names suggest."""
+    words = ["pneuma", "import", "csv", str(path)]
+    for option, pattern in SUGGESTED.items():
+        names = [name for name in header if re.fullmatch(pattern, name.lower())]
+        if len(names) == 1:
+            words += [option, names[0]]
+        elif option in ("--step", "--value"):
+            words += [option, "COLUMN"]
+    return f"{path}: choose from its columns {', '.join(header)}, as in {shlex.join(words)}"
 
 
-def _logged(frame: pd.DataFrame, step: str, column: str, alone: bool = False) -> tuple[pd.Series, pd.Series]:
-    """Return steps and values of a column; blank cells of one that is not alone are of other columns."""
-    there = frame[frame[column].str.strip() != ""] if not alone else frame
-    return _numbers(there[step]), _numbers(there[column])
+def _names(table: pd.DataFrame) -> list[str]:
+    return [str(name) for name in table]
+
+
+def _find_column(table: pd.DataFrame, option: str, name: str) -> pd.Series:
+    if name not in table:
+        raise unknown_name(f"column in {option}", name, _names(table))
+    return table[name]
+
+
+def _column_and_quantity(table: pd.DataFrame, value: str) -> tuple[str, str]:
+    column, quantity = value, "return"
+    if value not in table and "=" in value:
+        column, _, quantity = value.rpartition("=")
+    _find_column(table, "--value", column)
+    if quantity not in QUANTITIES:
+        raise unknown_name(f"quantity in --value {value}:", quantity, QUANTITIES)
+    least, most = f"{column}__MIN", f"{column}__MAX"
+    if least in table and most in table and not table[least].equals(table[most]):
+        raise UserError(
+            f"--value {column}: a mean, as {least} and {most} show; export single runs, and all rows"
+        )
+    return column, quantity
+
+
+def _numbers(path: Path, cells: pd.Series) -> pd.Series:
+    """Return the numbers of a column; NaN where there is none."""
+    numbers = pd.to_numeric(cells, errors="coerce").astype(float)
+    unclear = numbers.isna() & ~cells.str.lower().isin(["", "nan"])
+    _refuse_cells(path, cells[unclear], "a plain number as 1024 or 0.5")
+    return numbers
+
+
+def _whole_numbers(path: Path, cells: pd.Series) -> pd.Series:
+    """Return steps or seeds; refuse others, and such as 1.000, which may be a thousand."""
+    numbers = _numbers(path, cells)
+    thousands = cells.str.fullmatch(r"[1-9]\d{0,2}(\.\d{3})+")
+    whole = numbers.between(0, 2**53) & (numbers % 1 == 0) & ~thousands
+    _refuse_cells(path, cells[~whole], "a whole number as 1024")
+    return numbers.astype("int64")
+
+
+def _refuse_cells(path: Path, wrong: pd.Series, allowed: str) -> None:
+    if len(wrong):
+        cell = f"{path}, row {wrong.index[0]}: {wrong.iloc[0]!r} in column {wrong.name}"
+        raise UserError(f"{cell} must be {allowed}, without separators of thousands")
+
+
+def _refuse_two_runs(path: Path, steps: pd.Series, run: str) -> None:
+    backward = steps.index[steps.diff() <= 0]
+    if len(backward):
+        again = f"{path}, row {backward[0]}: step {steps[backward[0]]:,} of {run} is not after the one before"
+        raise UserError(f"{again}: tell two runs apart by --condition and --seed, or keep one row a step")
+
+
+# --- Monitors of Stable-Baselines3 ------------------------------------------------------------------
+
+
+def _read_monitors(files: Mapping[Path, str], shared: Path, columns: Columns) -> Log:
+    """Return the run of one monitor, or of those of its environments, whose rows are ordered by their clock.
+
+    The clock begins again where a monitor was appended to after a restart: one has the order of its rows, and
+    several are refused.
+    """
+    first = next(iter(files))
+    episodes = _load_monitors(files)
+    if len(files) > 1:
+        for path, text in files.items():
+            if not _load_monitors({path: text})["t"].is_monotonic_increasing:
+                raise UserError(
+                    f"{path}: its clock begins again, so that it cannot be joined with other monitors"
+                )
+        episodes = episodes.sort_values("t", kind="stable")
+    sound = (episodes["l"] >= 1) & episodes[["r", "l", "t"]].map(math.isfinite).all(axis="columns")
+    if not sound.all():
+        raise UserError(f"{first}: a row lacks its return r, length l or time t; remove it")
+    if columns.seed and not columns.seed.isdecimal():
+        raise UserError(f"--seed {columns.seed}: must be a number, as {first} is a monitor")
+    condition, seed = condition_and_seed(_name_parts(first, shared))
+    run = columns.condition or condition, int(columns.seed or seed)
+    steps = episodes["l"].cumsum().astype("int64")
+    points = []
+    for quantity, column in (("return", "r"), ("length", "l")):
+        values = episodes[column].astype(float)
+        points.append(pd.DataFrame({"tag": TAGS[quantity][1], "step": steps, "value": values}))
+    return _make_log(
+        ", ".join(path.name for path in files), run, points, ["monitors"], 1, [*files.values()], []
+    )
+
+
+def _load_monitors(files: Mapping[Path, str]) -> pd.DataFrame:
+    """Return the episodes in monitors, by Stable-Baselines3's own reader, in the order of each file's rows.
+
+    The reader sorts them by their clock; its column `index` has their order.
+    """
+    from stable_baselines3.common.monitor import load_results
+
+    try:
+        with TemporaryDirectory() as folder:
+            for number, text in enumerate(files.values()):
+                (Path(folder) / f"{number}.{MONITOR}").write_text(text, encoding="utf-8")
+            return load_results(folder).sort_values("index", kind="stable")
+    except Exception as error:  # whatever the reader raises of a file that is none
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise UserError(
+            f"{next(iter(files))}: Stable-Baselines3 cannot read this monitor ({reason})"
+        ) from None

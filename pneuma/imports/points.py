@@ -11,25 +11,24 @@ import pandas as pd
 from pneuma.study.quantities import EPISODE_QUANTITIES, EVALUATION_TAGS, NEGATED, TAGS, UPDATE_QUANTITIES
 from pneuma.study.series import TRAILING_EPISODES, Recorded
 
-ONE_EPISODE = tuple(TAGS[name][1] for name in ("return", "length"))
-"""Tags of single episodes, which are averaged as Stable-Baselines3 does before it logs."""
 WALL_CLOCK = ("time/", "charts/SPS")
-OF_RUNS = ("run_id", "condition", "seed")
-"""Columns of which run an evaluation is; a log's tags of these names are left out."""
+RUN_COLUMNS = ("run_id", "condition", "seed")
+"""Columns that name the run of an evaluation; a log's tags of these names are left out."""
 
 
 def of_log(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> Recorded:
     """Return what the points (tag, step, value, superseded) of an imported log hold.
 
-    Returns that are means of fewer episodes than are usual are averaged further.
+    Returns that are means of fewer episodes than elsewhere are averaged further. Those of which nobody said
+    how many episodes they average are taken as they are.
     """
     named, averaged_over = _named(scalars, provenance)
-    found = {}
+    series = {}
     for quantity in (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES):
         points = named[named["name"] == quantity]
         if len(points):
-            found[quantity] = points["step"].to_numpy(float), points["value"].to_numpy(float)
-    return Recorded(found, _evaluations(named), averaged_over=averaged_over)
+            series[quantity] = points["step"].to_numpy(float), points["value"].to_numpy(float)
+    return Recorded(series, _evaluations(named), averaged_over=averaged_over)
 
 
 def by_step(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> pd.DataFrame:
@@ -37,36 +36,42 @@ def by_step(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> pd.DataFram
     named, averaged_over = _named(scalars, provenance)
     named = named[~named["name"].str.startswith(WALL_CLOCK)]
     frame = _pivoted(named).set_index("step")
-    known = [name for name in TAGS if name in frame]
-    frame = frame[[*known, *sorted(str(name) for name in frame if name not in known)]]
+    quantities = [name for name in TAGS if name in frame]
+    others = sorted(set(frame.columns) - set(quantities))
+    frame = frame[quantities + others]
     frame.columns.name = None
-    averaged = {name: f"{name}_mean_{averaged_over}" for name in EPISODE_QUANTITIES}
-    return frame.rename(columns=averaged).reset_index()
+    if averaged_over > 1:
+        frame = frame.rename(columns={name: f"{name}_mean_{averaged_over}" for name in EPISODE_QUANTITIES})
+    return frame.reset_index()
 
 
 def _named(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> tuple[pd.DataFrame, int]:
     """Return name, step and value of every point that no restart superseded, by step, then as written.
 
-    Also of how many episodes returns and lengths are means then.
+    Also of how many episodes returns and lengths are means then; 1 if they are as they were logged.
     """
-    logged_over = int(provenance.get("averaged_over", TRAILING_EPISODES))
+    logged_over = provenance.get("averaged_over", TRAILING_EPISODES)
     scalars = scalars[~scalars["superseded"].astype(bool)].sort_values("step", kind="stable")
-    values = scalars["value"].mask(scalars["tag"] == NEGATED, -scalars["value"])
-    for single, mean in (TAGS[name][::-1] for name in ("return", "length")):
-        for tag, points in ((single, 1), (mean, logged_over)):
-            of_tag, window = scalars["tag"] == tag, math.ceil(TRAILING_EPISODES / points)
-            values[of_tag] = values[of_tag].rolling(window, 1).mean()
-    plain = scalars["tag"].where(scalars["tag"].str.contains("/"), "logged/" + scalars["tag"])
-    names = {tag: name for name, tags in TAGS.items() for tag in tags}
-    named = scalars.assign(name=scalars["tag"].map(names).fillna(plain), value=values)
-    return named, max(logged_over, TRAILING_EPISODES)
+    tags, values = scalars["tag"], scalars["value"]
+    values = values.mask(tags == NEGATED, -values)
+    names = {tag: name for name, name_tags in TAGS.items() for tag in name_tags}
+    for mean_tag, episode_tag in (TAGS["return"], TAGS["length"]):
+        if (tags == mean_tag).any():
+            del names[episode_tag]  # a log with both has one curve, that of the means
+        for tag, episodes in ((mean_tag, logged_over or TRAILING_EPISODES), (episode_tag, 1)):
+            window = math.ceil(TRAILING_EPISODES / episodes)
+            values[tags == tag] = values[tags == tag].rolling(window, min_periods=1).mean()
+    plain_tags = tags.where(tags.str.contains("/"), "logged/" + tags)
+    named = scalars.assign(name=tags.map(names).fillna(plain_tags), value=values)
+    return named, max(logged_over, TRAILING_EPISODES) if logged_over else 1
 
 
 def _evaluations(named: pd.DataFrame) -> list[Any]:
     columns = {tag: name for name, tag in EVALUATION_TAGS.items()}
-    found = named[named["tag"].str.startswith("eval/") & (named["tag"] != "eval/step")]
-    found = found.assign(name=found["tag"].map(columns).fillna(found["tag"].str.removeprefix("eval/")))
-    return _pivoted(found[~found["name"].isin(OF_RUNS)]).to_dict("records")
+    evaluations = named[named["name"].str.startswith("eval/") & (named["name"] != "eval/step")]
+    tags = evaluations["name"]
+    evaluations = evaluations.assign(name=tags.map(columns).fillna(tags.str.removeprefix("eval/")))
+    return _pivoted(evaluations[~evaluations["name"].isin(RUN_COLUMNS)]).to_dict("records")
 
 
 def _pivoted(named: pd.DataFrame) -> pd.DataFrame:

@@ -1,6 +1,6 @@
 """TensorBoard logs of Stable-Baselines3 or CleanRL: every point of each run's event files.
 
-folders → `find_logs` → event files of each run → `Log` → `logs.store_logs`
+folders -> `find_logs` -> event files of each run -> `Log` -> `logs.store_logs`
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import NamedTuple
 import pandas as pd
 
 from pneuma.errors import UserError, counted, install_extra
-from pneuma.imports.logs import ImportedRun, Log, file_facts, store_logs
+from pneuma.imports.logs import Import, Log, choose_study_name, condition_and_seed, file_facts, store_logs
 from pneuma.study.store import Store
 
 SOURCE, IMPORT_VERSION = "tensorboard", 3
@@ -31,21 +31,21 @@ class Scalar(NamedTuple):
     second: float
 
 
-def import_tensorboard(
-    folders: Sequence[Path], store: Store, name: str | None = None
-) -> tuple[str, list[ImportedRun], list[str]]:
-    """Import all runs below some folders as one study; return its name, its runs, and notes for the user.
+def import_tensorboard(folders: Sequence[Path], store: Store, name: str | None = None) -> Import:
+    """Import all runs below some folders as one study.
 
     Each folder contains NAME_1/, NAME_2/, … with event files, at any depth, or event files itself. All files
     are read before anything is written.
     """
-    logs = (_read_log(parts, paths) for parts, paths in find_logs(folders).items())
-    return store_logs(logs, store, SOURCE, folders, name)
+    shared = os.path.commonpath([folder.resolve() for folder in folders])
+    study = choose_study_name(name, Path(shared), store, SOURCE)
+    logs = [_read_log(parts, paths) for parts, paths in find_logs(folders).items()]
+    return store_logs(logs, store, SOURCE, study, adds=name is not None)
 
 
 def find_logs(folders: Sequence[Path]) -> dict[tuple[str, ...], list[Path]]:
     """Return event files by the path of their folder below what all share; the oldest first."""
-    found: dict[Path, list[Path]] = {}
+    by_folder: dict[Path, list[Path]] = {}
     for folder in folders:
         if not folder.is_dir():
             raise UserError(f"{folder}: is no folder; name the folder that holds NAME_1/, NAME_2/, …")
@@ -53,40 +53,56 @@ def find_logs(folders: Sequence[Path]) -> dict[tuple[str, ...], list[Path]]:
         if not paths:
             raise UserError(f"{folder}: no TensorBoard event files (events.out.tfevents…) in it or below")
         for path in paths:
-            if (told := os.fsencode(path).decode(errors="backslashreplace")) != str(path):
-                raise UserError(f"{told}: this name is not UTF-8; give another")
-        found |= {one: [path for path in paths if path.parent == one] for one in {p.parent for p in paths}}
-    shared = os.path.commonpath([folder.parent for folder in found])
-    return {folder.relative_to(shared).parts: found[folder] for folder in sorted(found)}
+            readable = os.fsencode(path).decode(errors="backslashreplace")
+            if readable != str(path):
+                raise UserError(f"{readable}: this name is not UTF-8; give another")
+            files = by_folder.setdefault(path.parent, [])
+            if path not in files:  # folders may be given twice
+                files.append(path)
+    shared = os.path.commonpath([folder.parent for folder in by_folder])
+    return {folder.relative_to(shared).parts: by_folder[folder] for folder in sorted(by_folder)}
 
 
 def _read_log(parts: tuple[str, ...], paths: Sequence[Path]) -> Log:
-    files, rows, notes = [], [], []
-    for place, path in enumerate(paths):
+    files, notes = [], []
+    rows: list[tuple[object, ...]] = []
+    for number, path in enumerate(paths):
         try:
             data = path.read_bytes()
         except OSError as error:
             raise UserError(f"{path}: cannot be read ({error.strerror})") from None
         files.append(file_facts(data))
         scalars, sound = read_event_file(path)
-        rows += [(place, *scalar) for scalar in scalars]
-        if lost := len(data) - sound:
+        rows.extend((number, *scalar) for scalar in scalars)
+        lost = len(data) - sound
+        if lost:
             notes.append(f"{path.name} is damaged: its last {lost:,} of {len(data):,} bytes are left out")
     points = pd.DataFrame(rows, columns=["file", *Scalar._fields])
     points["superseded"] = find_superseded(points)
-    if anew := int(points["superseded"].sum()):
-        notes.append(f"left out {counted(anew, 'point')} that a restart superseded")
-    seconds = points["second"][points["second"].between(1, 1e11)]  # a later time is invalid: the year 5138
-    first, last = (seconds.min(), seconds.max()) if len(seconds) else (0.0, 0.0)
-    provenance = {
-        "imported": SOURCE,
-        "import_version": IMPORT_VERSION,
-        "started": datetime.fromtimestamp(first, UTC).isoformat(timespec="seconds") if first else None,
-        "wall_seconds": round(float(last - first), 3),
-        "files": files,
-    }
+    superseded = int(points["superseded"].sum())
+    if superseded:
+        notes.append(f"left out {counted(superseded, 'point')} that a restart superseded")
     contents = "".join(file["sha256"] for file in files)
-    return Log(parts, points, lambda *_: f"{SOURCE} {IMPORT_VERSION}\0{contents}", provenance, notes)
+    condition, seed = condition_and_seed(parts)
+    return Log(
+        name="/".join(parts),
+        condition=condition,
+        seed=seed,
+        points=points,
+        identity=f"{SOURCE} {IMPORT_VERSION}\0{contents}",
+        provenance={"imported": SOURCE, "import_version": IMPORT_VERSION, **_times(points), "files": files},
+        notes=notes,
+    )
+
+
+def _times(points: pd.DataFrame) -> dict[str, object]:
+    """Return when a log was begun, and over how many seconds it was written."""
+    seconds = points["second"][points["second"].between(1, 1e11)]  # a later time is invalid: the year 5138
+    if seconds.empty:
+        return {"started": None, "wall_seconds": 0.0}
+    first, last = float(seconds.min()), float(seconds.max())
+    started = datetime.fromtimestamp(first, UTC).isoformat(timespec="seconds")
+    return {"started": started, "wall_seconds": round(last - first, 3)}
 
 
 def read_event_file(path: Path) -> tuple[list[Scalar], int]:
@@ -104,7 +120,7 @@ def read_event_file(path: Path) -> tuple[list[Scalar], int]:
         raise UserError(needed) from None
     scalars: list[Scalar] = []
     sound = 0
-    plugins: dict[str, str] = {}  # what shows a tag's tensors: some writers tell it once
+    plugins: dict[str, str] = {}  # what shows a tag's tensors: some writers name it once
     with suppress(Exception):  # any error from an invalid length or message means damage
         for record in RawEventFileLoader(str(path)).Load():
             event = Event.FromString(record)
@@ -128,13 +144,13 @@ def find_superseded(points: pd.DataFrame) -> pd.Series:
     is replaced, and what is in files that had ended when its own began. Files that are written at the same
     time are of several writers, and replace nothing of each other.
     """
-    gone = pd.Series(False, index=points.index)
+    superseded = pd.Series(False, index=points.index)
     written = points.groupby("file")["second"].agg(["min", "max"])
-    for _, of_tag in points.groupby("tag"):
-        for file, steps in of_tag.groupby("file")["step"]:
+    for _, tag_points in points.groupby("tag"):
+        for file, steps in tag_points.groupby("file")["step"]:
             ended = written.index[(written.index < file) & (written["max"] <= written["min"][file])]
-            before = of_tag["step"][of_tag["file"].isin(ended)]
-            gone[before.index] |= before >= steps.min()
+            before = tag_points["step"][tag_points["file"].isin(ended)]
+            superseded[before.index] |= before >= steps.min()
             went_back = steps.where(steps.diff() < 0)[::-1]  # the later first
-            gone[steps.index] |= steps >= went_back.cummin().ffill().shift()[::-1]
-    return gone
+            superseded[steps.index] |= steps >= went_back.cummin().ffill().shift()[::-1]
+    return superseded

@@ -17,9 +17,8 @@ from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
-from ..hand_made import save_run
-from .calls import call, refused
-from .test_import import WANDB
+from ..hand_made import save_run, write_table
+from .calls import call, printed, refused
 
 TOML = """
 title = "Two"
@@ -114,15 +113,17 @@ def _panels(page: Page) -> list[Panel]:
 
 def test_what_logs_beside_a_study_average_is_told(study: Path) -> None:
     """They have no evaluations, and their environment is not recorded: they are in both panels."""
-    assert call("import", "csv", WANDB).code == 0
-    page = curves_page(by_environment(open_data(study)), beside=open_data("wandb"))
-    assert _panels(page)[0].y == "Return in training"
-    for said in (
-        "Those of wandb average the last 100 episodes.",
-        "The environment of wandb is not recorded.",
+    write_table(Path("logs.csv"), {("tanh", 0): {10: 1.0, 20: 2.0}})
+    words = ("import", "csv", "logs.csv", "--step", "step", "--value", "return")
+    for averaged, note in (
+        ((), "Those of logs are as they were logged."),
+        (("--averaged-over", "100"), "Those of logs average the last 100 episodes."),
     ):
-        assert said in page.caption
-    assert call("study", "plot", study, "--beside", "wandb", "--out", "beside.png").code == 0
+        printed(*words, *averaged)
+        page = curves_page(by_environment(open_data(study)), beside=open_data("logs"))
+        assert _panels(page)[0].y == "Return in training"
+        assert note in page.caption and "The environment of logs is not recorded." in page.caption
+    assert call("study", "plot", study, "--beside", "logs", "--out", "beside.png").code == 0
 
 
 def test_a_profile_is_of_the_runs_of_all_environments(study: Path) -> None:

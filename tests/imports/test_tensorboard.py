@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 from pneuma.errors import UserError
-from pneuma.imports.logs import ImportedRun, name_runs
+from pneuma.imports.logs import Log, condition_and_seed
 from pneuma.imports.tensorboard import find_logs, find_superseded, import_tensorboard, read_event_file
 from pneuma.study.row_builder import stored_row
 from pneuma.study.store import Status, Store
@@ -29,8 +29,8 @@ NOT_IN_TENSORBOARD = ("time/iterations", "time/time_elapsed", "time/total_timest
 FILE = "events.out.tfevents.1700000000.host"
 
 
-def _import(tmp_path: Path, name: str | None = None) -> tuple[list[ImportedRun], list[str]]:
-    return import_tensorboard([tmp_path / "logs"], Store(tmp_path / "results"), name)[1:]
+def _import(tmp_path: Path) -> tuple[list[Log], list[str]]:
+    return import_tensorboard([tmp_path / "logs"], Store(tmp_path / "results"))[1:]
 
 
 def _stored(tmp_path: Path, run_id: str) -> list[tuple[str, int, float, bool]]:
@@ -59,10 +59,10 @@ def test_every_point_is_what_the_csv_logger_wrote_beside(tmp_path: Path) -> None
             model.learn(128)
             logger.close()
     runs, notes = _import(tmp_path)
-    named = [(run.condition, run.seed, run.log.steps) for run in runs]
+    named = [(run.condition, run.seed, run.steps) for run in runs]
     assert named == [("fast", 1, 128), ("slow", 2, 128)]
     for run in runs:
-        with (tmp_path / "logs" / run.log.shown / "progress.csv").open() as file:
+        with (tmp_path / "logs" / run.name / "progress.csv").open() as file:
             rows = list(csv.DictReader(file))
         wanted = {
             (tag, int(row["time/total_timesteps"]), np.float32(value))
@@ -91,7 +91,7 @@ def test_scalars_of_torchs_writer_are_read_among_texts_and_histograms(tmp_path: 
             writer.add_scalar("charts/episodic_return", value, step)
         writer.add_scalar("losses/entropy", 0.5, 16, new_style=True)
     _, (run,), _ = import_tensorboard([tmp_path / "runs"], Store(tmp_path / "results"))
-    assert (run.condition, run.seed, run.log.steps) == ("Pong-v5__ppo_atari", 3, 16)
+    assert (run.condition, run.seed, run.steps) == ("Pong-v5__ppo_atari", 3, 16)
     assert _stored(tmp_path, run.run_id) == [
         ("charts/episodic_return", 8, 1.0, False),
         ("charts/episodic_return", 8, 2.0, False),
@@ -126,7 +126,7 @@ def test_a_torn_file_is_imported(tmp_path: Path) -> None:
     path = write_events(tmp_path / "logs" / "a_1" / FILE, POINTS)
     path.write_bytes(path.read_bytes()[:-5])
     (run,), notes = _import(tmp_path)
-    assert (run.log.steps, len(run.log.points)) == (4 * 256, 4)
+    assert (run.steps, len(run.points)) == (4 * 256, 4)
     assert notes and re.search(r"a_1: .* is damaged: its last \d\d of \d\d\d bytes are left out", notes[0])
     assert Store(tmp_path / "results").status(run.run_id) == Status("done", 4 * 256)
 
@@ -156,7 +156,7 @@ def test_a_name_that_is_no_text_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("folders", "found"),
+    ("folders", "wanted"),
     [
         (["PPO_2", "PPO_10", "A2C_1"], [("A2C", 1), ("PPO", 2), ("PPO", 10)]),
         (["maze/PPO_1", "cave/PPO_1"], [("cave/PPO", 1), ("maze/PPO", 1)]),
@@ -167,14 +167,35 @@ def test_a_name_that_is_no_text_is_told(tmp_path: Path) -> None:
         (["a__ppo__1__1700000000", "a__ppo__2__1700000001"], [("a__ppo", 1), ("a__ppo", 2)]),
     ],
 )
-def test_a_folders_name_tells_condition_and_seed(
-    folders: list[str], found: list[tuple[str, int]], tmp_path: Path
+def test_folders_names_hold_condition_and_seed(
+    folders: list[str], wanted: list[tuple[str, int]], tmp_path: Path
 ) -> None:
     for folder in folders:
         (tmp_path / "logs" / folder).mkdir(parents=True, exist_ok=True)
         (tmp_path / "logs" / folder / FILE).touch()
     for given in ([tmp_path / "logs"], [tmp_path / "logs" / folder for folder in folders]):
-        assert (sorted((named := name_runs([*find_logs(given)]))[0]), named[1]) == (found, [])
+        assert sorted(map(condition_and_seed, find_logs(given))) == wanted
+
+
+def test_two_runs_of_one_name_and_two_copies_of_one_run_are_refused(tmp_path: Path) -> None:
+    """Once the second was called by the next free seed, or left out."""
+    for place, name in enumerate(("PPO", "PPO_0", "PPO_1")):
+        write_events(tmp_path / "logs" / name / FILE, [(RETURN, 8, float(min(place, 1)))])
+    with pytest.raises(UserError, match="PPO and PPO_0 are two runs of one name, PPO with seed 0: give each"):
+        _import(tmp_path)
+    (tmp_path / "logs" / "PPO" / FILE).unlink()
+    with pytest.raises(UserError, match="PPO_0 and PPO_1 hold the same data: import one of them"):
+        _import(tmp_path)
+    (tmp_path / "logs" / "PPO_1" / FILE).write_bytes(b"")
+    assert _import(tmp_path)[1] == ["PPO_1: has no values at agent steps, and is left out"]
+
+
+def test_of_a_log_with_means_and_single_episodes_the_return_is_the_means(tmp_path: Path) -> None:
+    points = [(RETURN, 8, 5.0), ("charts/episodic_return", 8, 1.0), ("charts/episodic_return", 16, 2.0)]
+    write_events(tmp_path / "logs" / "a_1" / FILE, points)
+    (run,), _ = _import(tmp_path)
+    row = stored_row(Store(tmp_path / "results"), run.run_id)
+    assert row.curve("return")[[99, 199]].tolist() == [5, 5]
 
 
 # --- Restarts -------------------------------------------------------------------------------------
@@ -215,8 +236,8 @@ def test_a_second_writer_takes_nothing_from_the_first(tmp_path: Path) -> None:
         tmp_path / "logs" / "a_1" / f"{FILE}.2", [("time/fps", 100, 7.0), (RETURN, 150, 0.5)], after=3
     )
     (run,), notes = _import(tmp_path)
-    assert (run.log.steps, notes) == (2000, [])
-    assert not run.log.points["superseded"].any()
+    assert (run.steps, notes) == (2000, [])
+    assert not run.points["superseded"].any()
     row = stored_row(Store(tmp_path / "results"), run.run_id)
     assert row.curve("return")[[9, 14, 19, 199]].tolist() == [1, 0.5, 2, 20]  # at 100, 150, 200, 2,000
 
@@ -226,4 +247,4 @@ def test_points_that_a_restart_wrote_anew_are_counted(tmp_path: Path) -> None:
     write_events(tmp_path / "logs" / "a_1" / FILE, returns)
     write_events(tmp_path / "logs" / "a_1" / f"{FILE}.2", returns[17:], after=20)
     (run,), notes = _import(tmp_path)
-    assert (run.log.steps, notes) == (2000, ["a_1: left out 3 points that a restart superseded"])
+    assert (run.steps, notes) == (2000, ["a_1: left out 3 points that a restart superseded"])

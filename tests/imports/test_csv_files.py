@@ -1,0 +1,276 @@
+"""Tidy tables and monitors as runs: nothing is guessed. All values by hand."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from pneuma.study.row_builder import record_frame, stored_row
+from pneuma.study.store import Store
+
+from ..cli.calls import call, described, printed, refused
+from ..hand_made import write_table
+
+PAPER = Path(__file__).parents[2] / "docs" / "paper.md"
+TIDY = ("--step", "step", "--value", "return", "--condition", "condition", "--seed", "seed")
+HEADER = '#{"t_start": 1000.0, "env_id": "CartPole-v1"}\nr,l,t\n'
+
+Curve = dict[int, float]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def curves(study: str, column: str = "return_mean_100") -> Mapping[tuple[str, int], Curve]:
+    """Return the logged values of each run of a study, by step."""
+    store = Store("results")
+    listing = store.listing(study)
+    assert listing
+    found = {}
+    for run in listing["runs"]:
+        frame = record_frame(store, run["run_id"], "episodes")
+        found[run["condition"], run["seed"]] = dict(zip(frame["step"], frame[column], strict=True))
+    return found
+
+
+def write(name: str, text: str) -> str:
+    path = Path(name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return name
+
+
+# --- Tidy tables ----------------------------------------------------------------------------------
+
+
+def test_each_condition_and_seed_is_a_run() -> None:
+    wanted = {("a2c", 0): {10: 1.0, 20: 2.5}, ("ppo", 3): {10: 3.0, 30: 4.0}}
+    write_table(Path("runs.csv"), wanted)
+    assert "2 runs, 4 points; 2 imported now, 0 were stored." in printed("import", "csv", "runs.csv", *TIDY)
+    assert curves("runs", "return") == wanted
+    assert "0 imported now, 2 were stored." in printed("import", "csv", "runs.csv", *TIDY)
+
+
+def test_without_options_condition_and_seed_are_in_the_files_names() -> None:
+    names = [write(f"{name}.csv", "step,return\n10,1\n20,2\n") for name in ("a/ppo_1", "a/ppo_2", "b/ppo_1")]
+    words = ("--step", "step", "--value", "return", "--name", "mine")
+    assert "hold the same data" not in printed("import", "csv", *names, *words)
+    assert {*curves("mine", "return")} == {("a/ppo", 1), ("a/ppo", 2), ("b/ppo", 1)}
+    printed("import", "csv", names[0], *words, "--condition", "tanh", "--seed", "7")
+    assert ("tanh", 7) in curves("mine", "return") and len(curves("mine", "return")) == 4  # a name adds
+
+
+def test_what_selects_data_is_part_of_the_id() -> None:
+    """`--value b` after `--value a` once kept the data of a: '0 imported now'."""
+    write("runs.csv", "step,other,a,b\n10,20,1,5\n20,40,1,5\n")
+    ids, selected = set(), (("a",), ("b",), ("b=length",), ("b", "--averaged-over", "1"))
+    for value in selected:
+        told = described("import", "csv", "runs.csv", "--step", "step", "--value", *value, "--json")
+        assert told["runs"][0]["imported"]
+        ids.add(told["runs"][0]["run_id"])
+    assert curves("runs")["runs", 0] == {10: 5, 20: 5}
+    other = described("import", "csv", "runs.csv", "--step", "other", "--value", "b", "--json")
+    assert other["notes"] == ["1 run of study runs had other data before; another --name keeps both"]
+    assert len({*ids, other["runs"][0]["run_id"]}) == 5
+
+
+@pytest.mark.parametrize(
+    ("averaged_over", "column", "values"),
+    [
+        ((), "return", [1, 2, 6]),  # as they are
+        (("--averaged-over", "1"), "return_mean_100", [1, 1.5, 3]),  # of all episodes so far
+        (("--averaged-over", "50"), "return_mean_100", [1, 1.5, 4]),  # of two values each
+        (("--averaged-over", "100"), "return_mean_100", [1, 2, 6]),
+        (("--averaged-over", "500"), "return_mean_500", [1, 2, 6]),
+    ],
+)
+def test_returns_are_averaged_over_a_hundred_episodes_where_it_is_known_what_they_average(
+    averaged_over: tuple[str, ...], column: str, values: list[float]
+) -> None:
+    write_table(Path("runs.csv"), {("a", 0): {10: 1, 20: 2, 30: 6}})
+    printed("import", "csv", "runs.csv", *TIDY, *averaged_over)
+    assert [*curves("runs", column)["a", 0].values()] == values
+
+
+def test_several_columns_are_several_quantities() -> None:
+    write("runs.csv", "step,train,test\n10,1,\n20,,7\n30,3,9\n")
+    told = described(
+        "import", "csv", "runs.csv", "--step", "step", "--value", "train", "--value", "test=evaluated_return",
+        "--json",
+    )  # fmt: skip
+    run = "runs.csv, runs with seed 0: 1 of 3 rows have no finite"
+    assert told["notes"] == [f"{run} train and are left out", f"{run} test and are left out"]
+    row = stored_row(Store("results"), told["runs"][0]["run_id"])
+    assert (row.evaluations("step").tolist(), row.evaluations("return").tolist()) == ([20, 30], [7, 9])
+    assert row.curve("return")[[66, 132, 199]].tolist() == [1, 1, 3]  # at steps 10.05, 19.95 and 30
+
+
+def test_without_columns_they_are_listed_with_a_command_to_copy() -> None:
+    write("my runs.csv", "global_step,algo,seed,return\n10,ppo,0,1\n")
+    told = refused("import", "csv", "my runs.csv")
+    command = "pneuma import csv 'my runs.csv' --step global_step --value return --seed seed"
+    assert told == f"my runs.csv: choose from its columns global_step, algo, seed, return, as in {command}"
+    write("two.csv", "step,train_return,eval_return\n10,1,2\n")
+    assert refused("import", "csv", "two.csv").endswith(" --step step --value COLUMN")
+
+
+@pytest.mark.parametrize(
+    ("rows", "options", "told"),
+    [
+        ("1.024,5", "", "row 2: '1.024' in column step must be a whole number as 1024, without separators"),
+        ("1.000,5", "", "'1.000' in column step must be a whole number"),
+        ('"1,024",5', "", "'1,024' in column step must be a plain number as 1024 or 0.5, without separators"),
+        ('8,"1,5"', "", "'1,5' in column return must be a plain number"),
+        ("1,024,5", "", "Expected 2 fields in line 2, saw 3"),
+        ("8,many", "", "'many' in column return must be a plain number"),
+        ("-8,5", "", "'-8' in column step must be a whole number"),
+        (",5", "", "'' in column step must be a whole number"),
+        (
+            "8,5\n8,6",
+            "",
+            "row 3: step 8 of runs with seed 0 is not after the one before: tell two runs apart",
+        ),
+        ("8,5\n16,6\n8,5", "", "row 4: step 8 of runs with seed 0 is not after the one before"),
+        ("8,", "", "has no values at agent steps"),
+        ("8,5", "--step steps", "unknown column in --step 'steps' (did you mean step?)"),
+        ("8,5", "--seed seed", "unknown column in --seed 'seed'"),
+        ("8,5", "--value return=reward", "unknown quantity in --value return=reward: 'reward'"),
+        ("8,5", "--value step --value return", "names two columns for one quantity"),
+        ("8,5", "--name activation", "a shipped study is called that"),
+    ],
+)
+def test_what_could_be_read_in_two_ways_or_none_is_refused(rows: str, options: str, told: str) -> None:
+    write("runs.csv", f"step,return\n{rows}\n")
+    words = options.split()
+    for needed in ("--step step", "--value return"):
+        if needed.split()[0] not in words:
+            words += needed.split()
+    assert told in refused("import", "csv", "runs.csv", *words)
+    assert not Path("results").exists()
+
+
+def test_columns_and_runs_of_one_name_are_refused() -> None:
+    write("runs.csv", "step,return,return\n8,5,6\n")
+    words = ("--step", "step", "--value", "return")
+    assert "two columns are called 'return'" in refused("import", "csv", "runs.csv", *words)
+    names = [write(f"{name}/runs.csv", f"step,return\n8,{len(name)}\n") for name in ("a", "bc")]
+    told = refused("import", "csv", *names, *words, "--condition", "ppo", "--seed", "1")
+    assert "are two runs of one name, ppo with seed 1: give each its own" in told
+    write("none.csv", "step,return,condition\n8,5,\n")
+    told = refused("import", "csv", "none.csv", *words, "--condition", "condition")
+    assert "row 2: '' in column condition must be a condition" in told
+    assert "cannot be read: No such file" in refused("import", "csv", "nothing.csv", *words)
+
+
+def test_another_selection_of_a_studys_runs_needs_its_name() -> None:
+    runs = {("a", 0): {8: 1.0}, ("b", 0): {8: 2.0}}
+    printed("import", "csv", str(write_table(Path("runs.csv"), runs)), *TIDY)
+    write_table(Path("runs.csv"), {("c", 0): {8: 3.0}})
+    assert "study runs has other runs; --name runs adds to them" in refused(
+        "import", "csv", "runs.csv", *TIDY
+    )
+    printed("import", "csv", "runs.csv", *TIDY, "--name", "runs")
+    assert curves("runs", "return") == {**runs, ("c", 0): {8: 3.0}}
+
+
+# --- Exports of Weights & Biases ------------------------------------------------------------------
+
+
+def tidy_export(header: str, *rows: str) -> None:
+    """Write an export, and run the lines that docs/paper.md has to make it tidy."""
+    write("wandb.csv", "\n".join([header, *rows]) + "\n")
+    block = re.search(r"((?: {4}.*\n)*? {4}wide = (?:.*\n)(?: {4}.*\n)*)", PAPER.read_text(encoding="utf-8"))
+    assert block
+    exec(re.sub("^ {4}", "", block[1], flags=re.MULTILINE), {})
+
+
+WANDB = ("--step", "Step", "--value", "return", "--condition", "condition", "--seed", "seed")
+RETURN = " - charts/episodic_return"
+
+
+def test_of_a_wandb_export_of_two_metrics_the_named_one_is_taken() -> None:
+    """Once the last column won: the loss."""
+    runs = ("ppo_1", "ppo_2", "a2c_big_1")
+    columns = [f"{run}{end}" for run in runs for end in (RETURN, f"{RETURN}__MIN", f"{RETURN}__MAX")]
+    columns += [f"{run} - losses/value_loss" for run in runs]
+    header = ",".join(f'"{column}"' for column in ("Step", *columns))
+    tidy_export(header, "5,1,0,2,3,3,3,,,,70,80,90", "6,,,,4,4,4,8,8,8,70,80,90")
+    printed("import", "csv", "runs.csv", *WANDB)
+    assert curves("runs", "return") == {
+        ("ppo", 1): {5: 1}, ("ppo", 2): {5: 3, 6: 4}, ("a2c_big", 1): {6: 8},
+    }  # fmt: skip
+
+
+def test_two_runs_of_one_display_name_and_a_groups_mean_are_refused() -> None:
+    tidy_export(f"Step,ppo_1{RETURN},ppo_1{RETURN}", "5,1,2", "6,3,4")
+    told = refused("import", "csv", "runs.csv", *WANDB)
+    assert "step 5 of ppo with seed 1 is not after the one before: tell two runs apart" in told
+    tidy_export(f"Step,algo: ppo{RETURN},algo: ppo{RETURN}__MIN,algo: ppo{RETURN}__MAX", "5,2,1,3")
+    assert "'' in column condition must be a condition" in refused("import", "csv", "runs.csv", *WANDB)
+    told = refused("import", "csv", "wandb.csv", "--step", "Step", "--value", f"algo: ppo{RETURN}")
+    assert "a mean" in told and "export single runs" in told
+
+
+# --- Monitors of Stable-Baselines3 ----------------------------------------------------------------
+
+
+def test_a_monitor_that_was_appended_to_after_a_restart_has_the_order_of_its_rows() -> None:
+    """200 episodes of 0, then 200 of 100, by the same clock: sorted by it the returns were a flat 50."""
+    rows = [f"{value},10,{k}.5\n" for value in (0, 100) for k in range(200)]
+    write("logs/ppo_3.monitor.csv", HEADER + "".join(rows))
+    printed("import", "csv", "logs/ppo_3.monitor.csv", "--name", "mine")
+    curve = curves("mine")["ppo", 3]
+    assert [*curve] == [10 * k for k in range(1, 401)]
+    assert [curve[step] for step in (10, 2000, 2010, 2500, 3000, 4000)] == [0, 0, 1, 50, 100, 100]
+
+
+def test_each_monitor_is_a_run_unless_one_run_is_named() -> None:
+    """Once three monitors of three runs in one folder became one run."""
+    names = [write(f"logs/ppo_{k}.monitor.csv", f"{HEADER}{k},10,{k}\n{k},10,{k + 3}\n") for k in (1, 2, 3)]
+    assert "3 runs, 12 points" in printed("import", "csv", *names)
+    assert curves("logs") == {("ppo", k): {10: k, 20: k} for k in (1, 2, 3)}
+    one = ("--condition", "ppo", "--seed", "0", "--name", "one")
+    printed("import", "csv", *names, *one)  # by their clock: 1, 2, 3, 1, 2, 3
+    assert curves("one")["ppo", 0] == {10: 1, 20: 1.5, 30: 2, 40: 1.75, 50: 1.8, 60: 2}
+    write(names[1], f"{HEADER}2,10,8\n2,10,3\n")
+    told = refused("import", "csv", *names, *one)
+    assert told.startswith(f"{names[1]}: its clock begins again")
+
+
+def test_a_monitors_folder_names_its_run() -> None:
+    for k in (1, 2):
+        write(f"logs/ppo_{k}/monitor.csv", f"{HEADER}{k},10,1\n")
+    printed("import", "csv", "logs/ppo_1/monitor.csv", "logs/ppo_2/monitor.csv")
+    assert {*curves("logs")} == {("ppo", 1), ("ppo", 2)}
+    printed("import", "csv", "logs/ppo_1/monitor.csv")
+    assert {*curves("ppo_1")} == {("ppo", 1)}
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "told"),
+    [
+        (HEADER + "1,10,1\n2,1", (), "a row lacks its return r, length l or time t"),
+        ("# mine\nr,l,t\n1,10,1\n", (), "Stable-Baselines3 cannot read this monitor"),
+        (HEADER + "1,10,1\n2,13,10,2\n", (), "Stable-Baselines3 cannot read this monitor"),
+        (HEADER + "1,10,1\n", ("--step", "l", "--value", "r"), "leave out --step and --value"),
+        (HEADER + "1,10,1\n", ("--seed", "l"), "--seed l: must be a number"),
+        (HEADER, (), "has no values at agent steps"),
+    ],
+)
+def test_a_monitor_that_cannot_be_read_whole_is_refused(
+    text: str, options: tuple[str, ...], told: str
+) -> None:
+    assert told in refused("import", "csv", write("a.monitor.csv", text), *options)
+
+
+def test_a_file_that_is_no_text_is_refused() -> None:
+    Path("runs.csv").write_bytes(b"step,return\n8,\xff\n")
+    assert (
+        call("import", "csv", "runs.csv", *TIDY).err
+        == "pneuma: runs.csv: cannot be read: it is not UTF-8 text\n"
+    )
