@@ -6,7 +6,9 @@ import errno
 import hashlib
 import json
 import os
+import re
 import stat
+import time
 import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -22,6 +24,9 @@ _CHECKSUM, _END = "sha256", b"\n}\n"
 MADE_BY = "made by pneuma"
 """Words in a report and in an exported policy, by which a command knows what it may replace."""
 LONGEST_REASON = 100
+_TEMPORARY = re.compile(r"\..+\.[0-9a-f]{32}")
+STALE_SECONDS = 600
+"""Age from which no process writes a temporary file any more."""
 
 
 def shipped_folder(package: str, place: str) -> Path:
@@ -107,6 +112,18 @@ def replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
         for path in written.values():
             path.unlink(missing_ok=True)
         raise
+
+
+def stale_files(folder: Path) -> list[Path]:
+    """Return the temporary files of a folder that `replace_files` left behind when it was killed."""
+    stale = []
+    for name in names_in(folder):
+        path = folder / name
+        if _TEMPORARY.fullmatch(name):
+            with suppress(FileNotFoundError):  # it is in its place now
+                if time.time() - path.stat().st_mtime > STALE_SECONDS:
+                    stale.append(path)
+    return stale
 
 
 def create_whole(path: Path, data: bytes) -> None:

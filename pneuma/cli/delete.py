@@ -40,7 +40,7 @@ def delete_study(name: opt.Study, picked: opt.StoredFilter, yes: Yes = False) ->
     every = find_study(index, name, replace(picked.selection, conditions=()), picked.world)
     if study.path is None:
         if {*every.runs["run_id"]} <= here:
-            index.store.listing_path(study.name).unlink(missing_ok=True)
+            index.store.remove(index.store.listing_path(study.name))
     else:
         every = replace(every, runs=every.runs[every.runs["where"] == ""])
         noted = index.store.noted_steps(study.name).get(study.variant, [])

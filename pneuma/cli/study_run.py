@@ -25,9 +25,6 @@ from pneuma.study.store import Status, Store
 if TYPE_CHECKING:
     from pneuma.analysis.study_data import StudyData
 
-UNFINISHED_STATUSES = ("crashed", "killed", "damaged", "running", "partial")
-"""Statuses that no cell should have after a study was run."""
-
 Unpublished = Annotated[
     bool, opt.flag("--unpublished", "Leave out runs that are finished in a published table.")
 ]
@@ -144,7 +141,7 @@ def train(planned: plan.Plan, store: Store, how: ExecutorConfig, retry_failed: b
     try:
         aside = partial(say, quiet=quiet)
         results = api.train_plan(planned, store, how, retry_failed=retry_failed, quiet=quiet, say=aside)
-        code = int(any(result.status.name in UNFINISHED_STATUSES for result in results))
+        code = int(not all(result.status.finished for result in results))
         text = [*_failures(results, store), *([] if quiet else _outcome(planned, results, store))]
     except KeyboardInterrupt:
         say("Stopped. The same command goes on where every run was stopped.")
@@ -214,7 +211,7 @@ def _failures(results: Sequence[execute.CellResult], store: Store) -> Iterator[s
         label, state = f"{result.cell.condition} seed {result.cell.seed}", result.status
         if state.name == "diverged":
             yield f"{label} diverged at step {state.step:,}; its records count"
-        elif state.name in UNFINISHED_STATUSES:
+        elif not state.finished:
             trace, why = store.run_folder(result.cell.run_id) / "error.txt", result.reason
             why = f"{why} ({trace})" if trace.is_file() else why or f"at step {state.step:,}"
             yield f"{label} {state.name}: {why}"
@@ -226,7 +223,7 @@ def _outcome(planned: plan.Plan, results: Sequence[execute.CellResult], store: S
     states = tallied(result.status.name for result in results) or "nothing to train"
     stored = f"{trained} trained now, {len(results) - trained} were stored"
     yield f"{planned.study.name}: {states}; {stored}."
-    if results and not any(result.status.name in UNFINISHED_STATUSES for result in results):
+    if results and all(result.status.finished for result in results):
         some = planned.conditions if {*planned.conditions} < {*planned.study.conditions} else ()
         picked = [word for name in some for word in ("--condition", name)]
         drawn = command("study", "plot", *spec.asked_words(planned.study), *picked, "--results", store.root)

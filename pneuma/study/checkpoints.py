@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -62,10 +61,10 @@ class RunCheckpoints:
         self._steps_to_keep = checkpoint_steps(run, how.keep_checkpoints)
         self.attempts: list[dict[str, Any]] = []
         for left in (*self._folder.glob(".*.*"), *(self._folder / CHECKPOINTS).glob(".*.*")):
-            _remove(left)  # a temporary file of a process that was killed
+            store.remove(left)  # a temporary file of a process that was killed
         for path in self._folder.glob("*"):
             if path.is_dir() and path.name != CHECKPOINTS:
-                _remove(path)  # a folder in the place of a file
+                store.remove(path)  # a folder in the place of a file
 
     def latest(self) -> Checkpoint | None:
         """Return the latest sound checkpoint and report damaged ones; None to start from the beginning."""
@@ -75,14 +74,14 @@ class RunCheckpoints:
                 checkpoint, self.attempts = read
                 return checkpoint
             self._say(f"the checkpoint at step {file.step:,} is damaged: going on from the one before")
-            _remove(file.path)
+            self._store.remove(file.path)
         return self._parents() if self._run.parent else None
 
     def give_up(self, why: Exception) -> bool:
         """Discard the latest checkpoint, which the engine cannot use; return whether there was one."""
         for file in checkpoint_files(self._folder)[:1]:
             self._say(f"the checkpoint at step {file.step:,} is given up: {why}")
-            _remove(file.path)
+            self._store.remove(file.path)
             return True
         return False
 
@@ -110,12 +109,12 @@ class RunCheckpoints:
         self._keep_latest(0)
         folder = self._folder / CHECKPOINTS
         if folder.is_dir() and not any(folder.iterdir()):
-            folder.rmdir()
+            self._store.remove(folder)
 
     def _keep_latest(self, count: int) -> None:
         for file in checkpoint_files(self._folder)[count:]:
             if file.step not in self._steps_to_keep:
-                _remove(file.path)
+                self._store.remove(file.path)
 
     def _parents(self) -> Checkpoint:
         parent, step = self._run.parent, self._run.fork_step
@@ -123,13 +122,6 @@ class RunCheckpoints:
         if found is None or found.step != step:
             raise UserError(f"run {parent} has no sound checkpoint at step {step:,} any more")
         return found
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        path.unlink(missing_ok=True)
 
 
 # --- Files -----------------------------------------------------------------------------------------

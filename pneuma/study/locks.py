@@ -12,9 +12,10 @@ import fcntl
 import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
+LOCK_FILE = ".lock"
 LOOKS, LOOK_SECONDS = 5, 0.002
 """Attempts to take a lock, and seconds between them: whoever only looks holds it for a moment."""
 
@@ -29,20 +30,14 @@ def run_lock(folder: Path) -> Iterator[bool]:
         OSError: when it cannot be created.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / ".lock", "a+b", opener=_open) as file:
+    with open(folder / LOCK_FILE, "a+b", opener=_open) as file:
         yield _take(file.fileno())
-
-
-def remove_lock(folder: Path) -> None:
-    """Remove the lock of a finished run: whoever takes one from now on sees that nothing is left to train."""
-    with suppress(OSError):
-        (folder / ".lock").unlink()
 
 
 def is_held(folder: Path) -> bool:
     """Return whether some process trains the run in this folder now."""
     try:
-        with open(folder / ".lock", "rb", opener=_open) as file:
+        with open(folder / LOCK_FILE, "rb", opener=_open) as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError as error:
         return isinstance(error, BlockingIOError)

@@ -46,10 +46,11 @@ from pneuma.files import (
     names_in,
     parse_json,
     replace_files,
+    stale_files,
     to_json,
 )
 from pneuma.study.identity import config_id
-from pneuma.study.locks import is_held, remove_lock, run_lock
+from pneuma.study.locks import LOCK_FILE, is_held, run_lock
 from pneuma.study.shipped import shipped_tables
 
 FINISHED = ("done", "diverged")
@@ -222,14 +223,16 @@ class Store:
             create_whole(folder / "status.json", _status_document(Status("planned", identity=identity), {}))
 
     def delete_run(self, run_id: str) -> None:
-        """Remove a run with all its files.
+        """Remove a run with all its files, while no other process trains it.
 
         Raises:
-            UserError: if it cannot be removed.
+            UserError: if it is being trained, or cannot be removed.
         """
         folder = self.run_folder(run_id)
-        with self._writing(folder, folder):
-            shutil.rmtree(folder)
+        with self._writing(folder, folder), run_lock(folder) as is_free:
+            if not is_free:
+                raise UserError(f"run {run_id} trains now: stop its study first")
+            self.remove(folder)
 
     def save_row(self, run_id: str, data: bytes) -> None:
         """Write the row of a finished run that lacks it."""
@@ -246,15 +249,15 @@ class Store:
         """
         folder, before = self.run_folder(run_id), self.status(run_id, quick=status.finished)
         if before.finished and not status.finished:
-            return remove_lock(folder)
+            return self.remove(folder / LOCK_FILE)
         known = replace(status, identity=status.identity or before.identity)
         checksums = {name: checksum(data) for name, data in files.items()}
         self._write_all(folder, {**files, "status.json": _status_document(known, checksums)})
         for path in folder.glob("[!.]*"):
             if path.name not in (*files, "status.json") and path.is_file():
-                path.unlink(missing_ok=True)
-        if status.finished:
-            remove_lock(folder)
+                self.remove(path)
+        if status.finished:  # whoever takes a lock from now on sees that nothing is left to train
+            self.remove(folder / LOCK_FILE)
 
     def save_failure(self, run_id: str, run: Run, status: str, why: str) -> None:
         files = {"run.json": run_document(run, run_id), "error.txt": why.encode()}
@@ -318,7 +321,7 @@ class Store:
         if changed:
             self.write(path, dump_checksummed(changed))
         else:
-            path.unlink(missing_ok=True)
+            self.remove(path)
 
     def noted_studies(self) -> list[str]:
         """Return the names of studies with a file that were run here."""
@@ -357,6 +360,27 @@ class Store:
         """Write files into a folder in this order. If one fails, those before it may be there."""
         with self._writing(folder, folder / next(iter(files))):
             replace_files(folder, files)
+        for path in stale_files(folder):
+            self.remove(path)
+
+    def remove(self, path: Path) -> None:
+        """Remove a file or a folder of the results, if it exists; of a link, the link itself.
+
+        All that is ever removed from a results folder is removed here.
+
+        Raises:
+            UserError: if it lies outside the results folder, or cannot be removed.
+        """
+        self._check_within(path.parent)
+        try:
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
+        except FileNotFoundError:
+            pass  # another process has removed a part of it
+        except OSError as error:
+            raise UserError(f"{path}: cannot be removed ({error.strerror or error})") from None
 
     @contextmanager
     def _writing(self, folder: Path, what: Path) -> Iterator[None]:

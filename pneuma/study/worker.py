@@ -37,7 +37,7 @@ from pneuma.study.checkpoints import RunCheckpoints, table_files
 from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig, read_job
 from pneuma.study.identity import run_id
 from pneuma.study.live import open_log
-from pneuma.study.locks import remove_lock
+from pneuma.study.locks import LOCK_FILE
 from pneuma.study.provenance import Attempt, finished_provenance, packages_of
 from pneuma.study.row_builder import cells_of_files
 from pneuma.study.rows import encode_row
@@ -128,7 +128,7 @@ class Worker:
             if not free:
                 self.reporter.send("busy", name)
             elif (status := self.store.status(name)).finished:
-                remove_lock(self.store.run_folder(name))
+                self.store.remove(self.store.run_folder(name) / LOCK_FILE)
                 self.reporter.end(name, status, trained=False)
             else:
                 mine[name] = run

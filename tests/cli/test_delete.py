@@ -7,12 +7,13 @@ from typing import Any
 
 import pytest
 
+from pneuma.study.executors import local
 from pneuma.study.locks import run_lock
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store, run_identity
 
-from .calls import call, described, refused, save_finished
+from .calls import TINY, call, described, refused, save_finished
 
 
 def _finish(store: Store, study: str, **selection: Any) -> dict[str, list[str]]:
@@ -94,3 +95,11 @@ def test_a_run_is_removed_by_its_id_unless_it_trains(store: Store) -> None:
     with run_lock(store.run_folder(run_id)):
         assert "trains now" in refused(*words)
     assert call(*words).code == 0 and store.runs() == []
+
+
+def test_a_study_whose_runs_were_removed_while_it_trained_did_not_end_well(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(local, "run_groups", lambda *_: None)
+    code, out, _ = call("study", "run", "activation", *TINY, "--seeds", "1", "--results", store.root)
+    assert code == 1 and "tanh seed 0 planned: " in out

@@ -159,6 +159,36 @@ def test_a_row_is_added_to_a_finished_run_alone_and_its_loss_damages_nothing(sto
     assert store.runs() == [NAME, other] and os.listdir(store.run_folder(other)) == ["status.json"]
 
 
+def test_a_run_is_not_removed_while_another_process_trains_it(store: Store) -> None:
+    """A process may begin to train it after `study delete` has looked."""
+    with run_lock(store.run_folder(NAME)):
+        with pytest.raises(UserError, match=f"run {NAME} trains now"):
+            store.delete_run(NAME)
+        assert store.read_file(NAME, "run.json") == FILES["run.json"]
+    store.delete_run(NAME)
+    assert store.runs() == []
+
+
+def test_a_removal_that_fails_is_one_line(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> NoReturn:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(Path, "unlink", fail)
+    with pytest.raises(UserError, match=r"episodes.parquet: cannot be removed \(Operation not permitted\)"):
+        store.save_run(NAME, Status("done", 512), {"run.json": b"{}"})
+
+
+def test_what_a_killed_write_left_is_swept_by_the_next_one(store: Store) -> None:
+    folder = store.run_folder(NAME)
+    left, other = folder / f".row.arrow.{'a' * 32}", folder / f".row.arrow.{'b' * 32}"
+    for path in (left, other, folder / ".notes.txt"):
+        path.touch()
+    for path in (left, folder / ".notes.txt"):
+        os.utime(path, (0, 0))
+    store.save_row(NAME, b"row")
+    assert not left.exists() and other.exists() and (folder / ".notes.txt").exists()
+
+
 # --- Studies without a file ----------------------------------------------------------------------
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -76,6 +77,31 @@ def test_a_folder_that_is_a_link_out_of_the_results_is_not_written_to(store: Sto
     with pytest.raises(UserError, match="leads out of the results folder"):
         store.check_writable()
     assert os.listdir(elsewhere) == []
+
+
+@pytest.mark.parametrize("folder", ["last", "studies"])
+def test_nothing_is_removed_through_a_link_that_leads_out_of_the_results(
+    store: Store, tmp_path: Path, folder: str
+) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "mine.json").write_text("precious")
+    (store.root / folder).symlink_to(elsewhere)
+    with pytest.raises(UserError, match="leads out of the results folder"):
+        store.remove(store.root / folder / "mine.json")
+    if folder == "last":
+        with pytest.raises(UserError, match="leads out of the results folder"):
+            store.note_steps("mine", "arena", [])
+    assert (elsewhere / "mine.json").read_text() == "precious"
+    store.remove(store.root / folder)
+    assert not (store.root / folder).is_symlink() and elsewhere.is_dir()
+
+
+def test_one_module_alone_removes_what_is_stored() -> None:
+    """`files.py` removes the temporary files of its own writing; a video's are outside the results."""
+    paths = PACKAGE.rglob("*.py")
+    removing = {path.name for path in paths if re.search(r"\b(rmtree|unlink|rmdir)\(", path.read_text())}
+    assert removing <= {"store.py", "files.py", "watch.py"}
 
 
 RUNS_CODE = {"pickle", "cloudpickle", "dill", "joblib", "shelve", "marshal", "yaml"}
