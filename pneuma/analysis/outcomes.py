@@ -77,17 +77,21 @@ def have_one_return(data: StudyData, conditions: Iterable[str] | None = None) ->
     return len(kinds_of_return(data, conditions)) <= 1
 
 
-def kinds_of_return(data: StudyData, conditions: Iterable[str] | None = None) -> set[tuple[str, str]]:
+def kinds_of_return(data: StudyData, conditions: Iterable[str] | None = None) -> set[str]:
     """Return the rewards and numbers of players of conditions (default: all), in which returns differ."""
-    found = set()
+    kinds = set()
     for name in data.conditions if conditions is None else conditions:
         runs = data.of_condition(name)
-        if runs and runs[0].averaged_over is None:  # logs do not tell their reward
-            fields = runs[0].fields
-            foreign = fields["env"] if is_gymnasium_id(fields.get("env")) else ""
-            kind = [fields.get("reward"), fields.get("players"), fields.get("shared_reward", False)]
-            found.add((foreign, str(kind)))
-    return found
+        if runs and runs[0].averaged_over is None:  # logs do not contain their reward
+            kinds.add(unit_of_return(runs[0]))
+    return kinds
+
+
+def unit_of_return(run: Row) -> str:
+    """Return what the unit of a run's returns depends on: environment, reward and number of players."""
+    fields = run.fields
+    foreign = fields["env"] if is_gymnasium_id(fields.get("env")) else ""
+    return str([foreign, fields.get("reward"), fields.get("players"), fields.get("shared_reward", False)])
 
 
 def is_foreign(data: StudyData) -> bool:

@@ -192,7 +192,7 @@ def _compare_in_environments(data: StudyData, a: str, b: str, outcomes: Sequence
 
 def _claims_on(data: StudyData, a: str, b: str) -> list[Claim]:
     """Return the shipped claims that compare the means of two conditions of a study in its world."""
-    from pneuma.analysis.claims.claim_list import MINUS, load_claims
+    from pneuma.analysis.claims.claim_list import load_claims
 
     environments = {fields.get("env") for fields in data.fields.values()}
     world = data.world or next((name for name, one in WORLDS.items() if one.env in environments), "")
@@ -202,7 +202,6 @@ def _claims_on(data: StudyData, a: str, b: str) -> list[Claim]:
         if (claim.study, claim.kind) == (data.study.name, "mean")
         and world in claim.worlds
         and any({*pair} == {(a,), (b,)} for pair in claim.pairs)
-        and not any(MINUS in name for name in claim.outcome)
     ]
 
 

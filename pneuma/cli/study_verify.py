@@ -28,12 +28,16 @@ NAME_WIDTH = 16
 def verify(
     claims: Annotated[opt.Several, opt.argument("CLAIM", "Claims; left out: all.")] = None,
     world: Annotated[str | None, opt.choice(WORLDS, "Only this world.")] = None,
-    file: Annotated[Path | None, opt.option("FILE", "Others than the thesis's.", name="--claims")] = None,
-    design: Annotated[bool, opt.flag("--design", "Say which differences planned runs show.")] = False,
+    file: Annotated[
+        Path | None, opt.option("FILE", "A claims file to judge instead of the thesis's.", name="--claims")
+    ] = None,
+    design: Annotated[
+        bool, opt.flag("--design", "Show the smallest differences that the planned runs can detect.")
+    ] = False,
     results: opt.Results = opt.HERE,
     format: opt.Format = opt.TABLE,
 ) -> Result:
-    """Judge the thesis's sentences by the runs that each one fixed in advance.
+    """Judge the thesis's claims on their preregistered runs.
 
     Name claims to see also what is compared, how many runs there are, and the reason.
     """
@@ -42,95 +46,101 @@ def verify(
     from pneuma.analysis.claims.verdicts import judge
     from pneuma.analysis.claims.words import verdict_table, verdicts_by_claim
 
-    known, store = load_claims(file), Store(results)
+    claim_list, store = load_claims(file), Store(results)
     for name in claims or ():
-        if name not in known.claims:
-            raise unknown_name("claim", name, known.claims)
+        if name not in claim_list.claims:
+            raise unknown_name("claim", name, claim_list.claims)
 
-    def asked(claim: Claim, where: str) -> bool:
+    def is_selected(claim: Claim, where: str) -> bool:
         return (not claims or claim.name in claims or claim.like in claims) and world in (None, where)
 
-    head = {"claims_hash": known.digest, "alpha": known.head.alpha}
+    head = {"claims_hash": claim_list.digest, "alpha": claim_list.head.alpha}
     if design:
-        every = plan_contrasts(known)
-        return _design(known, head, every, [row for row in every if asked(row.claim, row.world)])
-    judged = judge(known, store, asked=asked)
-    grouped = verdicts_by_claim(judged)
-    table = verdict_table(grouped)
-    contrasts = {world: known.contrasts(world) for world in WORLDS}
-    document = {**head, "rules": RULES, "contrasts": contrasts, "claims": [*map(_document, judged)]}
-    lacking = "" if any(one.run_ids for one in judged) else _lacking(store, file)
-    shown = _show_claims(known, grouped, bool(claims), lacking)
+        every = plan_contrasts(claim_list)
+        selected = [row for row in every if is_selected(row.claim, row.world)]
+        return _design(claim_list, head, every, selected)
+    verdicts = judge(claim_list, store, wanted=is_selected)
+    by_claim = verdicts_by_claim(verdicts)
+    contrasts = {world: claim_list.contrasts(world) for world in WORLDS}
+    documents = [_document(verdict) for verdict in verdicts]
+    numbers = [_row(row) for verdict in verdicts for row in verdict.contrasts]
     return Result(
-        document, shown, table=table, numbers=[_found(row) for one in judged for row in one.contrasts]
+        {**head, "rules": RULES, "contrasts": contrasts, "claims": documents},
+        [*_missing_note(store, file, verdicts), *_show(claim_list, by_claim, in_detail=bool(claims))],
+        table=verdict_table(by_claim),
+        numbers=numbers,
     )
 
 
-def _lacking(store: Store, file: Path | None) -> str:
-    how = f"`make reproduction` trains them; --results {shipped_tables().parent} has those that are published"
-    how = "`pneuma study run STUDY` trains those of a study that the list names" if file else how
-    return f"Note: none of their runs is in {store.root}. {how}."
+def _missing_note(store: Store, file: Path | None, verdicts: Sequence[Verdict]) -> list[str]:
+    if any(verdict.run_ids for verdict in verdicts):
+        return []
+    remedy = (
+        f"`make reproduction` trains them; --results {shipped_tables().parent} has those that are published"
+    )
+    if file:
+        remedy = "`pneuma study run STUDY` trains those of a study that the list names"
+    return [f"Note: none of their runs is in {store.root}. {remedy}.", ""]
 
 
 # --- For people ----------------------------------------------------------------------------------
 
 
-def _show_claims(
-    known: ClaimList, claims: Mapping[str, Mapping[str, Verdict]], in_detail: bool, lacking: str
+def _show(
+    claim_list: ClaimList, by_claim: Mapping[str, Mapping[str, Verdict]], in_detail: bool
 ) -> Iterator[str | Table]:
     """Yield the rows of the table of verdicts one below the other, and what must be known to read them."""
     from pneuma.analysis.claims.claim_list import RULES
-    from pneuma.analysis.claims.history import changed_since
-    from pneuma.analysis.claims.words import count_words, verdict_table, worlds_of
+    from pneuma.analysis.claims.words import count_words, details, verdict_table, worlds_of
 
-    if lacking:
-        yield from (lacking, "")
-    names = worlds_of(claims)
-    heads = verdict_table(claims, whole=True).iloc[:, :2].to_numpy()
-    for (name, judged), (section, sentence) in zip(claims.items(), heads, strict=True):
+    worlds = worlds_of(by_claim)
+    headings = verdict_table(by_claim, whole=True).iloc[:, :2].to_numpy()
+    for (name, judged), (section, heading) in zip(by_claim.items(), headings, strict=True):
         yield f"{name} (section {section})" if section else name
-        parts = [part for part in sentence.split("\n") if part != name]
-        yield from (line for part in parts for line in _indented(part, 2))
-        for world, one in judged.items():
-            yield from _verdict(names[world], one)
-            yield from _details(one) if in_detail else ()
+        for part in heading.split("\n"):
+            if part != name:
+                yield from _indented(part, 2)
+        for world, verdict in judged.items():
+            yield from _cell(worlds[world], verdict)
+            for text in details(verdict) if in_detail else ():
+                yield from _indented(text, 6)
         yield ""
-    yield frame_table(count_words(claims))
+    yield frame_table(count_words(by_claim))
     yield ""
     yield "In brackets: where the difference lies. All of a world's hold together, with"
-    yield f"{100 - 100 * known.head.alpha:g} % probability. docs/claims.md explains the four words."
+    yield f"{100 - 100 * claim_list.head.alpha:g} % probability. docs/claims.md explains the four words."
     yield "Kills are the mean of the last five evaluations, returns of the last 5 % of training."
-    every = [(one, names[world]) for judged in claims.values() for world, one in judged.items()]
-    if seen := ", ".join(f"{one.claim.row} ({world})" for one, world in every if one.claim.seen):
-        yield from _indented(f"By runs known before, so described and not tested: {seen}.", 0)
-    for one, world in every:
-        if not one.claim.seen and (keys := changed_since(known, one.claim.name, one.commits)):
-            changed = f"{one.claim.name} ({world}): {', '.join(keys)}"
-            yield from _indented(f"Not as it was at the commit that trained its runs: {changed}.", 0)
-    yield f"Stated in {known.path.name}, SHA-256 {known.digest[:16]}…, judged by rules {RULES}."
+    yield from _registration(claim_list, by_claim, worlds)
+    yield f"Stated in {claim_list.path.name}, SHA-256 {claim_list.digest[:16]}…, judged by rules {RULES}."
 
 
-def _verdict(world: str, one: Verdict) -> Iterator[str]:
-    from pneuma.analysis.claims.words import cell
+def _cell(world: str, verdict: Verdict) -> Iterator[str]:
+    from pneuma.analysis.claims.words import lines, word
 
-    word, *lines = cell(one).split("\n")
-    for place, line in enumerate(lines or [""]):
-        head = "" if place else f"{world:{NAME_WIDTH}}{word}"
-        yield f"    {head:{2 * NAME_WIDTH}}{line}".rstrip()
+    head = f"{world:{NAME_WIDTH}}{word(verdict)}"
+    for text in lines(verdict) or [""]:
+        yield f"    {head:{2 * NAME_WIDTH}}{text}".rstrip()
+        head = ""
 
 
-def _details(one: Verdict) -> Iterator[str]:
-    """Yield what is compared; for each contrast arms, numbers of runs, effect, margin; why there is none."""
-    from pneuma.analysis.claims.words import effect
+def _registration(
+    claim_list: ClaimList, by_claim: Mapping[str, Mapping[str, Verdict]], worlds: Mapping[str, str]
+) -> Iterator[str]:
+    """Yield which verdicts test nothing, because their runs or numbers were not fixed before."""
+    from pneuma.analysis.claims.history import changed_since
 
-    yield from _indented(one.claim.context, 6)
-    for row in one.contrasts if not one.lacks_runs else ():
-        runs = " and ".join(str(count) for count in row.contrast.seeds if count)
-        smallest = f"; smallest that counts: {row.margin:g}" if row.margin else ""
-        found = f"{effect(row)}{smallest}" if row.has_effect else ""
-        found = "; ".join(filter(None, (found, row.contrast.reason)))
-        yield from _indented(f"{' against '.join(row.names)}, {runs} runs: {found}", 6)
-    yield from _indented(one.reason if one.lacks_runs else "", 6)
+    seen, changed = [], []
+    for judged in by_claim.values():
+        for world, verdict in judged.items():
+            claim = verdict.claim
+            if claim.seen:
+                seen.append(f"{claim.row} ({worlds[world]})")
+            elif keys := changed_since(claim_list, claim.name, verdict.commits):
+                changed.append(f"{claim.name} ({worlds[world]}): {', '.join(keys)}")
+    if seen:
+        yield from _indented(f"By runs known before, so described and not tested: {', '.join(seen)}.", 0)
+    for text in changed:
+        yield from _indented(f"Not as it was at the commit that trained its runs: {text}.", 0)
 
 
 def _indented(text: str, spaces: int) -> list[str]:
@@ -141,66 +151,84 @@ def _indented(text: str, spaces: int) -> list[str]:
 # --- The table of contrasts ------------------------------------------------------------------------
 
 
-def _document(one: Verdict) -> dict[str, Any]:
+def _document(verdict: Verdict) -> dict[str, Any]:
     """Return the row that decides first, with the claim's own verdict and reason, and all its rows."""
     from pneuma.analysis.claims.words import word
 
-    of_claim = ("row", "section", "quote", "context", "study", "kind", "direction", "need", "seen")
+    claim_keys = ("row", "section", "quote", "context", "study", "kind", "direction", "need", "seen")
     return {
-        **_found(one.deciding[0]),
-        "word": word(one),
-        **{key: getattr(one, key) for key in ("verdict", "reason", "run_ids")},
-        **{key: getattr(one.claim, key) for key in of_claim},
-        "outcomes": list(one.claim.outcome),
-        "contrasts": [{**_found(row), "runs": row.runs} for row in one.contrasts],
+        **_row(verdict.deciding[0]),
+        "word": word(verdict),
+        "verdict": verdict.verdict,
+        "reason": verdict.reason,
+        "run_ids": verdict.run_ids,
+        **{key: getattr(verdict.claim, key) for key in claim_keys},
+        "outcomes": [*verdict.claim.outcome],
+        "contrasts": [{**_row(row), "runs": row.runs} for row in verdict.contrasts],
     }
 
 
 def _planned(row: ClaimContrast) -> dict[str, Any]:
-    about = {"claim": row.claim.name, "world": row.world, "outcome": row.outcome}
-    numbers = {key: getattr(row, key) for key in ("alpha", "spread", "half_width", "margin")}
-    return {**about, "a": row.names[0], "b": row.names[1], **numbers}
+    a, b = row.names
+    return {
+        "claim": row.claim.name,
+        "world": row.world,
+        "outcome": row.outcome,
+        "a": a,
+        "b": b,
+        "alpha": row.alpha,
+        "spread": row.spread,
+        "half_width": row.half_width,
+        "margin": row.margin,
+    }
 
 
-def _found(row: ClaimContrast) -> dict[str, Any]:
-    """Return a row of the table: what was planned, and what was found."""
-    found = row.contrast
+def _row(row: ClaimContrast) -> dict[str, Any]:
+    """Return a row of the table: what was planned, and what the runs show."""
+    contrast = row.contrast
+    mean_a, mean_b = contrast.means
+    seeds_a, seeds_b = contrast.seeds
     return {
         **_planned(row),
-        "effect": found.effect,
-        **dict(zip(("mean_a", "mean_b"), found.means, strict=True)),
-        "low": found.interval.low,
-        "high": found.interval.high,
-        "simultaneous_low": found.simultaneous.low,
-        "simultaneous_high": found.simultaneous.high,
+        "effect": contrast.effect,
+        "mean_a": mean_a,
+        "mean_b": mean_b,
+        "low": contrast.interval.low,
+        "high": contrast.interval.high,
+        "simultaneous_low": contrast.simultaneous.low,
+        "simultaneous_high": contrast.simultaneous.high,
         "verdict": row.verdict,
-        "reason": found.reason,
-        **dict(zip(("seeds_a", "seeds_b"), found.seeds, strict=True)),
+        "reason": contrast.reason,
+        "seeds_a": seeds_a,
+        "seeds_b": seeds_b,
         "none_learned": row.none_learned,
     }
 
 
 def _design(
-    known: ClaimList, head: Mapping[str, Any], every: Sequence[ClaimContrast], asked: Sequence[ClaimContrast]
+    claim_list: ClaimList,
+    head: Mapping[str, Any],
+    every: Sequence[ClaimContrast],
+    selected: Sequence[ClaimContrast],
 ) -> Result:
     """Return how near the seeds of claims tell their effects, and which claims are not admitted."""
     refused = {(row.claim.name, row.world): row.refused for row in every if row.refused}
     notes = [f"Not admitted: {name}, {where}: {reason}" for (name, where), reason in refused.items()]
-    admitted = "Every claim is admitted." if known.pilot else "Without a pilot every claim is admitted."
-    plans = [
-        {**_planned(row), "seeds": [*row.planned], "reason": row.why_undecidable, "admitted": not row.refused}
-        for row in asked
-    ]
-    shown = [
-        {
-            **{key: plan[key] for key in ("claim", "world", "outcome")},
-            "seeds": "/".join(map(str, plan["seeds"])),
-            **{key.replace("_", " "): plan[key] for key in ("spread", "half_width", "margin")},
-            "": plan["reason"] or "decidable",
-        }
-        for plan in plans
-    ]
+    admitted = "Every claim is admitted." if claim_list.pilot else "Without a pilot every claim is admitted."
+    plans, shown = [], []
+    for row in selected:
+        planned = _planned(row)
+        reason = row.why_undecidable
+        plans.append({**planned, "seeds": [*row.planned], "reason": reason, "admitted": not row.refused})
+        shown.append(
+            {
+                **{key: planned[key] for key in ("claim", "world", "outcome")},
+                "seeds": "/".join(map(str, row.planned)),
+                **{key.replace("_", " "): planned[key] for key in ("spread", "half_width", "margin")},
+                "": reason or "decidable",
+            }
+        )
     table = rows_result("", shown).shown
     legend = "half width: that of the simultaneous interval, as the pilot's spread lets expect."
-    document = {**head, "pilot": known.pilot is not None, "design": plans}
+    document = {**head, "pilot": claim_list.pilot is not None, "design": plans}
     return Result(document, ["", *table, "", legend], "", notes or [admitted], shown, plans)

@@ -76,7 +76,7 @@ def _judged_claims(store: Store, studies: Collection[str]) -> tuple[Verdicts, st
         f"The chance of any false verdict in the whole list of {len(known.claims)} is at most "
         f"{100 * known.head.alpha:g}% in each world (Bonferroni)."
     )
-    return verdicts_by_claim(judge(known, store, asked=lambda claim, world: claim.study in studies)), note
+    return verdicts_by_claim(judge(known, store, wanted=lambda claim, world: claim.study in studies)), note
 
 
 def _part(index: RunIndex, name: str, world: str | None) -> Part:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from scipy import stats
 
-from pneuma.analysis.claims.contrasts import Contrast, compare, compare_ranges
+from pneuma.analysis.claims.contrasts import Contrast, compare, compare_arms
 from pneuma.analysis.intervals import Interval
 
 A, B = [3.0, 7.5, 4.0, 9.0, 8.0], [1.0, 2.5, 5.0, 2.0]
@@ -21,6 +23,17 @@ def rng() -> np.random.Generator:
 
 def ends(interval: Interval | Any) -> tuple[float, float]:
     return interval.low, interval.high
+
+
+def compare_ranges(
+    arms: Sequence[ArrayLike], a: Sequence[int], b: Sequence[int] | float, level: float = 0.95
+) -> Contrast:
+    """Compare the range of some arms, by their places, with that of others or with a number."""
+
+    def named(places: Sequence[int]) -> dict[str, np.ndarray]:
+        return {str(place): np.array(arms[place]) for place in places}
+
+    return compare_arms("range", named(a), b if isinstance(b, float) else named(b), level)
 
 
 def both(own: Contrast) -> list[float]:

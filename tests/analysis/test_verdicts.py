@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis.claims.contrasts import compare
-from pneuma.analysis.claims.verdicts import combine_outcomes, decide
+from pneuma.analysis.claims.verdicts import combine, decide
 from pneuma.analysis.intervals import Interval, no_interval
 
 DIRECTIONS = ("greater", "less", "different", "equal", "no-less")
@@ -82,8 +82,8 @@ U = "untestable"
     ],
 )
 def test_outcomes_together(verdicts: tuple[str, ...], one: str, every: str) -> None:
-    assert (combine_outcomes(verdicts), combine_outcomes(verdicts, "all")) == (one, every)
-    assert combine_outcomes(verdicts[::-1]) == one
+    assert (combine(verdicts), combine(verdicts, "all")) == (one, every)
+    assert combine(verdicts[::-1]) == one
 
 
 @pytest.mark.parametrize("truth", [*product((True, False), repeat=3)])
@@ -93,7 +93,7 @@ def test_a_claims_verdict_is_false_only_where_an_outcomes_is(truth: tuple[bool, 
     holds = all(truth) if need == "all" else any(truth)
     false_ones = [R if so else S for so in truth]
     for told in product((S, R, I, U), repeat=3):
-        verdict = combine_outcomes(told, need)
+        verdict = combine(told, need)
         false = (verdict == R and all(truth)) or (verdict == S and not holds)
         assert not false or any(own == wrong for own, wrong in zip(told, false_ones, strict=True))
 

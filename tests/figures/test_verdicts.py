@@ -66,7 +66,7 @@ def test_effects_are_told_in_plain_units(fields: dict[str, Any], means: Pair, en
 def test_a_cell_is_one_of_four_words_and_the_effect_or_why_there_is_none(
     verdict: str, reason: str, told: str
 ) -> None:
-    row = comparison(verdict, 0.02, MEANS[1], means=MEANS[0])
+    row = comparison("inconclusive" if verdict == "mixed" else verdict, 0.02, MEANS[1], means=MEANS[0])
     assert cell(judged(claim(), text=(verdict, reason, (row,)))["text"]) == told
 
 

@@ -1,6 +1,6 @@
-"""Contrasts: one arm of runs against another arm or a constant, as an effect with its interval.
+"""Contrasts: arms of runs against other arms or a constant, as an effect with its interval.
 
-    values of two arms → Contrast, whose interval `verdicts.py` holds against 0 and the margin
+    values of named arms → `compare_arms` → Contrast; `verdicts.py` compares its interval with the margin
 
 An arm in which nothing varies has no interval, because so few runs cannot show how rare other values are.
 docs/evidence.md explains the intervals and what they assume.
@@ -8,9 +8,9 @@ docs/evidence.md explains the intervals and what they assume.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from itertools import permutations
 
 import numpy as np
@@ -19,6 +19,12 @@ from scipy import special
 
 from pneuma.analysis import intervals
 from pneuma.analysis.intervals import Interval, finite, no_interval
+
+Arms = Mapping[str, np.ndarray]
+"""The values of runs, (runs,), by the names of conditions."""
+Means = tuple[float, float]
+AtLevel = Callable[[float], Interval]
+"""Makes the interval of an effect at a level."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +36,7 @@ class Contrast:
             range of its means, minus that of b or the constant.
         interval: its 95 % interval.
         simultaneous: its interval at the level of a whole list of contrasts.
-        seeds: runs of a and of b; 0 for a constant.
+        seeds: runs of the first condition of a and of b; 0 for a constant.
         means: the two numbers whose difference the effect is.
         reason: why nothing can be concluded; usually empty.
     """
@@ -39,118 +45,150 @@ class Contrast:
     interval: Interval = no_interval()
     simultaneous: Interval = no_interval()
     seeds: tuple[int, int] = (0, 0)
-    means: tuple[float, float] = (float("nan"), float("nan"))
+    means: Means = (float("nan"), float("nan"))
     reason: str = ""
 
 
-def compare_arms(
-    kind: str, arms: Mapping[str, np.ndarray], a: Sequence[str], b: Sequence[str], value: float, level: float
-) -> Contrast:
-    """Compare arms by their names: a with b, or with a value if there is no b; of ranges all together."""
-    if kind == "range":
-        first, second = ([[*arms].index(name) for name in names] for names in (a, b))
-        return compare_ranges([*arms.values()], first, second or value, level)
-    return compare(kind, arms[a[0]], arms[b[0]] if b else value, level)
-
-
 def compare(kind: str, a: ArrayLike, b: ArrayLike | float, level: float = intervals.LEVEL) -> Contrast:
-    """Compare arm a with arm b or with a constant.
+    """Compare an arm with another one or with a constant.
 
     Args:
-        kind: mean, spread (of two arms), or incidence, of values 0 or 1.
+        kind: mean, spread (of two arms), or incidence (of values 0 or 1).
         a: (runs,) finite values, one per run.
-        b: the values of the other arm, or a number in a's unit, or a share of runs.
+        b: the values of the other arm, or a number in the unit of a, or a share of runs.
         level: of the simultaneous interval.
 
     Raises:
         ValueError: for values that are not finite, or an incidence with values other than 0 and 1.
     """
-    first = finite(a)
-    second = float(b) if isinstance(b, int | float) else finite(b)
-    ends = interval_maker(kind, first, second)
-    seeds = first.size, second.size if isinstance(second, np.ndarray) else 0
-    if not (first.size and np.size(second)):
-        return Contrast(seeds=seeds, reason="an arm has no runs")
-    means = _mean_of(kind, first), second if isinstance(second, float) else _mean_of(kind, second)
-    return _contrast(means[0] - means[1], ends, level, seeds, means)
+    if isinstance(b, int | float):
+        return compare_arms(kind, {"a": finite(a)}, float(b), level)
+    return compare_arms(kind, {"a": finite(a)}, {"b": finite(b)}, level)
 
 
-def interval_maker(kind: str, a: np.ndarray, b: np.ndarray | float) -> Callable[[float], Interval]:
-    """Return what makes the interval of a less b at a level."""
-    if isinstance(b, float):
-        if kind == "mean":
-            return lambda level: intervals.mean_interval(a, level).less(b)
-        return lambda level: intervals.incidence_interval(_count(a), a.size, level).less(b)
-    if kind == "incidence":
-        return partial(intervals.incidence_difference_interval, _count(a), a.size, _count(b), b.size)
-    return partial(intervals.spread_interval if kind == "spread" else intervals.difference_interval, a, b)
-
-
-def _mean_of(kind: str, arm: np.ndarray) -> float:
-    return float((intervals.distances(arm) if kind == "spread" else arm).mean())
-
-
-# --- Ranges ----------------------------------------------------------------------------------------
-
-
-def compare_ranges(
-    arms: Sequence[ArrayLike], a: Sequence[int], b: Sequence[int] | float, level: float = intervals.LEVEL
-) -> Contrast:
-    """Compare the range of the means of some arms, best less worst, with that of others or with a constant.
-
-    The range of a is above that of b by more than d exactly if some step from one of a's arms to another is
-    above every step of b's by more than d. Each pair of steps has Welch's interval, corrected for the number
-    of steps that are tried; of all steps of b the widest counts (Berger 1982), and of a the farthest.
+def compare_arms(kind: str, a: Arms, b: Arms | float, level: float = intervals.LEVEL) -> Contrast:
+    """Compare arms with others, of which some may be the same, or with a constant.
 
     Args:
-        arms: (runs,) finite values of each arm.
-        a: places of arms in `arms`, two or more.
-        b: places of other arms, of which some may be the same; or a number.
+        kind: as in `compare`, or range, of the means of two arms or more.
+        a: finite values by condition; one condition, unless the kind is range.
+        b: the same, or a constant.
         level: of the simultaneous interval.
     """
-    values = [finite(arm) for arm in arms]
-    constant = isinstance(b, int | float)
-    of_b: Sequence[int] = [] if isinstance(b, int | float) else b
-    seeds = values[a[0]].size, values[of_b[0]].size if of_b else 0
-    if reason := intervals.why_none(*values):
-        return Contrast(seeds=seeds, reason=reason)
-    means = np.array([arm.mean() for arm in values])
-    errors = np.array([arm.var(ddof=1) / arm.size for arm in values])
-    weights = _steps(a, len(values))[:, None] - _steps(of_b, len(values))[None]  # (steps of a, of b, arms)
-    value = float(b) if isinstance(b, int | float) else 0.0
-    effect, squares = weights @ means - value, weights**2 @ errors
-    below = weights**4 @ (errors**2 / [arm.size - 1 for arm in values])
-    freedom = np.divide(squares**2, below, out=np.ones_like(squares), where=below > 0)
-    ends = partial(_range_ends, effect, np.sqrt(squares), freedom)
-    ranges = float(np.ptp(means[[*a]])), value if constant else float(np.ptp(means[[*of_b]]))
-    return _contrast(float(effect.min(axis=1).max()), ends, level, seeds, ranges)
+    first_sizes = [runs.size for runs in a.values()]
+    other_sizes = [] if isinstance(b, float) else [runs.size for runs in b.values()]
+    seeds = first_sizes[0], other_sizes[0] if other_sizes else 0
+    if 0 in first_sizes + other_sizes:
+        return Contrast(seeds=seeds, reason="an arm has no runs")
+    means, interval_at = KINDS[kind](a, b)
+    interval = interval_at(intervals.LEVEL)
+    return Contrast(
+        effect=means[0] - means[1],
+        interval=interval,
+        simultaneous=interval_at(level),
+        seeds=seeds,
+        means=means,
+        reason=interval.reason,
+    )
 
 
-def _steps(places: Sequence[int], arms: int) -> np.ndarray:
-    """Return the weights of every step from one arm to another, (steps, arms); one of nothing for no arms."""
-    unit = np.eye(arms)
-    every = [unit[i] - unit[j] for i, j in permutations(places, 2)]
-    return np.array(every or [np.zeros(arms)])
+# --- Kinds -----------------------------------------------------------------------------------------
 
 
-def _range_ends(effect: np.ndarray, error: np.ndarray, freedom: np.ndarray, level: float) -> Interval:
-    half = [error * special.stdtrit(freedom, 1 - (1 - level) / 2 / steps) for steps in effect.shape]
-    low, high = (effect - half[0]).min(axis=1).max(), (effect + half[1]).max(axis=0).min()
-    return Interval(float(low), float(high), "steps by Welch t")
+def _compare_means(a: Arms, b: Arms | float) -> tuple[Means, AtLevel]:
+    (first,) = a.values()
+    if isinstance(b, float):
+        return (float(first.mean()), b), lambda level: intervals.mean_interval(first, level).less(b)
+    (second,) = b.values()
+    means = float(first.mean()), float(second.mean())
+    return means, lambda level: intervals.difference_interval(first, second, level)
 
 
-def _contrast(
-    effect: float,
-    ends: Callable[[float], Interval],
-    level: float,
-    seeds: tuple[int, int],
-    means: tuple[float, float],
-) -> Contrast:
-    interval = ends(intervals.LEVEL)
-    return Contrast(effect, interval, ends(level), seeds, means, interval.reason)
+def _compare_spreads(a: Arms, b: Arms | float) -> tuple[Means, AtLevel]:
+    assert not isinstance(b, float)
+    (first,), (second,) = a.values(), b.values()
+    means = float(intervals.distances(first).mean()), float(intervals.distances(second).mean())
+    return means, lambda level: intervals.spread_interval(first, second, level)
+
+
+def _compare_shares(a: Arms, b: Arms | float) -> tuple[Means, AtLevel]:
+    (first,) = a.values()
+    count, runs = _count(first), first.size
+    if isinstance(b, float):
+        return (count / runs, b), lambda level: intervals.incidence_interval(count, runs, level).less(b)
+    (second,) = b.values()
+    other = _count(second)
+    return (count / runs, other / second.size), lambda level: intervals.incidence_difference_interval(
+        count, runs, other, second.size, level
+    )
 
 
 def _count(runs: np.ndarray) -> int:
     if not np.isin(runs, (0, 1)).all():
         raise ValueError("an incidence is of values 0 or 1")
     return int(runs.sum())
+
+
+def _compare_ranges(a: Arms, b: Arms | float) -> tuple[Means, AtLevel]:
+    """Compare the range of the means of some arms, best less worst, with that of others or with a constant.
+
+    The range of a is above that of b by more than d exactly if some step from one of a's arms to another is
+    above every step of b's by more than d. Each pair of steps has Welch's interval, corrected for the number
+    of steps that are tried; of all steps of b the widest counts (Berger 1982), and of a the farthest.
+    """
+    arms = {**a, **({} if isinstance(b, float) else b)}
+    constant = b if isinstance(b, float) else 0.0
+    other_range = b if isinstance(b, float) else _range(b)
+    means = _range(a), other_range
+    if reason := intervals.why_none(*arms.values()):
+        return means, lambda level: no_interval(reason)
+    steps_of_a = [*permutations(a, 2)]
+    steps_of_b = [("", "")] if isinstance(b, float) else [*permutations(b, 2)]
+    estimates = [[_step_difference(arms, step, other) for other in steps_of_b] for step in steps_of_a]
+    effect, error, freedom = np.moveaxis(np.array(estimates), -1, 0)  # each (steps of a, steps of b)
+
+    def interval_at(level: float) -> Interval:
+        tail = (1 - level) / 2
+        lower_ends = effect - error * special.stdtrit(freedom, 1 - tail / len(steps_of_a))
+        upper_ends = effect + error * special.stdtrit(freedom, 1 - tail / len(steps_of_b))
+        low, high = lower_ends.min(axis=1).max(), upper_ends.max(axis=0).min()
+        return Interval(float(low), float(high), "steps by Welch t").less(constant)
+
+    return means, interval_at
+
+
+def _range(arms: Arms) -> float:
+    means = [float(runs.mean()) for runs in arms.values()]
+    return max(means) - min(means)
+
+
+def _step_difference(arms: Arms, step: tuple[str, str], other: tuple[str, str]) -> tuple[float, float, float]:
+    """Return a step between two arms less another step, which may be empty: see `weighted_sum`."""
+    weights = dict.fromkeys(arms, 0.0)
+    for (end, start), sign in ((step, 1.0), (other, -1.0)):
+        if end:
+            weights[end] += sign
+            weights[start] -= sign
+    return weighted_sum(arms, weights)
+
+
+def weighted_sum(arms: Arms, weights: Mapping[str, float]) -> tuple[float, float, float]:
+    """Return a weighted sum of means, its standard error, and Satterthwaite's degrees of freedom."""
+    effect = variance = below = 0.0
+    for name, weight in weights.items():
+        runs = arms[name]
+        part = weight**2 * runs.var(ddof=1) / runs.size
+        effect += weight * runs.mean()
+        variance += part
+        below += part**2 / (runs.size - 1)
+    freedom = variance**2 / below if below > 0 else 1.0
+    return effect, math.sqrt(variance), freedom
+
+
+KINDS: Mapping[str, Callable[[Arms, Arms | float], tuple[Means, AtLevel]]] = {
+    "mean": _compare_means,
+    "spread": _compare_spreads,
+    "incidence": _compare_shares,
+    "range": _compare_ranges,
+}
+"""How each kind of contrast is made: the two numbers that are compared, and the interval at a level."""

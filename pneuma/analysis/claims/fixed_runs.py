@@ -1,32 +1,37 @@
-"""The runs that claims fix: in a world, found by their ids → arms; and of a study, as a preset to train.
+"""The runs that claims fix, found by configuration, seed and steps; and of a study, as a preset to train.
 
-An arm has one value per run, or says why its runs cannot be compared.
+An arm has one value per run, or the reason why its runs cannot be compared.
 """
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 
-from pneuma.analysis.claims.claim_list import MINUS, Claim, ClaimList, load_claims
+from pneuma.analysis.claims.claim_list import Claim, ClaimList, load_claims
 from pneuma.analysis.intervals import mean_interval
-from pneuma.analysis.outcomes import MIN_CPU_SHARE, find_outcome, have_one_return, is_return, outcome, reason
+from pneuma.analysis.outcomes import (
+    MIN_CPU_SHARE,
+    find_outcome,
+    is_return,
+    outcome,
+    reason,
+    unit_of_return,
+)
 from pneuma.analysis.run_index import RunIndex
-from pneuma.analysis.runs import find_runs, finished_rows
-from pneuma.analysis.study_data import StudyData
-from pneuma.config import round_up
+from pneuma.config import Run, round_up
 from pneuma.errors import UserError
 from pneuma.presets import world_option
-from pneuma.study.plan import Selection
+from pneuma.study.identity import config_id
+from pneuma.study.plan import configure
 from pneuma.study.provenance import processors
 from pneuma.study.rows import Row
 from pneuma.study.shipped import CLAIMS_FILE
 from pneuma.study.spec import CLAIMS, Amount, Preset, Study, results_words
+from pneuma.study.store import FINISHED
 from pneuma.values import shown_seeds
 
 TRAIN_WITH = "train with:"
@@ -57,143 +62,147 @@ class ClaimRuns:
     """The runs that a claim fixed in one world.
 
     Attributes:
-        data: its conditions, as its study has them in the world, and their finished runs; there may be none.
-        fix: the end of a reason if runs are missing, with the command that trains them.
-        damaged: published tables that could not be read, and may contain them.
+        configurations: of each condition that is compared.
+        rows: their finished runs, in the order of seeds; there may be none.
+        remedy: the end of a reason if runs are missing, with the command that trains them.
     """
 
     claim: Claim
     world: str
-    data: StudyData
-    fix: str
-    damaged: Sequence[str]
+    configurations: Mapping[str, Run]
+    rows: Mapping[str, Sequence[Row]]
+    remedy: str
+    problems: Sequence[str] = ()
 
     @property
     def commits(self) -> tuple[str, ...]:
         """The commits of the code that trained them."""
-        origins = [run.provenance for name in self.claim.compared for run in self.found(name)]
+        origins = [row.provenance for rows in self.rows.values() for row in rows]
         return tuple(sorted({str(origin.get("commit")).removesuffix("-dirty") for origin in origins}))
 
     def budget(self, condition: str) -> int:
-        return round_up(self.data.configurations[condition], self.claim.steps[condition])
+        return round_up(self.configurations[condition], self.claim.steps)
 
-    def found(self, condition: str) -> list[Row]:
-        return self.data.of_condition(condition)
-
-    def why_incomparable(self, outcome: str, names: Sequence[str]) -> str:
-        """Return why arms cannot be compared, before any value is read; empty if they can."""
-        if any(len({*names} & {*group}) > 1 for group in self.data.same):
-            return f"A/A: {' and '.join(names)} resolve to the same configuration"
-        engines = [self.data.configurations[name].engine for name in names]
+    def why_incomparable(self, name: str, conditions: Sequence[str]) -> str:
+        """Return why arms cannot be compared by an outcome, before any value is read; empty if they can."""
+        if len({config_id(self.configurations[condition]) for condition in conditions}) < len(conditions):
+            return f"A/A: {' and '.join(conditions)} resolve to the same configuration"
+        engines = [self.configurations[condition].engine for condition in conditions]
         if len({*engines}) > 1:
-            mixed = ", ".join(map("{} by {}".format, names, engines))
+            mixed = ", ".join(map("{} by {}".format, conditions, engines))
             return f"engines are mixed: {mixed}"
-        if missing := [*filter(None, map(self._missing, names))]:
-            return "; ".join([*missing, self.fix])
-        parts = outcome.split(MINUS)
-        if any(map(is_return, parts)) and not have_one_return(self.data, names):
+        missing = [text for text in map(self._missing, conditions) if text]
+        if missing:
+            return "; ".join([*missing, self.remedy])
+        rows = [row for condition in conditions for row in self.rows[condition]]
+        if is_return(name) and len({unit_of_return(row) for row in rows}) > 1:
             return "returns of unlike rewards"
-        timed = any(find_outcome(part).source == "times" for part in parts)
-        return self._machines(names) if timed else ""
+        return _why_not_timed(rows) if find_outcome(name).source == "times" else ""
 
     def _missing(self, condition: str) -> str:
-        fixed, found = len(self.claim.seeds[condition]), len(self.found(condition))
-        if found == fixed:
+        fixed, stored = len(self.claim.seeds_of(condition)), len(self.rows[condition])
+        if stored == fixed:
             return ""
-        steps = f"{self.budget(condition):,} steps" + "".join(f" ({problem})" for problem in self.damaged)
-        if found:
-            return f"runs missing: {condition} has {found} of the {fixed} fixed ones with {steps}"
+        steps = f"{self.budget(condition):,} steps"
+        steps += "".join(f" ({problem})" for problem in self.problems)
+        if stored:
+            return f"runs missing: {condition} has {stored} of the {fixed} fixed ones with {steps}"
         return f"no runs: {condition}, {fixed} seeds of {steps}"
 
-    def _machines(self, names: Sequence[str]) -> str:
-        """Return why times cannot be compared (machines differ, or did other work); empty if they can."""
-        rows = [row for name in names for row in self.found(name)]
-        origins = [row.provenance for row in rows]
-        if len({(on, str(origin.get("threads"))) for origin in origins for on in processors(origin)}) > 1:
-            return "timed on different machines"
-        least = min((row.processor_share for row in rows if row.processor_share is not None), default=1.0)
-        return f"timed beside other work: on {least:.0%} of a core" if least < MIN_CPU_SHARE else ""
-
     def arm(self, name: str, condition: str) -> Arm:
-        """Return an arm: the outcome of each run of a condition, whose runs have all finished."""
-        claim, runs, parts, why = self.claim, self.found(condition), name.split(MINUS), ""
-        values = np.subtract.reduce([[outcome(run, part) for run in runs] for part in parts])
-        for run, value in zip(runs, values, strict=True):
-            if not why and np.isnan(value):
-                why = f"{condition} seed {run.seed}: " + next(filter(None, (reason(run, p) for p in parts)))
-        if claim.counts:
-            values = claim.has_event(name, values).astype(float)
+        """Return an arm: an outcome of each run of a condition, whose runs have all finished."""
+        rows = self.rows[condition]
+        values = np.array([outcome(row, name) for row in rows])
+        no_value = ""
+        for row, value in zip(rows, values, strict=True):
+            if np.isnan(value):
+                no_value = f"{condition} seed {row.seed}: {reason(row, name)}"
+                break
+        if self.claim.is_incidence:
+            values = self.claim.has_event(name, values).astype(float)
         # steps to what is never reached are at least those of the run
         values = np.where(np.isinf(values), self.budget(condition), values)
-        return Arm(values, why, _learned(runs))
+        return Arm(values, no_value, _has_learned(rows))
 
 
-def _learned(runs: Sequence[Row]) -> bool | None:
+def _why_not_timed(rows: Sequence[Row]) -> str:
+    """Return why times cannot be compared (machines differ, or did other work); empty if they can."""
+    machines = {
+        (processor, str(row.provenance.get("threads")))
+        for row in rows
+        for processor in processors(row.provenance)
+    }
+    if len(machines) > 1:
+        return "timed on different machines"
+    shares = [row.processor_share for row in rows if row.processor_share is not None]
+    if shares and min(shares) < MIN_CPU_SHARE:
+        return f"timed beside other work: on {min(shares):.0%} of a core"
+    return ""
+
+
+def _has_learned(rows: Sequence[Row]) -> bool | None:
     """Return whether an arm plays better than the random player: its interval of the mean is above it.
 
     Of each run its mean score over all evaluations counts, where 0 is the random player; the greatest score
     would be above 0 by chance alone. None if a run has no score.
     """
-    every = [run.known_evaluations("score")[1] for run in runs]
-    scores = np.array([scores.mean() if len(scores) else np.nan for scores in every])
-    if not np.isfinite(scores).all() or scores.size < 2:
+    means = []
+    for row in rows:
+        _, scores = row.known_evaluations("score")
+        means.append(scores.mean() if len(scores) else np.nan)
+    if not np.isfinite(means).all() or len(means) < 2:
         return None
-    interval = mean_interval(scores, 1 - 2 * FLOOR_LEVEL)
-    return interval.low > 0 if interval.exists else bool(scores.mean() > 0)
+    interval = mean_interval(means, 1 - 2 * FLOOR_LEVEL)
+    return interval.low > 0 if interval.exists else bool(np.mean(means) > 0)
 
 
 # --- Finding runs ----------------------------------------------------------------------------------
 
 
-Wanted = Callable[[Claim, str], bool]
-"""Whether a claim is to be judged in a world."""
-
-
-def find_claim_runs(
-    index: RunIndex, claims: ClaimList, wanted: Wanted = lambda claim, world: True
-) -> Iterator[ClaimRuns]:
-    """Yield the runs of each claim that is asked for, in each of its worlds, in the list's order."""
+def find_claim_runs(index: RunIndex, claims: ClaimList, claim: Claim, world: str) -> ClaimRuns:
+    """Return the finished runs of a claim in one of its worlds."""
+    study = claims.studies[claim.study].in_world(world)
+    configurations = configure(study, {}, claim.compared, index.engine_of).runs
+    rows = {
+        condition: _find_rows(index, run, claim.seeds_of(condition), claim.steps)
+        for condition, run in configurations.items()
+    }
     rest = results_words(index.store.root)
     rest += ["--unpublished"] if index.store.published(shipped=False) else []
-    for claim in claims.claims.values():
-        for world in filter(partial(wanted, claim), claim.worlds):
-            study = claims.studies[claim.study].in_world(world)
-            data = find_runs(index, study, Selection(conditions=claim.compared))
-            commands = _commands(claims, claim, data.study)
-            fix = f"{TRAIN_WITH} {' && '.join(shlex.join([*words, *rest]) for words in commands)}"
-            runs = ClaimRuns(claim, world, data, fix, index.problems)
-            yield replace(runs, data=finished_rows(index, replace(data, runs=_fixed(runs))))
+    commands = [shlex.join([*words, *rest]) for words in training_commands(claims, claim, study)]
+    remedy = f"{TRAIN_WITH} {' && '.join(commands)}"
+    return ClaimRuns(claim, world, configurations, rows, remedy, index.problems)
 
 
-def _fixed(runs: ClaimRuns) -> pd.DataFrame:
-    """Return those of the runs that a claim fixed which are stored, seed by seed."""
-    every = runs.data.runs.sort_values("seed", kind="stable")
-    budgets = {name: runs.budget(name) for name in runs.claim.compared}
-    of_each = zip(every["condition"], every["seed"], every["steps"], strict=True)
-    fixed = [seed in runs.claim.seeds[name] and steps == budgets[name] for name, seed, steps in of_each]
-    return every.loc[fixed]
+def _find_rows(index: RunIndex, run: Run, seeds: Sequence[int], steps: int) -> list[Row]:
+    """Return the rows of a configuration's finished runs of some seeds, in their order."""
+    runs = index.frame.iloc[[*index.places.get(config_id(run), ())]]
+    fixed = runs["seed"].isin(seeds) & (runs["steps"] == round_up(run, steps)) & runs["status"].isin(FINISHED)
+    run_ids = runs[fixed].sort_values("seed", kind="stable")["run_id"]
+    rows = [index.row(run_id) for run_id in run_ids]
+    return [row for row in rows if row is not None]
 
 
-def _commands(claims: ClaimList, claim: Claim, study: Study) -> Iterator[list[str]]:
-    """Yield commands, as words, that train a claim's runs: by a preset if the list is beside the study."""
+def training_commands(claims: ClaimList, claim: Claim, study: Study) -> list[list[str]]:
+    """Return commands, as words, that train a claim's runs: by a preset if the list is beside the study."""
     words = ["pneuma", "study", "run", study.own_path or study.name]
     world = world_option(study.world, study.worlds)
     if study.path and claims.path.resolve() == (study.path.parent / CLAIMS_FILE).resolve():
-        alike = [
-            one
-            for one in claims.claims.values()
-            if (one.study, study.world in one.worlds) == (claim.study, True)
-        ]
-        several = len({steps for one in alike for steps in one.steps.values()}) > 1
-        for steps in sorted({*claim.steps.values()}) if several else [0]:
-            yield [*words, "--preset", CLAIMS, *world, *(["--steps", str(steps)] if steps else [])]
-        return
-    amounts: dict[tuple[str, int], list[str]] = {}
-    for name in claim.conditions:
-        amounts.setdefault((shown_seeds(claim.seeds[name]), claim.steps[name]), []).append(name)
-    for (seeds, steps), names in amounts.items():
-        conditions = [word for name in names for word in ("--condition", name)]
-        yield [*words, *world, *conditions, "--seeds", seeds, "--steps", str(steps)]
+        budgets = {
+            other.steps
+            for other in claims.claims.values()
+            if other.study == claim.study and study.world in other.worlds
+        }
+        steps = ["--steps", str(claim.steps)] if len(budgets) > 1 else []
+        return [[*words, "--preset", CLAIMS, *world, *steps]]
+    conditions_by_seeds: dict[str, list[str]] = {}
+    for condition in claim.conditions:
+        options = conditions_by_seeds.setdefault(shown_seeds(claim.seeds_of(condition)), [])
+        options += ["--condition", condition]
+    return [
+        [*words, *world, *options, "--seeds", seeds, "--steps", str(claim.steps)]
+        for seeds, options in conditions_by_seeds.items()
+    ]
 
 
 # --- The preset `claims`: runs to train ----------------------------------------------------------------
@@ -208,36 +217,40 @@ def with_claims(study: Study, steps: int | None = None) -> Study:
     Raises:
         UserError: when no claim is about the study, or several budgets are possible.
     """
-    found = fixed_amounts(study)
-    if not found:
+    amounts = fixed_amounts(study)
+    if not amounts:
         raise UserError(
             f"--preset {CLAIMS}: no {CLAIMS_FILE} beside study {study.name} has a claim on it in this world"
         )
-    if len(found) > 1 and steps is None:
-        budgets = " or ".join(f"{each:,}" for each in found)
+    if len(amounts) > 1 and steps is None:
+        budgets = " or ".join(f"{budget:,}" for budget in amounts)
         raise UserError(f"--preset {CLAIMS}: claims fix runs of {budgets} steps: say which with --steps")
-    every = {name: preset for each in found.values() for name, preset in each.items()}
-    steps = steps or next(iter(found))
-    preset = Preset.model_construct(seeds=(), steps=steps, conditions=found.get(steps, every))
+    steps = steps or next(iter(amounts))
+    conditions: dict[str, Amount] = {}
+    for by_condition in [amounts[steps]] if steps in amounts else amounts.values():
+        conditions |= by_condition
+    preset = Preset.model_construct(seeds=(), steps=steps, conditions=conditions)
     return study.model_copy(update={"presets": {**study.presets, CLAIMS: preset}})
 
 
 def fixed_amounts(study: Study) -> dict[int, dict[str, Amount]]:
     """Return seeds and steps of each condition by number of steps; empty if no claim is about the study."""
-    if study.path is None or not (beside := study.path.parent / CLAIMS_FILE).exists():
+    path = study.path and study.path.parent / CLAIMS_FILE
+    if study.path is None or path is None or not path.exists():
         return {}
-    found: dict[int, dict[str, set[int]]] = {}
-    for claim in load_claims(beside).claims.values():
-        own = (beside.parent / claim.study).resolve() == study.path.resolve()
-        shipped = study.own_path is None and claim.study == study.path.stem
-        if (own or shipped) and study.world in claim.worlds:
-            for condition, seeds in claim.seeds.items():
-                found.setdefault(claim.steps[condition], {}).setdefault(condition, set()).update(seeds)
-    return {
-        steps: {
-            name: Amount.model_construct(seeds=tuple(sorted(seeds_of[name])), steps=steps)
-            for name in study.conditions
-            if name in seeds_of
-        }
-        for steps, seeds_of in found.items()
-    }
+    seeds: dict[int, dict[str, set[int]]] = {}
+    for claim in load_claims(path).claims.values():
+        is_file = (path.parent / claim.study).resolve() == study.path.resolve()
+        is_shipped = study.own_path is None and claim.study == study.path.stem
+        if (is_file or is_shipped) and study.world in claim.worlds:
+            by_condition = seeds.setdefault(claim.steps, {})
+            for condition in claim.conditions:
+                by_condition.setdefault(condition, set()).update(claim.seeds_of(condition))
+    amounts: dict[int, dict[str, Amount]] = {}
+    for steps, by_condition in seeds.items():
+        amounts[steps] = {}
+        for condition in study.conditions:
+            if condition in by_condition:
+                fixed = tuple(sorted(by_condition[condition]))
+                amounts[steps][condition] = Amount.model_construct(seeds=fixed, steps=steps)
+    return amounts

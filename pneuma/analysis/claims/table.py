@@ -1,11 +1,10 @@
 """The table of contrasts: one row for each claim, world, outcome and pair of arms.
 
-    ClaimList → [ClaimContrast], planned here before any run; `verdicts.py` fills in what the runs show
+    ClaimList → [ClaimContrast], planned here before any run; `verdicts.py` adds what the runs show
 
-Every verdict, the design check, pages and pictures are views of these rows. The plan says how near the seeds
-can tell the effect: the half width that the simultaneous interval is expected to have, which must not exceed
-the margin. It is the interval of arms that have so many runs, spread normally as the pilot's, and do not
-differ, made by the code that makes the real intervals.
+Every verdict, the design check, pages and pictures are views of these rows. The plan has the half width that
+the simultaneous interval is expected to have, which must not exceed the margin. It is the interval of arms
+that have so many runs, spread normally as the pilot's, and do not differ, made by the code of real intervals.
 """
 
 from __future__ import annotations
@@ -17,11 +16,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import special
 
-from pneuma.analysis.claims.claim_list import Arms, Claim, ClaimList
+from pneuma.analysis.claims.claim_list import Claim, ClaimList
 from pneuma.analysis.claims.contrasts import Contrast, compare_arms
 
 UNKNOWN_SHARE = 0.5
-"""The share of runs with an event if no pilot tells it: where shares vary most."""
+"""The share of runs with an event if the pilot has none: where shares vary most."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +45,8 @@ class ClaimContrast:
     claim: Claim
     world: str
     outcome: str
-    a: Arms
-    b: Arms
+    a: tuple[str, ...]
+    b: tuple[str, ...]
     planned: tuple[int, ...] = ()
     alpha: float = 1.0
     spread: float | None = None
@@ -61,12 +60,16 @@ class ClaimContrast:
 
     @property
     def margin(self) -> float | None:
-        return self.claim.number("margin", self.world, self.outcome)
+        return self.claim.margin_of(self.world, self.outcome)
 
     @property
     def value(self) -> float:
         """The constant that arm a is compared with; 0 if there is none."""
-        return float(self.claim.number("value", self.world, self.outcome) or 0)
+        return self.claim.value_of(self.world, self.outcome) or 0.0
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys((*self.a, *self.b)))
 
     @property
     def names(self) -> tuple[str, str]:
@@ -74,31 +77,34 @@ class ClaimContrast:
         return ", ".join(self.a), ", ".join(self.b) or f"{self.value:g}"
 
     @property
-    def seen(self) -> bool:
-        """Whether its runs were seen before the claim was stated: a description, and no test."""
-        return self.claim.seen
-
-    @property
     def has_effect(self) -> bool:
         return math.isfinite(self.contrast.effect)
+
+    def compare(self, values: Mapping[str, np.ndarray]) -> Contrast:
+        """Return the contrast of runs, (runs,) of each condition."""
+        a = {name: values[name] for name in self.a}
+        b = {name: values[name] for name in self.b} or self.value
+        return compare_arms(self.claim.kind, a, b, 1 - self.alpha)
 
 
 def plan_contrasts(claims: ClaimList) -> list[ClaimContrast]:
     table: list[ClaimContrast] = []
     for claim in claims.claims.values():
         for world in claim.worlds:
-            alpha, seeds = claims.head.alpha / claims.contrasts(world), claim.seeds
-            rows = [
-                ClaimContrast(
-                    claim, world, outcome, a, b, tuple(len(seeds[name]) for name in (*a, *b)), alpha
-                )
-                for outcome in claim.outcome
-                for a, b in claim.pairs
-            ]
-            rows = [_with_half_width(row, _spread(claims, row)) for row in rows]
-            refused = _why_refused(rows) if claims.pilot else ""
-            table += [replace(row, refused=refused) for row in rows]
+            table += plan_claim(claims, claim, world)
     return table
+
+
+def plan_claim(claims: ClaimList, claim: Claim, world: str) -> list[ClaimContrast]:
+    alpha = claims.head.alpha / claims.contrasts(world)
+    rows: list[ClaimContrast] = []
+    for outcome in claim.outcome:
+        for a, b in claim.pairs:
+            planned = tuple(len(claim.seeds_of(name)) for name in (*a, *b))
+            row = ClaimContrast(claim, world, outcome, a, b, planned, alpha)
+            rows.append(_with_half_width(row, _spread(claims, row)))
+    refused = _why_refused(rows) if claims.pilot else ""
+    return [replace(row, refused=refused) for row in rows]
 
 
 def _why_refused(rows: Sequence[ClaimContrast]) -> str:
@@ -106,41 +112,40 @@ def _why_refused(rows: Sequence[ClaimContrast]) -> str:
 
     All of them must be if the claim needs all, and runs that were seen are described however few they are.
     """
+    claim = rows[0].claim
     undecidable = {row.outcome for row in rows if row.why_undecidable}
-    few = undecidable < {row.outcome for row in rows} if rows[0].claim.need == "one" else not undecidable
-    if few or rows[0].claim.seen:
+    is_admitted = undecidable < {*claim.outcome} if claim.need == "one" else not undecidable
+    if is_admitted or claim.seen:
         return ""
     return "; ".join(dict.fromkeys(row.why_undecidable for row in rows if row.why_undecidable))
 
 
 def _spread(claims: ClaimList, row: ClaimContrast) -> float | None:
-    spreads = claims.pilot.spreads.get(row.world, {}) if claims.pilot else {}
-    named = f"{row.outcome} {row.claim.event(row.outcome)}".strip()
-    known = row.claim.number("spread", row.world, row.outcome) or spreads.get(named)
-    return UNKNOWN_SHARE if row.claim.counts and known is None else known
+    spread = row.claim.spread_of(row.world, row.outcome)
+    if spread is None and claims.pilot:
+        name = f"{row.outcome} {row.claim.event(row.outcome)}".strip()
+        spread = claims.pilot.spreads.get(row.world, {}).get(name)
+    return UNKNOWN_SHARE if row.claim.is_incidence and spread is None else spread
 
 
 def _with_half_width(row: ClaimContrast, spread: float | None) -> ClaimContrast:
     """Return a row with the half width that its interval is expected to have, and if that is too wide why."""
     if spread is None:
         return replace(row, why_undecidable=f"no pilot has a spread of {row.outcome}")
-    expected = _expected(row, spread)
+    sample = _share if row.claim.is_incidence else _normal
+    names = (*row.a, *row.b)
+    expected = row.compare(
+        {name: sample(runs, spread) for name, runs in zip(names, row.planned, strict=True)}
+    )
     if expected.reason:
         return replace(row, spread=spread, why_undecidable=expected.reason)
-    half, reason = (expected.simultaneous.high - expected.simultaneous.low) / 2, ""
+    half = (expected.simultaneous.high - expected.simultaneous.low) / 2
+    reason = ""
     if row.margin is None:
         reason = f"no margin of {row.outcome} is stated"
     elif not half <= row.margin:
-        known = f"{sum(row.planned)} runs tell it to ±{half:.3g} only"
-        reason = f"{known}, and the margin is {row.margin:.3g}"
+        reason = f"{sum(row.planned)} runs tell it to ±{half:.3g} only, and the margin is {row.margin:.3g}"
     return replace(row, spread=spread, half_width=half, why_undecidable=reason)
-
-
-def _expected(row: ClaimContrast, spread: float) -> Contrast:
-    """Return the contrast of arms that spread as the pilot's, and do not differ."""
-    sample, level = _share if row.claim.counts else _normal, 1 - row.alpha
-    arms = {name: sample(count, spread) for name, count in zip((*row.a, *row.b), row.planned, strict=True)}
-    return compare_arms(row.claim.kind, arms, row.a, row.b, row.value, level)
 
 
 def _normal(runs: int, spread: float) -> np.ndarray:

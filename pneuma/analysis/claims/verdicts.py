@@ -1,6 +1,6 @@
-"""Judgement: claims and runs → a verdict on every claim in every world.
+"""Claims and runs → a verdict on every claim in every world.
 
-    ClaimList and Store → the table of contrasts with verdicts → [Verdict], one a claim and world
+    ClaimList and Store → the table of contrasts with verdicts → [Verdict], one for each claim and world
 
 Every claim is judged, separately in each world, by exactly the runs that it fixed beforehand. A verdict
 compares the ends of the simultaneous interval, which is printed, with 0 and with the margin; nothing else
@@ -12,15 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from itertools import groupby
 
 import numpy as np
 
-from pneuma.analysis.claims.claim_list import MINUS, Claim, ClaimList
-from pneuma.analysis.claims.contrasts import Contrast, compare_arms
-from pneuma.analysis.claims.fixed_runs import TRAIN_WITH, Arm, ClaimRuns, Wanted, find_claim_runs
-from pneuma.analysis.claims.table import ClaimContrast, plan_contrasts
+from pneuma.analysis.claims.claim_list import Claim, ClaimList
+from pneuma.analysis.claims.contrasts import Contrast
+from pneuma.analysis.claims.fixed_runs import TRAIN_WITH, Arm, ClaimRuns, find_claim_runs
+from pneuma.analysis.claims.table import ClaimContrast, plan_claim
 from pneuma.analysis.intervals import Interval
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.run_index import RunIndex
@@ -28,11 +26,16 @@ from pneuma.study.store import Store
 
 SUPPORTED, REFUTED, MIXED = "supported", "refuted", "mixed"
 INCONCLUSIVE, UNTESTABLE = "inconclusive", "untestable"
+DECIDING_FIRST = (REFUTED, UNTESTABLE, INCONCLUSIVE, SUPPORTED)
+"""Where all of several verdicts must be as claimed, the first of these that one of them has decides."""
 
 RARE = 0.1
 """A share of runs up to which an event counts as none, and its absence likewise."""
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but too small to count"
 """The reason if a claim is refuted although its interval lies wholly on the claimed side of 0."""
+
+Wanted = Callable[[Claim, str], bool]
+"""Whether a claim is to be judged in a world."""
 
 
 @dataclass(frozen=True)
@@ -58,16 +61,18 @@ class Verdict:
         """For each outcome the contrast that decides it, the first one with its verdict; or all pairs."""
         if self.claim.paired:
             return self.contrasts
-        return tuple(
-            next((row for row in rows if row.verdict == verdict_of_outcome(rows)), rows[0])
-            for rows in by_outcome(self.contrasts)
-        )
+        deciding: dict[str, ClaimContrast] = {}
+        for verdict in DECIDING_FIRST:
+            for row in self.contrasts:
+                if row.verdict == verdict:
+                    deciding.setdefault(row.outcome, row)
+        in_order = dict.fromkeys(row.outcome for row in self.contrasts)
+        return tuple(deciding[outcome] for outcome in in_order)
 
     @property
     def run_ids(self) -> list[str]:
-        return list(
-            dict.fromkeys(run_id for row in self.contrasts for ids in row.runs.values() for run_id in ids)
-        )
+        every = [run_id for row in self.contrasts for run_ids in row.runs.values() for run_id in run_ids]
+        return list(dict.fromkeys(every))
 
     @property
     def lacks_runs(self) -> bool:
@@ -78,143 +83,141 @@ def judge(
     claims: ClaimList,
     store: Store,
     stored: bool = True,
-    asked: Wanted = lambda claim, world: True,
+    wanted: Wanted = lambda claim, world: True,
 ) -> list[Verdict]:
-    """Return the verdict on each claim of a list in each of its worlds, or on those that are asked for.
+    """Return the verdict on each claim of a list in each of its worlds, or on those that are wanted.
 
-    The correction is for the planned contrasts of the whole list, whichever are asked for: no data of the
-    others are needed. With `stored = False` only published tables are used.
+    The correction is for the planned contrasts of the whole list, whichever are wanted: no data of the others
+    are needed. With `stored = False` only published tables are used.
     """
-    planned: dict[tuple[str, str], list[ClaimContrast]] = {}
-    for row in plan_contrasts(claims):
-        planned.setdefault((row.claim.name, row.world), []).append(row)
+    index = RunIndex(store, stored, shipped=False)
     verdicts: list[Verdict] = []
-    for runs in find_claim_runs(RunIndex(store, stored, shipped=False), claims, asked):
-        rows, arm = planned[runs.claim.name, runs.world], cache(runs.arm)
-        if rows[0].refused:
-            reason = f"not admitted: {rows[0].refused}"
-            table = tuple(replace(row, verdict=UNTESTABLE, contrast=Contrast(reason=reason)) for row in rows)
-            verdicts.append(Verdict(runs.claim, runs.world, UNTESTABLE, reason, table))
-        else:
-            table = tuple(_judge_contrast(row, runs, arm) for row in rows)
-            verdicts.append(replace(_combine(runs.claim, runs.world, table), commits=runs.commits))
+    for claim in claims.claims.values():
+        for world in claim.worlds:
+            if wanted(claim, world):
+                runs = find_claim_runs(index, claims, claim, world)
+                verdicts.append(judge_claim(plan_claim(claims, claim, world), runs))
     return verdicts
 
 
-def _combine(claim: Claim, world: str, table: tuple[ClaimContrast, ...]) -> Verdict:
-    verdict, reason = combine_outcomes([*map(verdict_of_outcome, by_outcome(table))], claim.need), ""
-    if verdict == UNTESTABLE:  # each part of the reasons once, the command that trains what lacks last
-        parts = dict.fromkeys(part for row in table for part in row.contrast.reason.split("; ") if part)
-        reason = "; ".join(sorted(parts, key=lambda part: part.startswith(TRAIN_WITH)))
-    elif verdict == REFUTED:
-        refuted = [row for row in table if row.verdict == REFUTED]
-        reason = AS_CLAIMED_BUT_SMALL if all(map(_is_as_claimed_but_small, refuted)) else ""
-    return Verdict(claim, world, verdict, reason, table)
+def judge_claim(planned: Sequence[ClaimContrast], runs: ClaimRuns) -> Verdict:
+    """Return the verdict on a claim in one world, given the plan of its contrasts and its runs."""
+    claim, world = runs.claim, runs.world
+    if planned[0].refused:
+        reason = f"not admitted: {planned[0].refused}"
+        refused = [replace(row, verdict=UNTESTABLE, contrast=Contrast(reason=reason)) for row in planned]
+        return Verdict(claim, world, UNTESTABLE, reason, tuple(refused))
+    rows = tuple(_judge_contrast(row, runs) for row in planned)
+    by_outcome: dict[str, list[str]] = {}
+    for row in rows:
+        by_outcome.setdefault(row.outcome, []).append(row.verdict)
+    verdict = combine([all_of(verdicts) for verdicts in by_outcome.values()], claim.need)
+    return Verdict(claim, world, verdict, _reason(verdict, rows), rows, runs.commits)
 
 
-def by_outcome(table: Iterable[ClaimContrast]) -> list[list[ClaimContrast]]:
-    return [list(rows) for _, rows in groupby(table, key=lambda row: row.outcome)]
+def _reason(verdict: str, rows: Sequence[ClaimContrast]) -> str:
+    if verdict == UNTESTABLE:  # each part of the reasons once, the command that trains what is missing last
+        parts = dict.fromkeys(part for row in rows for part in row.contrast.reason.split("; ") if part)
+        return "; ".join(sorted(parts, key=lambda part: part.startswith(TRAIN_WITH)))
+    refuted = [row for row in rows if row.verdict == REFUTED]
+    if verdict == REFUTED and all(map(_is_as_claimed_but_small, refuted)):
+        return AS_CLAIMED_BUT_SMALL
+    return ""
 
 
 def _is_as_claimed_but_small(row: ClaimContrast) -> bool:
     """Return whether an effect is refuted as too small although its interval is on the claimed side of 0."""
     ends, claimed = row.contrast.simultaneous, row.claim.claimed(row.outcome)
-    return (claimed in ("greater", "different") and ends.low > 0) or (
-        claimed in ("less", "different") and ends.high < 0
-    )
+    is_above = claimed in ("greater", "different") and ends.low > 0
+    is_below = claimed in ("less", "different") and ends.high < 0
+    return is_above or is_below
 
 
 # --- Contrasts -----------------------------------------------------------------------------------
 
 
-def _judge_contrast(row: ClaimContrast, runs: ClaimRuns, arm: Callable[[str, str], Arm]) -> ClaimContrast:
-    """Judge one contrast of a claim; it is untestable for a reason."""
-    names = [*dict.fromkeys((*row.a, *row.b))]
-    reason = runs.why_incomparable(row.outcome, names)
-    arms = {} if reason else {name: arm(row.outcome, name) for name in names}
-    if reason := reason or _why_untestable(row, arms):
-        sizes = [arms[name].values.size for name in (*row.a, *row.b) if name in arms] + [0, 0]
-        contrast = Contrast(seeds=(sizes[0], sizes[1]), reason=reason)
-    else:
-        values = {name: own.values for name, own in arms.items()}
-        contrast = compare_arms(row.claim.kind, values, row.a, row.b, row.value, 1 - row.alpha)
-    found = {name: tuple(run.run_id for run in runs.found(name)) for name in names}
-    margin = row.margin if row.b or not row.value else None  # a threshold itself is the least that counts
-    none_learned = _none_learned(row, arms)
-    ends, claimed = contrast.simultaneous, row.claim.claimed(row.outcome)
-    verdict = UNTESTABLE if reason else decide(ends, claimed, margin, alike_counts=not none_learned)
-    return replace(
-        row,
-        contrast=contrast,
-        runs=found,
-        verdict=verdict,
-        none_learned=none_learned and not reason,
-    )
+def _judge_contrast(row: ClaimContrast, runs: ClaimRuns) -> ClaimContrast:
+    row = replace(row, runs={name: tuple(run.run_id for run in runs.rows[name]) for name in row.conditions})
+    reason = runs.why_incomparable(row.outcome, row.conditions)
+    if reason:
+        return replace(row, verdict=UNTESTABLE, contrast=Contrast(reason=reason))
+    arms = {name: runs.arm(row.outcome, name) for name in row.conditions}
+    if reason := _why_untestable(row, arms):
+        sizes = [arms[name].values.size for name in (*row.a, *row.b)] + [0]
+        return replace(row, verdict=UNTESTABLE, contrast=Contrast(seeds=(sizes[0], sizes[1]), reason=reason))
+    contrast = row.compare({name: arm.values for name, arm in arms.items()})
+    # against a constant other than 0 there is no margin: the constant is the least that counts
+    margin = row.margin if row.b or not row.value else None
+    none_learned = _have_none_learned(row, arms)
+    claimed = row.claim.claimed(row.outcome)
+    verdict = decide(contrast.simultaneous, claimed, margin, alike_counts=not none_learned)
+    return replace(row, contrast=contrast, verdict=verdict, none_learned=none_learned)
 
 
 def _why_untestable(row: ClaimContrast, arms: Mapping[str, Arm]) -> str:
     """Return why arms of finished runs decide nothing; empty if they can be compared."""
-    return (
-        next((own.reason for own in arms.values() if own.reason), "")
-        or _at_floor(row, arms)
-        or _at_an_end(row, [*arms.values()])
-    )
+    for arm in arms.values():
+        if arm.reason:
+            return arm.reason
+    for name, arm in arms.items():
+        if find_outcome(row.outcome).requires_learning and arm.learned is False:
+            return f"arm at floor: {name} is not shown to play better than the random player"
+    if len(arms) < 2:
+        return ""
+    return _rare_or_common(arms) if row.claim.is_incidence else _at_an_end(row, arms)
 
 
-def _at_floor(row: ClaimContrast, arms: Mapping[str, Arm]) -> str:
-    """Return why arms cannot be compared by an outcome of runs that learned; empty if they can."""
-    idle = [name for name, arm in arms.items() if arm.learned is False]
-    if idle and any(find_outcome(part).requires_learning for part in row.outcome.split(MINUS)):
-        return f"arm at floor: {idle[0]} is not shown to play better than the random player"
-    return ""
-
-
-def _none_learned(row: ClaimContrast, arms: Mapping[str, Arm]) -> bool:
+def _have_none_learned(row: ClaimContrast, arms: Mapping[str, Arm]) -> bool:
     """Return whether play is compared of arms of which none is shown to play better than the random player.
 
     Such arms may be alike because nothing was learned, so that only a difference between them counts.
     """
-    of_play = _is_of_play(row.outcome) and not row.claim.counts
-    judged = of_play or row.claim.direction in ("equal", "no-less")
-    return judged and len(arms) > 1 and all(arm.learned is False for arm in arms.values())
+    is_of_play = _is_of_play(row.outcome) and not row.claim.is_incidence
+    if not is_of_play and row.claim.direction not in ("equal", "no-less"):
+        return False
+    return len(arms) > 1 and all(arm.learned is False for arm in arms.values())
 
 
-def _at_an_end(row: ClaimContrast, arms: Sequence[Arm]) -> str:
-    """Return the reason if every run of both arms is at the outcome's least or greatest value.
+def _rare_or_common(arms: Mapping[str, Arm]) -> str:
+    """Return the reason if in every arm at most a tenth of the runs have the event, or lack it."""
+    shares = np.array([arm.values.mean() for arm in arms.values()])
+    for end, is_there in (("floor", shares <= RARE), ("ceiling", shares >= 1 - RARE)):
+        if is_there.all():
+            return f"both arms are at the {end}: {RARE:.0%} of the runs or fewer differ"
+    return ""
+
+
+def _at_an_end(row: ClaimContrast, arms: Mapping[str, Arm]) -> str:
+    """Return the reason if every run of all arms is at the outcome's least or greatest value.
 
     Values within the margin of an end count as there; without a margin, the outcome's own tolerance is used.
-    For outcomes that measure play, the floor is decided by the comparison with the random player. Where runs
-    are counted, arms of which at most a tenth have the event, or lack it, are at an end: there is nothing to
-    cure, or to make worse.
+    For outcomes that measure play, the floor is decided by the comparison with the random player.
     """
-    if len(arms) < 2 or MINUS in row.outcome:
-        return ""
-    if row.claim.counts:
-        shares = np.array([arm.values.mean() for arm in arms])
-        ends = {"floor": (shares <= RARE).all(), "ceiling": (shares >= 1 - RARE).all()}
-        reached = [end for end, there in ends.items() if there]
-        return f"both arms are at the {reached[0]}: {RARE:.0%} of the runs or fewer differ" if reached else ""
     measured = find_outcome(row.outcome)
-    near = row.margin or measured.alike
-    known = _is_of_play(row.outcome) and all(arm.learned is not None for arm in arms)
-    values = np.concatenate([arm.values for arm in arms])
-    for end, bound in zip(("floor", "ceiling"), measured.bounds, strict=True):
-        if not (known and end == "floor") and np.isfinite(bound) and (np.abs(values - bound) <= near).all():
-            return f"both arms are at the {end}: every run has a {row.outcome} within {near:.2g} of {bound:g}"
+    tolerance = row.margin or measured.alike
+    values = np.concatenate([arm.values for arm in arms.values()])
+    low, high = measured.bounds
+    ends = {"floor": low, "ceiling": high}
+    if _is_of_play(row.outcome) and all(arm.learned is not None for arm in arms.values()):
+        del ends["floor"]
+    for end, bound in ends.items():
+        if np.isfinite(bound) and (np.abs(values - bound) <= tolerance).all():
+            within = f"within {tolerance:.2g} of {bound:g}"
+            return f"both arms are at the {end}: every run has a {row.outcome} {within}"
     return ""
 
 
 def _is_of_play(outcome: str) -> bool:
     """Return whether a greater outcome means better play."""
-    parts = [find_outcome(part) for part in outcome.split(MINUS)]
-    return all(part.better == "higher" and part.source not in ("times", "signs") for part in parts)
+    measured = find_outcome(outcome)
+    return measured.better == "higher" and measured.source not in ("times", "signs")
 
 
 # --- Decisions -----------------------------------------------------------------------------------
 
 
 def decide(ends: Interval, claimed: str, margin: float | None, alike_counts: bool = True) -> str:
-    """Return what an interval of a less b says of a claimed direction.
+    """Return the verdict of an interval of a minus b on a claimed direction.
 
     A difference is shown to be too small if the whole interval is nearer to 0 than the margin. That refutes
     a claim of a difference also where the interval lies on the claimed side of 0. Without an interval nothing
@@ -222,42 +225,41 @@ def decide(ends: Interval, claimed: str, margin: float | None, alike_counts: boo
     """
     if not ends.exists:
         return INCONCLUSIVE
-    near = margin is not None and -margin < ends.low and ends.high < margin and alike_counts
-    far_above, far_below = (
-        margin is not None and ends.low > margin,
-        margin is not None and ends.high < -margin,
-    )
-    shown = {
-        "greater": (ends.low > 0, ends.high < 0 or near),
-        "less": (ends.high < 0, ends.low > 0 or near),
-        "different": (ends.low > 0 or ends.high < 0, near),
-        "equal": (near, far_above or far_below),
-        "no-less": (margin is not None and ends.low > -margin and alike_counts, far_below),
-    }
-    supported, refuted = shown[claimed]
-    return REFUTED if refuted else SUPPORTED if supported else INCONCLUSIVE
+    # without a margin, no interval lies within it or beyond it
+    within = margin is not None and -margin < ends.low and ends.high < margin and alike_counts
+    far_above = margin is not None and ends.low > margin
+    far_below = margin is not None and ends.high < -margin
+    no_less = margin is not None and ends.low > -margin and alike_counts
+    is_above, is_below = ends.low > 0, ends.high < 0
+    holds, fails = {
+        "greater": (is_above, is_below or within),
+        "less": (is_below, is_above or within),
+        "different": (is_above or is_below, within),
+        "equal": (within, far_above or far_below),
+        "no-less": (no_less, far_below),
+    }[claimed]
+    if fails:
+        return REFUTED
+    return SUPPORTED if holds else INCONCLUSIVE
 
 
-def verdict_of_outcome(rows: Sequence[ClaimContrast]) -> str:
-    """Return the verdict on one outcome: all its contrasts must be as claimed; one that is not refutes."""
-    verdicts = [row.verdict for row in rows]
-    for decides in (REFUTED, UNTESTABLE, INCONCLUSIVE):
-        if decides in verdicts:
-            return decides
-    return SUPPORTED
+def all_of(verdicts: Iterable[str]) -> str:
+    """Return the verdict where all must be as claimed: one that is refuted refutes."""
+    return min(verdicts, key=DECIDING_FIRST.index)
 
 
-def combine_outcomes(verdicts: Sequence[str], need: str = "one") -> str:
+def combine(verdicts: Sequence[str], need: str = "one") -> str:
     """Return the verdict on a claim, given those on its outcomes.
 
     If it needs one, one outcome that is as claimed supports it unless another is not, which makes it mixed;
-    and in the opposite case it is refuted. If it needs all, one that is not as claimed refutes it. An outcome
-    that cannot be tested decides nothing. A verdict is false only if that on one of the outcomes is.
+    and in the opposite case it is refuted. An outcome that cannot be tested then decides nothing. A verdict
+    is false only if that on one of the outcomes is.
     """
-    tested = [verdict for verdict in verdicts if verdict != UNTESTABLE]
-    if not tested or (need == "all" and UNTESTABLE in verdicts and REFUTED not in verdicts):
-        return UNTESTABLE
     if need == "all":
-        return REFUTED if REFUTED in tested else SUPPORTED if {*tested} == {SUPPORTED} else INCONCLUSIVE
-    decided = {*tested} - {INCONCLUSIVE}
-    return MIXED if len(decided) == 2 else next(iter(decided), INCONCLUSIVE)
+        return all_of(verdicts)
+    if SUPPORTED in verdicts and REFUTED in verdicts:
+        return MIXED
+    for decisive in (SUPPORTED, REFUTED, INCONCLUSIVE):
+        if decisive in verdicts:
+            return decisive
+    return UNTESTABLE

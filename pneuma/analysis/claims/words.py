@@ -2,7 +2,7 @@
 
     [Verdict] → `verdict_table`, which pages, pictures, the report and `pneuma study verify` print alike
 
-`docs/claims.md` says how the words come from what the judge decides.
+`docs/claims.md` explains how the words come from what the judge decides.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from textwrap import shorten
 
 import pandas as pd
 
-from pneuma.analysis.claims.claim_list import MINUS, Arms, Claim
+from pneuma.analysis.claims.claim_list import Claim
 from pneuma.analysis.claims.table import ClaimContrast
 from pneuma.analysis.claims.verdicts import (
     INCONCLUSIVE,
@@ -56,7 +56,7 @@ _PLAIN_REASONS = {
 }
 """The beginnings of the judge's reasons, where they need a glossary."""
 
-_SAID = {
+_OUTCOME_NAMES = {
     "final-return": "return",
     "auc-return": "return over training",
     "final-share-killed": "kills",
@@ -77,16 +77,18 @@ _SAID = {
     "low-entropy-share above 0.05": "runs without entropy",
     "log-max-kl": "largest change of policy (KL)",
     "early-explained-variance": "variance that the critic explains at first",
-    "steps-to:0.23": "steps to 23 % of the monsters",
-    "steps-to:0.34": "steps to 34 % of the monsters",
-    "steps-to:0.43": "steps to 43 % of the monsters",
-    "steps-to:0.47": "steps to 47 % of the monsters",
 }
-"""Outcomes in fewer words than `OUTCOMES` has."""
-_OF_KIND = {"spread": "spread of {}", "range": "range of {}"}
+"""Outcomes and events in fewer words than `OUTCOMES` has."""
 MOST_LOG = 23.0
-"""Factors above ten thousand million are told as infinite."""
+"""Factors above ten thousand million are shown as infinite."""
 _LOGARITHMS = ("grad-norm-growth", "log-max-grad-norm", "log-max-kl")
+
+LONGEST_SENTENCE = 160
+_SUBSCRIPTS = str.maketrans("012t", "₀₁₂ₜ")
+_SYMBOLS = {"tanh": "tanh ", "beta": "β", "nabla": "∇", "vartheta": "ϑ", "leq": "≤ ", "|": "‖"}
+
+ByClaim = Mapping[str, Mapping[str, Verdict]]
+"""Verdicts by claim and world."""
 
 
 def verdicts_by_claim(verdicts: Iterable[Verdict]) -> dict[str, dict[str, Verdict]]:
@@ -95,77 +97,83 @@ def verdicts_by_claim(verdicts: Iterable[Verdict]) -> dict[str, dict[str, Verdic
     Those of a claim that is like another stand with the other's.
     """
     grouped: dict[str, dict[str, Verdict]] = {}
-    for one in sorted(verdicts, key=lambda one: [*map(int, re.findall(r"\d+", one.claim.section))]):
-        grouped.setdefault(one.claim.row, {})[one.world] = one
+    for verdict in sorted(verdicts, key=_section_numbers):
+        grouped.setdefault(verdict.claim.row, {})[verdict.world] = verdict
     return grouped
+
+
+def _section_numbers(verdict: Verdict) -> list[int]:
+    return [int(number) for number in re.findall(r"\d+", verdict.claim.section)]
 
 
 def first_claim(name: str, judged: Mapping[str, Verdict]) -> Claim:
     """Return the claim of a row: the one that others are like, or the first of these without it."""
-    of_row = [one.claim for one in judged.values()]
-    return next((claim for claim in of_row if claim.name == name), of_row[0])
+    claims = {verdict.claim.name: verdict.claim for verdict in judged.values()}
+    return claims.get(name) or next(iter(claims.values()))
 
 
-def worlds_of(claims: Mapping[str, Mapping[str, Verdict]]) -> dict[str, str]:
+def worlds_of(claims: ByClaim) -> dict[str, str]:
     """Return the names of the worlds in which claims were judged; statements of one's own may have none."""
-    judged = {world: one.claim for worlds in claims.values() for world, one in worlds.items()}
-    if len(judged) == 1 and not any(claim.quote for claim in judged.values()):
-        return dict.fromkeys(judged, "verdict")
-    return {world: WORLD_NAMES[world] for world in WORLDS if world in judged}
+    verdicts = [verdict for judged in claims.values() for verdict in judged.values()]
+    judged_in = {verdict.world for verdict in verdicts}
+    if len(judged_in) == 1 and not any(verdict.claim.quote for verdict in verdicts):
+        return dict.fromkeys(judged_in, "verdict")
+    return {world: WORLD_NAMES[world] for world in WORLDS if world in judged_in}
 
 
-def count_words(claims: Mapping[str, Mapping[str, Verdict]]) -> pd.DataFrame:
+def count_words(claims: ByClaim) -> pd.DataFrame:
     """Return how many claims have each word, a row for each world."""
     rows = []
-    for world, called in worlds_of(claims).items():
-        counts = Counter(word(worlds[world]) for worlds in claims.values() if world in worlds)
-        rows.append([called, *(counts[each] for each in WORDS)])
+    for world, name in worlds_of(claims).items():
+        counts = Counter(word(judged[world]) for judged in claims.values() if world in judged)
+        rows.append([name, *(counts[one] for one in WORDS)])
     return pd.DataFrame(rows, columns=["", *WORDS])
 
 
-def verdict_table(claims: Mapping[str, Mapping[str, Verdict]], whole: bool = False) -> pd.DataFrame:
+def verdict_table(claims: ByClaim, whole: bool = False) -> pd.DataFrame:
     """Return a row for each claim: section, sentence and arms, and for each world the word and effects.
 
     With `whole`, sentences are not shortened.
     """
-    columns, rows, quoted = worlds_of(claims), [], set()
+    worlds = worlds_of(claims)
+    rows: list[list[str]] = []
+    quoted: set[str] = set()
     for name, judged in claims.items():
         claim = first_claim(name, judged)
         quote = f"“{sentence(claim) if whole else short_sentence(claim)}”" if claim.quote else name
-        shown = claim.context if quote in quoted and claim.context else quote
+        heading = claim.context if quote in quoted and claim.context else quote
         quoted.add(quote)
-        rows.append(
-            [
-                claim.section,
-                f"{shown}\n{arms_in_words(claim)}",
-                *(cell(judged.get(world)) for world in columns),
-            ]
-        )
-    heads = ["Section", "The thesis's sentence" if quoted - {*claims} else "Claim", *columns.values()]
-    return pd.DataFrame(rows, columns=heads)
+        cells = [cell(judged.get(world)) for world in worlds]
+        rows.append([claim.section, f"{heading}\n{arms_in_words(claim)}", *cells])
+    heading = "The thesis's sentence" if quoted - {*claims} else "Claim"
+    return pd.DataFrame(rows, columns=["Section", heading, *worlds.values()])
+
+
+# --- One verdict -----------------------------------------------------------------------------------
 
 
 def cell(verdict: Verdict | None) -> str:
     """Return a verdict's word, and in the next lines its effects, or why there are none."""
-    return "–" if verdict is None else "\n".join(filter(None, (word(verdict), text(verdict))))
-
-
-# --- One verdict -----------------------------------------------------------------------------------
+    return "–" if verdict is None else "\n".join([word(verdict), *lines(verdict)])
 
 
 def word(verdict: Verdict) -> str:
     return _WORD_OF[verdict.verdict]
 
 
-def text(verdict: Verdict) -> str:
-    """Return the effect of each outcome, if any was tested, and what must be said beside or instead."""
-    tested = [row for row in verdict.deciding if row.has_effect and word(verdict) != NOT_TESTED]
-    idle = "none plays better than at random" if any(row.none_learned for row in tested) else ""
-    return "\n".join(filter(None, (*map(effect, tested), idle, why(verdict))))
+def lines(verdict: Verdict) -> list[str]:
+    """Return the effect of each outcome, if any was tested, and what must be added or stands instead."""
+    tested: list[ClaimContrast] = []
+    if word(verdict) != NOT_TESTED:
+        tested = [row for row in verdict.deciding if row.has_effect]
+    texts = [effect(row) for row in tested]
+    if any(row.none_learned for row in tested):
+        texts.append("none plays better than at random")
+    return [text for text in (*texts, why(verdict)) if text]
 
 
 def why(verdict: Verdict) -> str:
-    """Return in a few words why a claim is not tested, or what its word does not say; mostly empty."""
+    """Return in a few words why a claim is not tested, or what its word does not tell; mostly empty."""
     if verdict.lacks_runs:
         return "partly trained" if verdict.run_ids else "not trained yet"
     if verdict.verdict == MIXED:
@@ -174,58 +182,61 @@ def why(verdict: Verdict) -> str:
     return "a run has no value" if " seed " in reason else _PLAIN_REASONS.get(reason, reason)
 
 
+def details(verdict: Verdict) -> list[str]:
+    """Return what is compared; for each contrast arms, numbers of runs, effect, margin; why there is none."""
+    texts = [verdict.claim.context]
+    if verdict.lacks_runs:
+        return [*texts, verdict.reason]
+    for row in verdict.contrasts:
+        parts = [row.contrast.reason]
+        if row.has_effect:
+            margin = f"smallest that counts: {row.margin:g}" if row.margin else ""
+            parts = [effect(row), margin, row.contrast.reason]
+        runs = " and ".join(str(count) for count in row.contrast.seeds if count)
+        texts.append(f"{' against '.join(row.names)}, {runs} runs: {'; '.join(filter(None, parts))}")
+    return texts
+
+
 def effect(row: ClaimContrast) -> str:
     """Return an effect in plain units, as 'kills 85 against 83 %: +2 points (−1 to 5)'.
 
     It is the first less the second. The interval is the one that holds together with all others of the world.
     """
-    contrast, alone = row.contrast, not row.b and row.value == 0
+    contrast = row.contrast
     numbers = [*contrast.means, contrast.effect, contrast.simultaneous.low, contrast.simultaneous.high]
     unit = difference = ""
     if row.outcome in _LOGARITHMS and row.claim.kind == "mean":
         a, b, size, low, high = (_factor(number) for number in numbers)
         difference = " times as much"
     else:
-        if row.claim.counts or find_outcome(row.outcome.split(MINUS)[0]).unit == "share":
+        if row.claim.is_incidence or find_outcome(row.outcome).unit == "share":
             numbers, unit, difference = [100 * number for number in numbers], " %", " points"
-        places = max(_places(*numbers[2:]), 0) if unit else _places(*numbers[2:])
-        a, b, size = (shown(number, places).replace("-", "−") for number in numbers[:3])
-        low, high = (_end(end, places) for end in numbers[3:])
-        size = size if alone or size.startswith("−") or not size.strip("0.") else f"+{size}"
-    between = f" ({low} to {high})" if contrast.simultaneous.exists else ""
-    if alone:
-        return f"{_said(row)} {size}{unit}{between}"
-    both = f"{a} against {b}" if row.b else f"{a}{unit}, threshold {b}"
-    return f"{_said(row)} {both}{unit}: {size}{difference}{between}"
+        a, b, size, low, high = _in_digits(numbers, whole=bool(unit))
+    interval = f" ({low} to {high})" if contrast.simultaneous.exists else ""
+    name = _name(row)
+    if not row.b and row.value == 0:
+        return f"{name} {size.removeprefix('+')}{unit}{interval}"
+    compared = f"{a} against {b}" if row.b else f"{a}{unit}, threshold {b}"
+    return f"{name} {compared}{unit}: {size}{difference}{interval}"
 
 
-def arms_in_words(claim: Claim) -> str:
-    """Return what is compared, as 'tanh against ReLU'; one arm alone is held against a threshold."""
-    first, second = claim.called[:2] if claim.called else (_arm(claim.a), _arm(claim.b) if claim.b else "")
-    return f"{first} against {second}" if second else first
-
-
-def _arm(conditions: Arms) -> str:
-    return " and ".join(filter(None, (", ".join(conditions[:-1]), conditions[-1])))
-
-
-def _said(row: ClaimContrast) -> str:
-    event = row.claim.event(row.outcome)
-    named = f"{row.outcome} {event}".strip()
-    words = _SAID.get(named) or " less ".join(
-        _SAID.get(part, find_outcome(part).words) for part in row.outcome.split(MINUS)
-    )
-    if event and named not in _SAID:
-        words = f"runs with {words} {event}"
-    pair = dict(zip(row.claim.pairs, row.claim.called[2:], strict=False)).get((row.a, row.b), "")
-    return ", ".join(filter(None, [pair, _OF_KIND.get(row.claim.kind, "{}").format(words)]))
+def _in_digits(numbers: Sequence[float], whole: bool) -> list[str]:
+    """Return both numbers, the difference with its sign, and the ends of its interval."""
+    places = _places(*numbers[2:])
+    if whole:
+        places = max(places, 0)
+    texts = [shown(number, places) for number in numbers[:3]]
+    if not texts[2].startswith("-") and texts[2].strip("0."):
+        texts[2] = f"+{texts[2]}"
+    texts += [_end(end, places) for end in numbers[3:]]
+    return [text.replace("-", "−") for text in texts]
 
 
 def _end(end: float, places: int) -> str:
-    """Return an end of an interval; one that would be 0 has a digit, which tells on which side of 0 it is."""
+    """Return an end of an interval; one that would be 0 has a digit, which shows on which side of 0 it is."""
     if math.isfinite(end) and end and round(end, places) == 0:
         places = -math.floor(math.log10(abs(end)))
-    return shown(end, min(places, MOST)).replace("-", "−")
+    return shown(end, min(places, MOST))
 
 
 def _places(size: float, low: float, high: float) -> int:
@@ -245,22 +256,43 @@ def _factor(log: float) -> str:
     return shown(factor, decimals(factor) - 1)
 
 
-# --- Sentences -------------------------------------------------------------------------------------
+def _name(row: ClaimContrast) -> str:
+    """Return the words for an outcome of a contrast, after those for its pair of arms."""
+    event = row.claim.event(row.outcome)
+    words = _OUTCOME_NAMES.get(f"{row.outcome} {event}".strip(), "")
+    if row.outcome.startswith("steps-to:"):
+        words = f"steps to {100 * float(row.outcome.partition(':')[2]):g} % of the monsters"
+    if not words:
+        words = _OUTCOME_NAMES.get(row.outcome, find_outcome(row.outcome).words)
+        words = f"runs with {words} {event}" if event else words
+    if row.claim.kind in ("spread", "range"):
+        words = f"{row.claim.kind} of {words}"
+    pair_names = dict(zip(row.claim.pairs, row.claim.called[2:], strict=False))
+    pair = pair_names.get((row.a, row.b))
+    return f"{pair}, {words}" if pair else words
+
+
+# --- Claims ----------------------------------------------------------------------------------------
+
+
+def arms_in_words(claim: Claim) -> str:
+    """Return what is compared, as 'tanh against ReLU'; one arm alone is held against a threshold."""
+    first, second = claim.called[:2] if claim.called else (_arm(claim.a), _arm(claim.b))
+    return f"{first} against {second}" if second else first
+
+
+def _arm(conditions: Sequence[str]) -> str:
+    return " and ".join(filter(None, (", ".join(conditions[:-1]), *conditions[-1:])))
 
 
 def sentence(claim: Claim) -> str:
     """Return the thesis's sentence without the marks of TeX and Markdown."""
     text = re.sub(r"\$\$.*?\$\$ *|_\{[^}]*\}|[*$]|\[\d+\]", "", claim.quote)
-    text = re.sub(r"\\([a-z]+|\|) ?", lambda found: _SYMBOLS.get(found[1], found[1]), text)
-    text = re.sub(r"_(\w)", lambda found: found[1].translate(_SUBSCRIPTS), text)
+    text = re.sub(r"\\([a-z]+|\|) ?", lambda match: _SYMBOLS.get(match[1], match[1]), text)
+    text = re.sub(r"_(\w)", lambda match: match[1].translate(_SUBSCRIPTS), text)
     return re.sub(r" (?=[,.;)])", "", " ".join(text.split()))
 
 
 def short_sentence(claim: Claim) -> str:
     """Return the sentence with … where words are left out."""
     return claim.short or shorten(sentence(claim), LONGEST_SENTENCE, placeholder=" …")
-
-
-LONGEST_SENTENCE = 160
-_SUBSCRIPTS = str.maketrans("012t", "₀₁₂ₜ")
-_SYMBOLS = {"tanh": "tanh ", "beta": "β", "nabla": "∇", "vartheta": "ϑ", "leq": "≤ ", "|": "‖"}
