@@ -12,7 +12,7 @@ from matplotlib.patches import Circle, FancyArrowPatch
 from pneuma.env.fields import EnvConfig
 from pneuma.env.players import Hunter
 from pneuma.env.render import Renderer
-from pneuma.env.watch import FRAMES_PER_STEP, smooth
+from pneuma.env.watch import smooth
 from pneuma.env.worlds import Worlds
 from pneuma.figures.origin import Origin
 from pneuma.figures.style import COLOURS, GREY, house_style, save_figure
@@ -25,6 +25,8 @@ MOVES = (
     ("s₁\npost office", "s₃\nhome", "−1: fired", (1.32, -0.28)),
 )
 RADIUS = 0.33
+FRAMES_PER_STEP = 4
+"""Moments of a step among which the picture of a fight is chosen."""
 
 
 def draw_mailman(folder: Path) -> list[Path]:
@@ -103,7 +105,7 @@ def fight_worlds() -> Worlds:
     for start in range(len(best.level.starts)):
         worlds = level_worlds(start)
         hunter = Hunter(worlds)
-        smooth(worlds)
+        smooth(worlds, FRAMES_PER_STEP)
         while worlds.worlds["ending"][0] == 0 and most < 3:
             actions = hunter.act(worlds)
             for _ in range(FRAMES_PER_STEP):

@@ -18,13 +18,7 @@ from pneuma.env.fields import SPELL_NAMES, make_env_config
 from pneuma.env.players import Hunter
 from pneuma.env.render import GIF_FACTOR, Renderer
 from pneuma.env.rules import RIGHT
-from pneuma.env.watch import (
-    GIF_FRAMES_PER_STEP,
-    episode_frames,
-    frame_rate,
-    smooth,
-    write_video,
-)
+from pneuma.env.watch import encode_gif, episode_frames, smooth
 from pneuma.env.worlds import Worlds
 from pneuma.figures.origin import Origin
 from pneuma.figures.style import COLOURS, house_style, save_figure
@@ -153,7 +147,7 @@ def _put_ahead(worlds: Worlds, players: np.ndarray, away: np.ndarray | float) ->
 def _acted(worlds: Worlds, action: str, width: int, ahead: int = 0) -> list[np.ndarray]:
     """Return what is around each player, or more ahead of it, in the middle of an action."""
     renderer = Renderer(worlds, "follow", panel=False)
-    smooth(worlds)
+    smooth(worlds, 4)
     for _ in range(3):  # 6 ticks
         worlds.step(np.full(worlds.players.shape, worlds.action_names.index(action)))
     frames = [renderer.frame(0, player) for player in range(worlds.players.shape[1])]
@@ -204,6 +198,5 @@ def _move(episode: Mapping[str, Any], path: Path) -> Path:
     """Write the first steps of an episode as a moving picture."""
     worlds, act = replay(episode, episode_steps=SHOWN)
     renderer = Renderer(worlds, "follow", zoom=GIF_FACTOR)
-    frames = episode_frames(worlds, act, renderer, GIF_FRAMES_PER_STEP)
-    write_video(path, frames, frame_rate(GIF_FRAMES_PER_STEP))
+    path.write_bytes(encode_gif(episode_frames(worlds, act, renderer)))
     return path

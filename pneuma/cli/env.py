@@ -1,4 +1,4 @@
-"""`pneuma env …`: list, play and render environments."""
+"""`pneuma env …`: list and render environments."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, check_file, rows_result
+from pneuma.cli.output import Result, check_file, rows_result, write_file
 from pneuma.errors import UserError, counted, unknown_name
 
 if TYPE_CHECKING:
     from pneuma.engines.policy import Policy
     from pneuma.env.worlds import Worlds
 
-app = opt.Commands("env", "Look at and play environments.")
+app = opt.Commands("env", "List and draw environments.")
 
 ABOUT = {
     "pneuma/Pneuma-v0": "the thesis's text, well posed: unit-scale observations, 1,000 steps",
@@ -51,18 +51,18 @@ def list_() -> Result:
 @app.command()
 def render(
     name: Environment,
-    out: Annotated[Path, opt.option("FILE", "A .png, or a .gif or .mp4 of an episode.")],
+    out: Annotated[Path, opt.option("FILE", "A .png, or a .gif of an episode.")],
     player: Annotated[str, opt.option("random|hunter|RUN_ID", "Who plays the episode.")] = "random",
     camera: Annotated[str | None, opt.choice(CAMERAS, "The whole map, or a player.")] = None,
     seed: Seed = 0,
-    seconds: Annotated[float, opt.option("N", "Most seconds of an episode in a video.", min=1.0)] = 20.0,
+    seconds: Annotated[float, opt.option("N", "Most seconds of an episode in a .gif.", min=1.0)] = 20.0,
     set_: opt.Settings = None,
     trust: opt.Trust = False,
     results: opt.Results = opt.HERE,
 ) -> Result:
-    """Draw the world as a picture, or an episode as a video.
+    """Draw the world as a picture, or an episode as a moving one.
 
-    A video shows the first --seconds of an episode, which ends two seconds after the last monster's
+    A .gif shows the first --seconds of an episode, which ends two seconds after the last monster's
     death. A run's policy plays in the environment that it was trained in, --set on top.
     """
     import numpy as np
@@ -71,13 +71,13 @@ def render(
     from pneuma.env import watch
     from pneuma.env.fields import make_env_config
     from pneuma.env.players import Hunter, RandomPlayer
-    from pneuma.env.render import FOLLOW_FACTOR, GIF_FACTOR, Renderer
+    from pneuma.env.render import GIF_FACTOR, Renderer
     from pneuma.env.worlds import Worlds
 
-    check_file(out, watch.VIDEOS)
-    moving, gif = out.suffix.lower() != ".png", out.suffix.lower() == ".gif"
+    check_file(out, (".gif", ".png"))
+    moving = out.suffix.lower() == ".gif"
     if player != "random" and not moving:
-        raise UserError(f"--player {player} is for videos, and {out} is a picture: name a .gif or .mp4")
+        raise UserError(f"--player {player} is for episodes, and {out} is a picture: name a .gif")
     _check_drawable(name)
     policy, own = (None, {}) if player in PLAYERS else _load_player(player, name, results, trust)
     worlds = Worlds(1, make_env_config({**own, **dict(set_ or ())}, name))
@@ -86,13 +86,13 @@ def render(
     draws = np.random.default_rng(seed)
     scripted = Hunter(worlds).act if player == "hunter" else RandomPlayer(draws).act
     act = drawing(policy, worlds, draws) if policy else scripted
-    # a GIF grows fast: half as many frames, half as wide
-    per_step = watch.GIF_FRAMES_PER_STEP if gif else watch.FRAMES_PER_STEP
-    zoom, rate = GIF_FACTOR if gif else FOLLOW_FACTOR, watch.frame_rate(per_step)
-    renderer = Renderer(worlds, camera or ("follow" if moving else "map"), zoom=zoom)
-    most = 1 + round(seconds * rate) if moving else 1  # the first shows the start
-    watch.write_video(out, islice(watch.episode_frames(worlds, act, renderer, per_step), most), rate)
-    return Result({"file": out}, [f"wrote {out}" + (f": {_story(worlds)}" if moving else "")])
+    if not moving:
+        write_file(out, watch.encode_png(Renderer(worlds, camera or "map").frame()))
+        return Result({"file": out}, [f"wrote {out}"])
+    renderer = Renderer(worlds, camera or "follow", zoom=GIF_FACTOR)
+    most = 1 + round(seconds * watch.FRAME_RATE)  # the first shows the start
+    write_file(out, watch.encode_gif(islice(watch.episode_frames(worlds, act, renderer), most)))
+    return Result({"file": out}, [f"wrote {out}: {_story(worlds)}"])
 
 
 def _load_player(player: str, name: str, results: Path, trust: bool) -> tuple[Policy, dict[str, Any]]:
@@ -125,41 +125,6 @@ def _story(worlds: Worlds) -> str:
     if killed < count:
         return f"{played}; the episode goes on: --seconds shows more"
     return f"{played}; it ends {SECONDS_AFTER_LAST_KILL} s after the last kill, the episode itself goes on"
-
-
-@app.command()
-def play(
-    name: Environment = "pneuma/Pneuma-v0",
-    camera: Annotated[str, opt.choice(CAMERAS, "What to see.")] = "follow",
-    seed: Seed = 0,
-    set_: opt.Settings = None,
-) -> Result:
-    """Play with the keyboard. The world waits while you hold no key.
-
-    Arrows or W, A, S, D walk, space attacks, with --set magic=true F throws a flame and H heals,
-    escape leaves. Needs pygame-ce and a display.
-    """
-    import gymnasium
-
-    from pneuma.env.watch import FRAMES_PER_STEP, agent_steps, frame_rate, open_display, smooth
-
-    _check_drawable(name)
-    open_display()
-    from gymnasium.utils.play import play as play_by_keys
-
-    env = gymnasium.make(name, render_mode="rgb_array", camera=camera, **dict(set_ or ())).unwrapped
-    worlds = env.state  # type: ignore[attr-defined]
-    smooth(worlds)
-
-    def tell_end(*step: Any) -> None:
-        *_, terminated, truncated, info = step
-        if terminated or truncated:
-            killed = counted(info["kills"], "monster")
-            print(f"killed {killed} in {counted(agent_steps(worlds), 'step')}")
-
-    rate = round(frame_rate(FRAMES_PER_STEP))
-    play_by_keys(env, fps=rate, callback=tell_end, seed=seed, wait_on_player=True)
-    return Result({"environment": name})
 
 
 def _check_drawable(name: str) -> None:

@@ -98,7 +98,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
     Three defaults are those of Pneuma-v0, PneumaGodot-v0 and PneumaArena-v0.
 
     (The table of `pneuma.env.fields.EnvConfig`.)
-    | `render_mode` | none | `rgb_array`, or `human` for a window |
+    | `render_mode` | none | `rgb_array` |
     | `camera` | map | `follow` shows the player's surroundings |
 
     ## Versions
@@ -140,7 +140,6 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
         return self._seen()
 
     def _seen(self) -> tuple[np.ndarray, dict[str, Any]]:
-        self._show()
         return self.state.observations[0, 0].copy(), {"action_mask": self.state.masks[0, 0].copy()}
 
     def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:

@@ -79,7 +79,6 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.state.seed([own or 0 for own in seeds], mask & [own is not None for own in seeds])
         self.slots.begun = True
         self.state.reset(mask, starts)
-        self._show()
         return self.slots.observations, self._infos()
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
@@ -113,8 +112,11 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         rewards = slots.rewards.copy()
         if waiting.any():  # in NEXT_STEP this step resets what the last one ended
             self.state.reset(waiting)
-        self._show()
         return slots.observations, rewards, slots.terminated, slots.truncated, self._infos(infos)
+
+    def render(self) -> Any:
+        """Return a frame for each slot, if there is a render mode."""
+        return self._frames() if self.render_mode else None
 
     def _infos(self, infos: dict[str, Any] | None = None) -> dict[str, Any]:
         return {

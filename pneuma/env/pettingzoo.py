@@ -69,7 +69,6 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
             self.worlds.seed([seed if seed is not None else int(seeding.np_random()[0].integers(2**63))])
         self.worlds.reset(starts=start)
         self.agents, self.slots.begun = list(self.possible_agents), True
-        self._show()
         return self._observations(self.agents), self._masks(self.agents)
 
     def step(self, actions: dict[str, np.int64]) -> tuple[dict[str, Any], ...]:
@@ -96,7 +95,6 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
             if terminations[agent] or truncations[agent]:
                 infos[agent] |= ending_info(self.worlds, self._index[agent])
         self.agents = [agent for agent in acting if not (terminations[agent] or truncations[agent])]
-        self._show()
         return self._observations(acting), rewards, terminations, truncations, infos
 
     def state(self) -> np.ndarray:

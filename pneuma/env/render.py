@@ -91,7 +91,7 @@ class Renderer:
             self._factor = max(round(MAP_SIDE / max(height, width)), 1)
         self._size = width * self._factor, height * self._factor
         self._panel_factor = min(max(self._size[0] // PANEL_WIDTH, 1), 3)
-        strip = (PANEL_LINE + 2 * PANEL_GAP) * self._panel_factor // 2 * 2  # videos need even sides
+        strip = (PANEL_LINE + 2 * PANEL_GAP) * self._panel_factor // 2 * 2  # even, as videos need it
         self._panel = strip if panel else 0
         self.size = self._size[0], self._size[1] + self._panel
 

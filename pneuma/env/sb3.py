@@ -49,7 +49,7 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         seeds: one per world; or a number of slots, which is a multiple of the players in a world.
         seed: if `seeds` is a number, world i gets seed + i; default: random.
         env_id: whose presets to start from.
-        render_mode: `rgb_array`, one picture of all slots; or `human`, a window.
+        render_mode: `rgb_array`, one picture of all slots.
         camera: `map`, or `follow` for a view of the player.
         settings: the fields of `pneuma.config.EnvConfig`.
 
@@ -108,7 +108,6 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         self._reset_options()
         self.state.reset(starts=starts)
         self.slots.begun = True
-        self._show()
         return self.slots.observations
 
     def step_async(self, actions: np.ndarray) -> None:
@@ -122,7 +121,6 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         infos = [self._end(slot) if done else {} for slot, done in enumerate(dones)]
         if (over := slots.world_over).any():
             self.state.reset(over)
-        self._show()
         return slots.observations, rewards, dones, infos
 
     def _end(self, slot: int) -> dict[str, Any]:
@@ -141,7 +139,6 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
     def observe(self) -> np.ndarray:
         """Return the observations of the current state, after it was changed by hand."""
         self.state.observe()
-        self._show()
         return self.slots.observations
 
     def saved_state(self) -> dict[str, np.ndarray]:
@@ -178,11 +175,11 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         return self.slots.masks.astype(np.bool_)
 
     def render(self, mode: str | None = None) -> np.ndarray | None:
-        """Return one picture of all slots for `rgb_array`; update the window for `human`."""
-        if self.render_mode == "human":
-            self._show()
-            return None
+        """Return one picture of all slots."""
         return VecEnv.render(self, mode)
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to close."""
 
     def get_images(self) -> Sequence[np.ndarray]:
         """Return a picture for each slot, of its world with its player in view."""

@@ -39,11 +39,11 @@ def render(out: str, *words: str) -> str:
 
 
 def frames(path: str | Path) -> int:
-    with Image.open(path) as video:
-        return int(getattr(video, "n_frames", 1))
+    with Image.open(path) as image:
+        return int(getattr(image, "n_frames", 1))
 
 
-# --- Pictures and videos -------------------------------------------------------------------------
+# --- Pictures and GIFs ---------------------------------------------------------------------------
 
 
 def test_a_gif_has_two_frames_a_step_and_ends_two_seconds_after_the_last_kill(here: Path, arena: str) -> None:
@@ -55,7 +55,7 @@ def test_a_gif_has_two_frames_a_step_and_ends_two_seconds_after_the_last_kill(he
     assert frames("b.gif") <= 1 + 2 * steps and steps < 100
 
 
-def test_a_video_shows_so_many_seconds(here: Path, arena: str) -> None:
+def test_a_gif_shows_so_many_seconds(here: Path, arena: str) -> None:
     told = render("a.gif", "--seconds", "2", "--set", f"level={arena}")  # 15 steps of 8/60 s
     assert "0 of 1 monsters killed, 15 steps; the episode goes on: --seconds shows more" in told
 

@@ -11,16 +11,6 @@ import pytest
 from .arena import EMPTY, FIELD, ZOO
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _no_screen() -> Iterator[None]:
-    """Open windows nowhere: Gymnasium's checker asks for every render mode, a window's among them."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("SDL_VIDEODRIVER", "dummy")
-        patch.setenv("SDL_AUDIODRIVER", "dummy")
-        patch.setenv("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-        yield
-
-
 @pytest.fixture(scope="session")
 def arena(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Return a field with one obstacle, a start at its centre and a bamboo in every corner."""
@@ -47,8 +37,11 @@ def pit(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.fixture
-def pygame() -> Iterator[ModuleType]:
+def pygame(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     """Return pygame without a screen or a sound card."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    monkeypatch.setenv("SDL_AUDIODRIVER", "dummy")
+    monkeypatch.setenv("PYGAME_HIDE_SUPPORT_PROMPT", "1")
     module = pytest.importorskip("pygame", reason="pygame-ce is not installed: the window is not tested")
     yield module
     module.display.quit()
