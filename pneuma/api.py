@@ -85,7 +85,7 @@ def run_study(
     selection = _selection(seeds, steps, conditions, settings, preset)
     most = _count("workers", workers) or available_cores()
     planned, store = plan_study(study, selection, world), _store(results)
-    how = ExecutorConfig(workers=most, keep_checkpoints=planned.study.keep_checkpoints)
+    how = ExecutorConfig(workers=most)
     outcomes = train_plan(planned, store, how, quiet=quiet, on_progress=on_progress)
     if unwell := [outcome for outcome in outcomes if not outcome.status.finished]:
         cell, status = unwell[0].cell, unwell[0].status

@@ -52,9 +52,6 @@ ACTIVATIONS = ("tanh", "relu", "leaky-relu")
 Schedule = Literal["constant", "linear"]
 ANNEALED = ("learning_rate", "clip_range")
 """Fields that may fall over a run, each by a schedule of its own, as rl-baselines3-zoo's settings need."""
-FORK_RESETS = ("optimizer", "xp", "critic")
-"""What a fork may reset: the optimizer's moments, the players' XP, or the critic's weights."""
-FORK_FIELDS = ("parent", "fork_step", "fork_reset")
 
 
 # --- The configuration ---------------------------------------------------------------------------
@@ -238,17 +235,6 @@ class Run(EnvConfig):
     held_out_levels: Annotated[int, Interval(ge=0, le=10_000)] = 0
     """Number of random islands, never trained on, for evaluation; 0 evaluates on the training level."""
 
-    parent: Annotated[str, matching(r"|[0-9a-f]{16}", "the id of a run")] = ""
-    """The run that a fork continues; set only by `pneuma run fork`, as are the next two fields."""
-    fork_step: Annotated[int, Interval(ge=0, le=10**12)] = 0
-    """Agent steps of the parent's checkpoint at which a fork begins."""
-    fork_reset: Annotated[str, OneOf(("", *FORK_RESETS))] = ""
-
-    @property
-    def stream(self) -> str:
-        """The key of the run's random streams: its seed; a fork has fresh streams."""
-        return f"{self.parent}/{self.fork_step}/{self.seed}" if self.parent else str(self.seed)
-
     @property
     def steps_per_update(self) -> int:
         """Agent steps, over all slots and players, in one update."""
@@ -361,12 +347,6 @@ def _check_learner(run: Run) -> None:
         _refuse(f"learning_rate = {run.learning_rate:g}", "a table's is at most 1")
     if run.held_out_levels and not run.level.startswith("random:train:"):
         _refuse(f"held_out_levels = {run.held_out_levels}", f"{run.level} is not of random:train:")
-    if run.parent and run.algorithm in TABULAR:
-        raise UserError(f"a run of {run.algorithm} cannot be forked: train it anew, it takes seconds")
-    if run.fork_reset == "critic" and "critic" not in reads(run):
-        _refuse("fork_reset = critic", f"{run.algorithm} has no critic")
-    if run.fork_reset == "xp" and is_gymnasium_id(run.env):
-        _refuse("fork_reset = xp", f"{run.env} has no XP")
 
 
 def env_config(run: Run) -> EnvConfig:
@@ -385,17 +365,17 @@ def as_fields(config: EnvConfig) -> dict[str, Any]:
     return {key: list(v) if isinstance(v, tuple) else v for key, v in vars(config).items()}
 
 
-def stream_seed(stream: str, purpose: str, slot: int = 0) -> int:
-    """Return the 64-bit seed of a random stream, keyed by the run's `stream`.
+def stream_seed(key: int | str, purpose: str, slot: int = 0) -> int:
+    """Return the 64-bit seed of a random stream; of a run, the key is its seed.
 
     Streams are keyed by a hash, not by adding numbers, so that no two purposes, slots or seeds share one.
     Runs of different conditions with the same seed do share them. They start with the same worlds and, if the
     networks have the same shape, the same weights.
     """
-    digest = hashlib.sha256(f"{stream}/{purpose}/{slot}".encode()).digest()
+    digest = hashlib.sha256(f"{key}/{purpose}/{slot}".encode()).digest()
     return int.from_bytes(digest[:8], "little")
 
 
 def slot_seeds(run: Run) -> list[int]:
     """Return the seed of each slot's worlds in training."""
-    return [stream_seed(run.stream, "world", slot) for slot in range(run.slots)]
+    return [stream_seed(run.seed, "world", slot) for slot in range(run.slots)]

@@ -158,7 +158,7 @@ def test_a_function_is_evaluated_as_the_policy_that_it_asks_is() -> None:
     told = evaluate(POLICY, seed=3, episodes=12)
     assert tuple(told) == (*EVALUATION_COLUMNS, "steps_to_clear", "hp_lost", "commonest_action")
     assert told["length"] > 10
-    draws = np.random.default_rng(stream_seed("3", "evaluation-actions", 0))
+    draws = np.random.default_rng(stream_seed(3, "evaluation-actions", 0))
     asked = evaluate(lambda seen: POLICY.sample(seen, draws), best=POLICY.best, seed=3, episodes=12)
     assert asked == pytest.approx(told)
     assert evaluate(POLICY.best, seed=4, episodes=12)["random_share_killed"] != told["random_share_killed"]

@@ -84,7 +84,7 @@ def test_a_block_becomes_what_its_command_prints(tmp_path: Path) -> None:
     [
         ("study run activation", "pages hold what"),
         ("study compare activation tanh relu --out there", "pages hold what"),
-        ("study collapse activation --fork", "pages hold what"),
+        ("study collapse activation --results there", "pages hold what"),
         ("study show nothing", "nothing"),
     ],
 )

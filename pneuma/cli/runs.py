@@ -1,4 +1,4 @@
-"""`pneuma run …`: list stored runs, show what produced one, fork it, and export its policy."""
+"""`pneuma run …`: list stored runs, show what produced one, and export its policy."""
 
 from __future__ import annotations
 
@@ -9,14 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pneuma.cli import delete
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, check_file, rows_of, write_file
-from pneuma.cli.study_run import train
-from pneuma.config import FORK_RESETS, env_config, is_gymnasium_id, make_run
+from pneuma.config import env_config, is_gymnasium_id
 from pneuma.env.fields import ENVIRONMENTS, action_names
 from pneuma.errors import UserError
-from pneuma.sb3_names import own_fields
-from pneuma.study.fork import Change, plan_fork
 from pneuma.study.store import Store
-from pneuma.study.stored_runs import default_settings, find_run, run_files, stored_settings, trusted_settings
+from pneuma.study.stored_runs import (
+    default_settings,
+    find_run,
+    run_files,
+    stored_run,
+    stored_settings,
+    trusted_settings,
+)
 from pneuma.values import shown_settings, shown_value
 
 if TYPE_CHECKING:
@@ -116,28 +120,6 @@ def _provenance_lines(provenance: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {key:<12} {shown_value(value)}"
 
 
-@app.command(short_help="Go on from a checkpoint with something changed.")
-def fork(
-    name: opt.RunId,
-    at: Annotated[Any, opt.count("Go on from the checkpoint nearest before this step.")],
-    set_: opt.Settings = None,
-    reset: Annotated[str, opt.option("|".join(FORK_RESETS), "What to begin anew at the fork.")] = "",
-    seeds: opt.Seeds = "3",
-    workers: opt.Workers = None,
-    trust: opt.Trust = False,
-    results: opt.Results = opt.HERE,
-    quiet: opt.Quiet = False,
-) -> Result:
-    """Go on from a run's checkpoint with something changed, and without: fresh random streams for each seed.
-
-    The fork is a study of its own, of the conditions `control` and what was changed: `status`, `plot` and
-    `export` take its name.
-    """
-    store, change = Store(results), Change(own_fields(dict(set_ or ())), reset)
-    plan = plan_fork(store, find_run(store, name), at, change, seeds, trust)
-    return train(plan, store, opt.Place(workers).config(), True, quiet)
-
-
 # --- export ----------------------------------------------------------------------------------------
 
 
@@ -170,7 +152,7 @@ def _exported(store: Store, run_id: str, fields: Mapping[str, Any], suffix: str)
 
     if POLICY_FILE not in store.checksums(run_id) or not fields:
         raise UserError(f"is {store.status(run_id).name}: it has no policy to export")
-    settings, policy = make_run(fields), read_sound_policy(store.read_file(run_id, POLICY_FILE))
+    settings, policy = stored_run(fields), read_sound_policy(store.read_file(run_id, POLICY_FILE))
     if policy.players > 1:
         raise UserError(
             f"has a policy for each of {policy.players} players: a file for other programs holds one"

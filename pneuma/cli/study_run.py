@@ -49,7 +49,7 @@ def plan_(
     execute.check_environments(todo.values())
     paces = stored_paces(store, statuses)
     seconds = {
-        key: expected_seconds(paces, run, run.steps - execute.kept_step(run, statuses[key]))
+        key: expected_seconds(paces, run, run.steps - execute.kept_step(statuses[key]))
         for key, run in todo.items()
     }
     states = {key: _state(status, key in planned.published) for key, status in statuses.items()}
@@ -125,7 +125,6 @@ def run(
     how = replace(
         place.config(),
         checkpoint_seconds=checkpoint_seconds,
-        keep_checkpoints=planned.study.keep_checkpoints,
         logs=_log_folders(planned, tensorboard) if tensorboard else {},
     )
     return train(planned, chosen.store, how, retry_failed, quiet)

@@ -41,7 +41,7 @@ def able_engine(run: Run) -> str:
 
 
 def make_vec_env(run: Run) -> Any:
-    """Return the `VecEnv` for the engine `sb3`, with `finished`, `saved_state`, `restore_state`, `fork`."""
+    """Return the `VecEnv` for the engine `sb3`, with `finished`, `saved_state`, `restore_state`."""
     if is_gymnasium_id(run.env):
         from pneuma.engines.gymnasium_vec_env import GymnasiumVecEnv
 

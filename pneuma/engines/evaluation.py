@@ -129,7 +129,7 @@ class Evaluation:
         return float((share.mean() - self.random_share) / (1 - self.random_share))
 
     def _play_at_random(self) -> float:
-        generator = np.random.default_rng(stream_seed(self.run.stream, "random-player"))
+        generator = np.random.default_rng(stream_seed(self.run.seed, "random-player"))
         player = RandomPlayer(generator)
         self._play(lambda _: player.act(self.worlds))
         killed = self.worlds.players["kills"][: self.episodes].sum(axis=1)
@@ -137,7 +137,7 @@ class Evaluation:
 
     def _acting(self, policy: Policy | OwnAgent, step: int) -> Choose:
         """Return what chooses actions: drawn ones in the first worlds, else the best."""
-        generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
+        generator = np.random.default_rng(stream_seed(self.run.seed, "evaluation-actions", step))
         players, features = self.worlds.observations.shape[1:]
         drawn = self.episodes * players
         observations = self.worlds.observations.reshape(-1, features)  # (N * P, features)
@@ -172,7 +172,7 @@ class Evaluation:
 
     def _play(self, act: Choose) -> None:
         """Play one episode in every world, always the same one, up to its end."""
-        self.worlds.seed([stream_seed(self.run.stream, "evaluation", i) for i in range(len(self.worlds))])
+        self.worlds.seed([stream_seed(self.run.seed, "evaluation", i) for i in range(len(self.worlds))])
         self.worlds.reset(starts=self._starts)
         players = self.worlds.players.shape[1]
         running, plays = len(self.worlds), np.ones(len(self.worlds) * players, np.bool_)
@@ -231,7 +231,7 @@ class ActionValues:
     def _play(self, policy: Policy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return estimates, rewards and whether the player was alive, each (steps, worlds, players)."""
         worlds = self.worlds
-        worlds.seed([stream_seed(self.run.stream, "action-values", i) for i in range(len(worlds))])
+        worlds.seed([stream_seed(self.run.seed, "action-values", i) for i in range(len(worlds))])
         worlds.reset(starts=np.arange(len(worlds)))
         steps: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         running = len(worlds)

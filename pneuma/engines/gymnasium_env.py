@@ -96,8 +96,8 @@ class GymnasiumSlots:
         self.steps = 0
         self.finished.clear()
         self._log = bytearray()
-        self._seedings: list[list[int]] = []
-        self.reseed(seeds)
+        self._first_seeds = [seed % 2**31 for seed in seeds]  # all environments take these
+        self._seeds: list[int | None] = [*self._first_seeds]
         for slot in range(len(self.envs)):
             self._reset(slot)
         self._normalization = Normalization(self.run, self.observations) if self._normalizes else None
@@ -110,10 +110,6 @@ class GymnasiumSlots:
     def scaling(self) -> Scaling | None:
         """How a policy has to normalise observations now."""
         return self._normalization.scaling if self._normalization else None
-
-    def reseed(self, seeds: Sequence[int]) -> None:
-        self._seeds: list[int | None] = [seed % 2**31 for seed in seeds]  # all environments take these
-        self._seedings.append([self.steps, *self._seeds])  # type: ignore[list-item]
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Apply (S,) or (S, dimensions) actions; return rewards, float64, and ended episodes: (S,) each.
@@ -210,7 +206,7 @@ class GymnasiumSlots:
         names = ("observations", "returns", "lengths", "episodes")
         known = {name: getattr(self, name).copy() for name in names}
         statistics = self._normalization.saved_state() if self._normalization else {}
-        return {"actions": log, "seeds": np.array(self._seedings), **known, **statistics}
+        return {"actions": log, "seeds": np.array(self._first_seeds), **known, **statistics}
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
         """Play all actions again from the first seeds, in new environments, as wrappers may count resets.
@@ -219,17 +215,10 @@ class GymnasiumSlots:
         """
         self.close()
         self.envs = [make_env(self.run) for _ in self.envs]
-        first, *others = saved["seeds"].tolist()
-        self.begin(first[1:])
+        self.begin(saved["seeds"].tolist())
         for actions in saved["actions"]:
-            while others and others[0][0] == self.steps:
-                self.reseed(others.pop(0)[1:])
             self.step(actions)
-        for _, *seeds in others:
-            self.reseed(seeds)
         self.finished.clear()
-        if self._normalization:
-            self._normalization.restore_state(saved, self.observations)
         if not all(np.array_equal(array, saved[name]) for name, array in self.saved_state().items()):
             raise ValueError(f"{self.run.env} does not come to the same state by the same seed and actions")
 

@@ -27,16 +27,16 @@ class Evaluation:
     def __init__(self, run: Run) -> None:
         self.run = run
         count = run.evaluation_episodes + BEST_EPISODES
-        self._seeds = [stream_seed(run.stream, "evaluation", i) for i in range(count)]
+        self._seeds = [stream_seed(run.seed, "evaluation", i) for i in range(count)]
         slots = GymnasiumSlots(run, self._seeds)
-        slots.action_space.seed(stream_seed(run.stream, "random-player") % 2**31)
+        slots.action_space.seed(stream_seed(run.seed, "random-player") % 2**31)
         returns, _, _ = _play(slots, lambda rows, _: np.array([slots.any_action() for _ in rows]))
         drawn = returns[: run.evaluation_episodes]
         self.random: Row = {"random_return": float(drawn.mean()), "random_spread": float(drawn.std())}
 
     def evaluate(self, policy: Policy, step: int) -> Row:
         """Return one row of `records.EVALUATION_COLUMNS`, with some of `VALUE_COLUMNS`."""
-        generator = np.random.default_rng(stream_seed(self.run.stream, "evaluation-actions", step))
+        generator = np.random.default_rng(stream_seed(self.run.seed, "evaluation-actions", step))
         episodes = self.run.evaluation_episodes
 
         def act(rows: np.ndarray, seen: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -54,11 +54,6 @@ class GymnasiumVecEnv(WholeVecEnv):
             seen, cut = self.slots.terminal[slot].copy(), bool(truncated[slot])
             infos[slot] = {"terminal_observation": seen, "TimeLimit.truncated": cut}
         return self.slots.seen.copy(), rewards.astype(np.float32), dones, infos
-
-    def fork(self, seeds: Sequence[int], fresh_xp: bool) -> np.ndarray:
-        """Continue with other random streams, from each slot's next episode on."""
-        self.slots.reseed(seeds)
-        return self.slots.seen.copy()
 
     def close(self) -> None:
         self.slots.close()

@@ -100,10 +100,7 @@ class ResumableTrainer(Trainer):
 
     @abstractmethod
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Resume from the run's own checkpoint, or start from its parent's if `begins_fork`.
-
-        Any of `RESTORE_ERRORS` says that it does not fit.
-        """
+        """Resume from the run's own checkpoint; any of `RESTORE_ERRORS` says that it does not fit."""
 
     @abstractmethod
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
@@ -123,8 +120,7 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
             trainer.restore(checkpoint)
         except RESTORE_ERRORS as error:
             raise CheckpointError(f"cannot go on from step {step:,}: {error}") from None
-        if not begins_fork(run, checkpoint):
-            records = checkpoint.records.copy()
+        records = checkpoint.records.copy()
     judged, seconds = evaluation_updates(run), 0.0
     for update in range(step // run.steps_per_update + 1, run.updates + 1):
         before, step = step, update * run.steps_per_update
@@ -145,7 +141,7 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
 
 def _seed_shared_generators(run: Run) -> None:
     """Seed the process's own generators, from which a user's code may draw, whatever was trained before."""
-    seed = stream_seed(run.stream, "shared")
+    seed = stream_seed(run.seed, "shared")
     if is_gymnasium_id(run.env) or own_rewards(run.reward):  # what loads slowly is for others' code alone
         import torch
 
@@ -155,11 +151,6 @@ def _seed_shared_generators(run: Run) -> None:
         seed_compiled(seed % 2**32)
     random.seed(seed)
     np.random.seed(seed % 2**32)
-
-
-def begins_fork(run: Run, checkpoint: Checkpoint) -> bool:
-    """Return whether a checkpoint is the parent's, from which the run begins as a fork."""
-    return bool(run.parent) and checkpoint.step == run.fork_step
 
 
 def evaluation_updates(run: Run) -> set[int]:
@@ -188,16 +179,6 @@ def evaluation_steps(run: Run) -> dict[int, int]:
     """
     updates = sorted(evaluation_updates(run))
     return {EVALUATIONS * each // run.updates: each * run.steps_per_update for each in updates}
-
-
-def checkpoint_steps(run: Run, count: int) -> set[int]:
-    """Return the agent steps at which a run's checkpoints are kept; none if `count` is 0.
-
-    That is after `count` evenly spread updates with the last one, and after the first one, so that a run can
-    be forked even if it collapses early.
-    """
-    first = {1} if count else set()
-    return {update * run.steps_per_update for update in first | _spread(run.updates, count)}
 
 
 def _spread(updates: int, count: int) -> set[int]:

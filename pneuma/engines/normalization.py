@@ -8,7 +8,6 @@ Statistics are float64. They follow from a run's seeds and actions, as its slots
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -75,8 +74,8 @@ class Normalization:
         self._returns[over] = 0.0
         return np.clip(rewards / np.sqrt(self._returned.var + EPSILON), -CLIP, CLIP)
 
-    def _see(self, observations: np.ndarray, learn: bool = True) -> None:
-        if learn and self._run.normalize_observations:
+    def _see(self, observations: np.ndarray) -> None:
+        if self._run.normalize_observations:
             self._observed.update(observations)
         self.seen = scaling(observations) if (scaling := self.scaling) else observations
 
@@ -88,14 +87,3 @@ class Normalization:
             for name, theirs in MOMENTS.items()
         }
         return {**arrays, "discounted": self._returns.copy()}
-
-    def restore_state(self, saved: Mapping[str, np.ndarray], observations: np.ndarray) -> None:
-        """Restore the statistics, with the current observations, (S, features).
-
-        A fork may have another gamma than the run that learned them, so they do not follow from its actions.
-        """
-        for of, each in self._moments.items():
-            for name, theirs in MOMENTS.items():
-                setattr(each, theirs, saved[f"{of}_{name}"].copy())
-        self._returns = saved["discounted"].copy()
-        self._see(observations, learn=False)

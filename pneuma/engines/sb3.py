@@ -19,21 +19,19 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from torch import nn
 
-from pneuma.config import Run, slot_seeds
+from pneuma.config import Run
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.gymnasium_env import choices_of
-from pneuma.engines.loop import ResumableTrainer, begins_fork
+from pneuma.engines.loop import ResumableTrainer
 from pneuma.engines.policy import Policy, dead_share, overflows
 from pneuma.engines.records import EPISODE_COLUMNS, NAN, Checkpoint, Records, action_shares, metrics_row
 from pneuma.engines.sb3_learners import (
     Learner,
-    critic_names,
     has_finite_weights,
     linear_layers,
     logged_losses,
     make_model,
     restore_checkpoint,
-    seed_streams,
     take_checkpoint,
 )
 
@@ -48,20 +46,8 @@ class Sb3Trainer(ResumableTrainer):
         self._policy = extract_policy(self._model, run)
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Resume from a checkpoint; a fork starts from its parent's, with random streams of its own.
-
-        What a fork resets starts as in a new run.
-        """
-        model, run = self._model, self.run
-        begins = begins_fork(run, checkpoint)
-        reset = run.fork_reset if begins else ""
-        left_out = {"optimizer": ("optimizer/",), "critic": critic_names(model)}.get(reset, ())
-        restore_checkpoint(model, checkpoint, left_out)
-        if begins:
-            seen = model.env.fork(slot_seeds(run), reset == "xp")
-            model._last_obs = seen.copy()  # the fork may observe other scales or orders
-            seed_streams(model, run)
-        self._policy = extract_policy(model, run)
+        restore_checkpoint(self._model, checkpoint)
+        self._policy = extract_policy(self._model, self.run)
 
     def update(self, before: int, after: int, records: Records) -> bool:
         model, run = self._model, self.run

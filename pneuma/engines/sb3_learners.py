@@ -9,7 +9,7 @@ leaves out environment, random generators and last observation, and their `load`
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from inspect import signature
 from typing import Any
 
@@ -46,7 +46,7 @@ def make_model(run: Run, env: VecEnv, extractor: Mapping[str, Any] | None = None
     The global generators of torch and NumPy have separate streams. Torch's gives the initial weights, then
     the actions, and the start of TRPO's conjugate gradient; NumPy's gives the minibatches.
     """
-    torch.manual_seed(stream_seed(run.stream, "weights"))
+    torch.manual_seed(stream_seed(run.seed, "weights"))
     arguments = learner_arguments(run, env.num_envs)
     arguments["policy_kwargs"] |= extractor or {}
     model = LEARNERS[run.algorithm](policy="MlpPolicy", env=env, device="cpu", **arguments)
@@ -115,10 +115,10 @@ def seed_streams(model: Learner, run: Run) -> None:
     DQN uses NumPy's generator for minibatches and for whether to explore, and that of its action space for
     random actions.
     """
-    torch.manual_seed(stream_seed(run.stream, "actions"))
-    np.random.seed(stream_seed(run.stream, "minibatches") % 2**32)
+    torch.manual_seed(stream_seed(run.seed, "actions"))
+    np.random.seed(stream_seed(run.seed, "minibatches") % 2**32)
     if isinstance(model, DQN):
-        model.action_space.seed(stream_seed(run.stream, "random-actions"))
+        model.action_space.seed(stream_seed(run.seed, "random-actions"))
 
 
 def optimizer_arguments(run: Run) -> dict[str, Any]:
@@ -236,16 +236,11 @@ def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
     return Checkpoint(step, arrays, numbers, records.copy())
 
 
-def restore_checkpoint(model: Learner, checkpoint: Checkpoint, left_out: Sequence[str]) -> None:
-    """Restore a learner, and torch's and NumPy's global generators, from a checkpoint.
-
-    Arrays whose names begin with one of `left_out` are not restored.
-    """
+def restore_checkpoint(model: Learner, checkpoint: Checkpoint) -> None:
+    """Restore a learner, and torch's and NumPy's global generators, from a checkpoint."""
     env: Any = model.env
-    numbers = checkpoint.numbers
-    arrays = {k: v for k, v in checkpoint.arrays.items() if not k.startswith(tuple(left_out))}
-    has_optimizer = any(name.startswith("optimizer/") for name in arrays)
-    if has_optimizer and numbers["optimizer"] != type(model.policy.optimizer).__name__:
+    numbers, arrays = checkpoint.numbers, checkpoint.arrays
+    if numbers["optimizer"] != type(model.policy.optimizer).__name__:
         raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
     model.policy.load_state_dict({**model.policy.state_dict(), **_tensors(arrays, "policy/")})
     _restore_optimizer(model.policy.optimizer, arrays)
@@ -263,13 +258,6 @@ def restore_checkpoint(model: Learner, checkpoint: Checkpoint, left_out: Sequenc
             getattr(buffer, name)[: len(arrays[f"replay/{name}"])] = arrays[f"replay/{name}"]
         buffer.pos, buffer.full = numbers["position"], numbers["full"]
         model.action_space.np_random.bit_generator.state = numbers["random_actions"]
-
-
-def critic_names(model: Learner) -> tuple[str, ...]:
-    """Return the prefixes of the names of the critic's arrays, including those of its optimizer."""
-    named = enumerate(name for name, _ in model.policy.named_parameters())
-    of_critic = [(f"policy/{name}", f"optimizer/{i}/") for i, name in named if "value_net" in name]
-    return tuple(name for both in of_critic for name in both)
 
 
 def _copy(tensor: torch.Tensor) -> np.ndarray:

@@ -80,7 +80,7 @@ def _make_learner(run: Run, env: VecEnv, build: bool = True) -> Any:
         return kind(
             run.policy or "MlpPolicy",
             env,
-            seed=stream_seed(run.stream, "weights") % 2**31,
+            seed=stream_seed(run.seed, "weights") % 2**31,
             device="cpu",
             **{key: value for key, value in arguments.items() if key in known},
         )
@@ -115,7 +115,7 @@ class OpenTrainer(Trainer):
         # schedules fall over the whole budget, of which `learn` is told a part at a time
         self._model._update_current_progress_remaining = lambda steps, _: follow(steps, run.steps)
         self._random = Evaluation(run).random
-        self._seed = stream_seed(run.stream, "evaluation")
+        self._seed = stream_seed(run.seed, "evaluation")
 
     def update(self, before: int, after: int, records: Records) -> bool:
         model = self._model

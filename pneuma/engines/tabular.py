@@ -36,8 +36,8 @@ class TableTrainer(ResumableTrainer):
         self.env = _make_env(run)
         count = 2 if run.algorithm == "double-q-learning" else 1
         self.tables = np.zeros((count, PLACES, ACTIONS))
-        self._generator = np.random.default_rng(stream_seed(run.stream, "actions"))
-        self._place = int(self.env.reset(seed=stream_seed(run.stream, "world"))[0])
+        self._generator = np.random.default_rng(stream_seed(run.seed, "actions"))
+        self._place = int(self.env.reset(seed=stream_seed(run.seed, "world"))[0])
         self._return, self._length, self._episode = 0.0, 0, 0
         self._finished: list[Row] = []
 
@@ -140,9 +140,9 @@ def exploration_rate(run: Run, taken: int) -> float:
 
 
 def _play(run: Run, values: np.ndarray, step: int) -> tuple[list[float], list[int]]:
-    generator = np.random.default_rng(stream_seed(run.stream, "evaluation-actions", step))
+    generator = np.random.default_rng(stream_seed(run.seed, "evaluation-actions", step))
     env = _make_env(run)
-    env.reset(seed=stream_seed(run.stream, "evaluation"))
+    env.reset(seed=stream_seed(run.seed, "evaluation"))
     returns, lengths = [0.0] * run.evaluation_episodes, [0] * run.evaluation_episodes
     for episode in range(run.evaluation_episodes):
         place, ended = env.reset()[0], False

@@ -136,11 +136,6 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         info["episode"] = {"r": total, "l": length}
         return info
 
-    def observe(self) -> np.ndarray:
-        """Return the observations of the current state, after it was changed by hand."""
-        self.state.observe()
-        return self.slots.observations
-
     def saved_state(self) -> dict[str, np.ndarray]:
         """Copy everything that the next step depends on, including episodes in progress: arrays by name.
 
@@ -157,13 +152,6 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
                 raise ValueError(f"{name} is of shape {saved[name].shape}, not {array.shape}")
             array[:] = saved[name]
         self.slots.begun = True
-
-    def fork(self, seeds: Sequence[int], fresh_xp: bool) -> np.ndarray:
-        """Continue with other random streams, and with XP reset if asked for; return all observations."""
-        self.state.rekey(seeds)
-        if fresh_xp:
-            self.state.players["xp"] = 0.0
-        return self.observe()
 
     def _state_arrays(self) -> list[tuple[str, np.ndarray]]:
         names = ("worlds", "players", "monsters", "events", "observations", "masks")

@@ -180,15 +180,12 @@ class Worlds:
 
         Equal seeds make equal worlds; XP that outlives episodes starts again from 0.
         """
-        self.rekey(seeds, mask)
-        self.players["xp"][self._every if mask is None else mask] = 0.0
-
-    def rekey(self, seeds: Sequence[int], mask: np.ndarray | None = None) -> None:
-        """Give worlds new random streams; everything else continues."""
-        for world in np.flatnonzero(self._every if mask is None else mask):
+        chosen = self._every if mask is None else mask
+        for world in np.flatnonzero(chosen):
             generator, _ = seeding.np_random(int(seeds[int(world)]))
             self.worlds["key"][world] = generator.integers(2**64, dtype=np.uint64)
             self.worlds["draws"][world] = 0
+        self.players["xp"][chosen] = 0.0
 
     def reset(self, mask: np.ndarray | None = None, starts: np.ndarray | None = None) -> None:
         """Start an episode in all worlds, or in those of `mask`, and observe all.

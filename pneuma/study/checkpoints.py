@@ -3,13 +3,12 @@
     results/runs/ID/checkpoints/STEP-CHECKSUM.safetensors
 
 A file's name contains the checksum of its contents, so that a damaged or truncated file is never used. While
-a run trains, its latest two are kept, and those that the study keeps for forks.
+a run trains, its latest two are kept.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -18,8 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from safetensors.numpy import load, save
 
-from pneuma.config import Run
-from pneuma.engines.loop import Progress, checkpoint_steps
+from pneuma.engines.loop import Progress
 from pneuma.engines.records import (
     EPISODE_COLUMNS,
     EVALUATION_COLUMNS,
@@ -31,7 +29,6 @@ from pneuma.engines.records import (
 )
 from pneuma.errors import UserError
 from pneuma.files import SCHEMA, checksum
-from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.provenance import Attempt, finished_provenance
 from pneuma.study.store import CHECKPOINTS, Store, read_checkpoint_name
 from pneuma.study.tables import from_parquet, to_parquet
@@ -43,22 +40,18 @@ TABLES = {"episodes": EPISODE_COLUMNS, "metrics": METRIC_COLUMNS, "evaluations":
 
 
 class RunCheckpoints:
-    """The checkpoints of one run: the latest two while it trains, and `keep_checkpoints` of them afterwards.
+    """The checkpoints of one run while it trains.
 
-    Only the process that holds the run's lock may use this class.
+    Only the process that holds the run's lock may use this class. There are `seconds` between two of them.
 
     Attributes:
         attempts: the records of earlier attempts, up to the checkpoint from which this one resumes.
     """
 
-    def __init__(
-        self, store: Store, name: str, run: Run, how: ExecutorConfig, say: Callable[[str], None]
-    ) -> None:
-        self._store, self._name, self._run, self._say = store, name, run, say
+    def __init__(self, store: Store, name: str, seconds: float, say: Callable[[str], None]) -> None:
+        self._store, self._name, self._seconds, self._say = store, name, seconds, say
         self._folder = store.run_folder(name)
-        self._seconds = how.checkpoint_seconds
         self._next = time.monotonic() + self._seconds
-        self._steps_to_keep = checkpoint_steps(run, how.keep_checkpoints)
         self.attempts: list[dict[str, Any]] = []
         for left in (*self._folder.glob(".*.*"), *(self._folder / CHECKPOINTS).glob(".*.*")):
             store.remove(left)  # a temporary file of a process that was killed
@@ -75,7 +68,7 @@ class RunCheckpoints:
                 return checkpoint
             self._say(f"the checkpoint at step {file.step:,} is damaged: going on from the one before")
             self._store.remove(file.path)
-        return self._parents() if self._run.parent else None
+        return None
 
     def give_up(self, why: Exception) -> bool:
         """Discard the latest checkpoint, which the engine cannot use; return whether there was one."""
@@ -86,14 +79,14 @@ class RunCheckpoints:
         return False
 
     def update(self, progress: Progress, attempt: Attempt, at_once: bool) -> None:
-        """Write a checkpoint if it is time, if this one is to be kept, or if asked for `at_once`.
+        """Write a checkpoint if it is time, or if asked for `at_once`.
 
         If it cannot be written, this is reported and tried again later. Training goes on.
         """
         if progress.checkpoint is None:
             return
         now = time.monotonic()
-        if now < self._next and not at_once and progress.step not in self._steps_to_keep:
+        if now < self._next and not at_once:
             return
         history = {"attempts": [*self.attempts, attempt.so_far(progress.step)]}
         try:
@@ -113,15 +106,7 @@ class RunCheckpoints:
 
     def _keep_latest(self, count: int) -> None:
         for file in checkpoint_files(self._folder)[count:]:
-            if file.step not in self._steps_to_keep:
-                self._store.remove(file.path)
-
-    def _parents(self) -> Checkpoint:
-        parent, step = self._run.parent, self._run.fork_step
-        found = sound_checkpoint(self._store.run_folder(parent), step)
-        if found is None or found.step != step:
-            raise UserError(f"run {parent} has no sound checkpoint at step {step:,} any more")
-        return found
+            self._store.remove(file.path)
 
 
 # --- Files -----------------------------------------------------------------------------------------
@@ -139,10 +124,12 @@ def checkpoint_files(folder: Path) -> list[CheckpointFile]:
     return sorted((CheckpointFile(*parts, path) for path, parts in found if parts), reverse=True)
 
 
-def sound_checkpoint(folder: Path, until: float = math.inf) -> Checkpoint | None:
-    """Return the latest sound checkpoint in a run's folder up to a step; None if there is none."""
-    files = (file for file in checkpoint_files(folder) if file.step <= until)
-    return next((read[0] for file in files if (read := read_checkpoint(file))), None)
+def sound_checkpoint(folder: Path) -> Checkpoint | None:
+    """Return the latest sound checkpoint in a run's folder; None if there is none."""
+    for file in checkpoint_files(folder):
+        if read := read_checkpoint(file):
+            return read[0]
+    return None
 
 
 def file_name(step: int, data: bytes) -> str:

@@ -138,9 +138,9 @@ def groups(todo: Mapping[str, Run], workers: int) -> list[dict[str, Run]]:
     ]
 
 
-def kept_step(run: Run, status: Status) -> int:
-    """Return the step at which training would resume: that of its checkpoint or fork, else 0."""
-    return 0 if status.finished else max(status.step, run.fork_step)
+def kept_step(status: Status) -> int:
+    """Return the step at which training would resume: that of its checkpoint, else 0."""
+    return 0 if status.finished else status.step
 
 
 def missing(plan: Plan, statuses: Mapping[str, Status], retry_failed: bool = False) -> dict[str, Run]:

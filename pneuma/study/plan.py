@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 from pneuma.config import (
     ENGINES,
-    FORK_FIELDS,
     OF_GYMNASIUM,
     Run,
     as_fields,
@@ -275,7 +274,7 @@ def find_preset(study: Study, selection: Selection) -> Preset:
     return study.presets[name]
 
 
-_SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps", **dict.fromkeys(FORK_FIELDS, "pneuma run fork")}
+_SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps"}
 
 
 def _notes(study: Study, cells: Sequence[Cell]) -> Iterator[str]:

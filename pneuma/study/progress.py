@@ -59,7 +59,7 @@ def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
     for name in dict.fromkeys([*names_first, *store.runs()[:SAMPLE]]):
         try:
             row = stored_row(store, name)
-            pace = (row.wall_seconds or 0) / (row.end - row.fields["fork_step"])
+            pace = (row.wall_seconds or 0) / (row.end - row.begun)
         except (UserError, KeyError, TypeError, ValueError, ArithmeticError):
             continue  # an imported, damaged or untrusted run tells nothing
         if pace > 0 and processors(row.provenance) == (machine()["cpu"],):
@@ -94,7 +94,7 @@ class ProgressDisplay:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
         self._whole, self._until = {name: run.steps for name, run in to_train.items()}, until
-        self._steps = {name: kept_step(run, store.status(name, quick=True)) for name, run in to_train.items()}
+        self._steps = {name: kept_step(store.status(name, quick=True)) for name in to_train}
         self._ended: set[str] = set()
         self._bar = Progress(
             TextColumn("{task.description}", markup=False),

@@ -142,6 +142,9 @@ def _are_evaluations(kind: pa.DataType) -> bool:
     return kinds.get("step") in numbers and {*kinds.values()} <= {*numbers, pa.null()}
 
 
+FORK_TYPES: dict[str, tuple[type, ...]] = {"parent": (str,), "fork_step": (int,)}
+"""Fields that published runs may have which an earlier version forked from others: no run has them now."""
+
 # --- Reading ----------------------------------------------------------------------------------------
 
 
@@ -158,7 +161,8 @@ def _read_fields(text: str) -> dict[str, Any]:
 @cache
 def _field_types() -> dict[str, tuple[type, ...]]:
     of_default = {str: (str,), list: (list,), type(None): (int, float, list)}
-    return {key: of_default.get(type(usual), (int, float)) for key, usual in as_fields(Run()).items()}
+    types = {key: of_default.get(type(usual), (int, float)) for key, usual in as_fields(Run()).items()}
+    return {**types, **FORK_TYPES}
 
 
 _DOCUMENTS = {"fields": _read_fields, "provenance": parse_json, "signs": unpack_signs}
@@ -218,7 +222,7 @@ class Row:
 
     @property
     def begun(self) -> int:
-        """Agent steps with which the run began: for a fork, those of its parent."""
+        """Agent steps with which the run began: for a published fork, those of its parent."""
         return self.fields.get("fork_step") or 0
 
     @property

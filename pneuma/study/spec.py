@@ -21,10 +21,10 @@ from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
-from annotated_types import Interval, MinLen
+from annotated_types import MinLen
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator, model_validator
 
-from pneuma.config import FORK_FIELDS, Run, Steps, make_run, reads
+from pneuma.config import Run, Steps, make_run, reads
 from pneuma.env.fields import ENVIRONMENT_SLOTS, ENVIRONMENTS, read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.presets import BASES, TEXT, WORLDS, checked_world, usual_world, world_fields, world_option
@@ -40,9 +40,7 @@ CLAIMS = "claims"
 MOST_CONDITIONS = 1000
 CONDITION = "condition"
 """In a crossed study, the factor whose values are the file's conditions."""
-PLANNED = {"seed": "a preset (seeds)", "steps": "a preset (steps)"} | dict.fromkeys(
-    FORK_FIELDS, "`pneuma run fork`"
-)
+PLANNED = {"seed": "a preset (seeds)", "steps": "a preset (steps)"}
 """Fields of a run that a study does not set, and what sets them."""
 
 
@@ -141,7 +139,7 @@ class Study(Table):
 
     Attributes:
         conditions: what each condition sets on top; once it is read, crossed with the factors.
-        path: the file; None for a study without a file, such as a fork.
+        path: the file; None for a study without a file, such as imported logs.
         levels: for each condition of a crossed study, its value of each factor.
         settings: fields that `--set` changed in every condition.
     """
@@ -153,7 +151,6 @@ class Study(Table):
     base: Annotated[str, OneOf(tuple(BASES))]
     baseline: str = ""
     outcomes: tuple[str, ...] = ()
-    keep_checkpoints: Annotated[int, Interval(ge=0, le=1000)] = 0
     worlds: Annotated[tuple[Annotated[str, OneOf(tuple(WORLDS))], ...], MinLen(1)] = ()
     run: Fields = {}
     factors: Annotated[dict[str, dict[Name, Fields]], BeforeValidator(_named_values)] = {}
@@ -188,7 +185,7 @@ class Study(Table):
 
     @classmethod
     def without_file(cls, name: str, title: str, conditions: Iterable[str], **more: Any) -> Study:
-        """Return a study whose runs are listed or forked; the first condition is the baseline."""
+        """Return a study whose runs are listed; the first condition is the baseline."""
         named: dict[str, dict[str, Any]] = {condition: {} for condition in conditions}
         usual = {"baseline": next(iter(named)), "figure": name, "presets": {}, "worlds": tuple(WORLDS)}
         return cls.model_construct(name=name, title=title, conditions=named, **{**usual, **more})

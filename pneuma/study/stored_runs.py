@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pneuma.config import as_fields, make_run
+from pneuma.config import Run, as_fields, make_run
 from pneuma.errors import UserError, nearest_name
 from pneuma.study.identity import describe_user_code
 from pneuma.study.store import Store, read_sound
@@ -58,8 +58,13 @@ def stored_settings(store: Store, run_id: str) -> dict[str, Any]:
     return settings if isinstance(settings, dict) else {}
 
 
+def stored_run(settings: Mapping[str, Any]) -> Run:
+    """Return the run of a stored configuration, without fields that an earlier version had."""
+    return make_run({key: value for key, value in settings.items() if key in as_fields(Run())})
+
+
 def trusted_settings(store: Store, run_id: str, trust: bool) -> dict[str, Any]:
-    """Return a finished run's configuration, to make its environment or go on with its policy.
+    """Return a finished run's configuration, to make its environment.
 
     Raises:
         UserError: without `trust`, for a run that names files, code, or arguments of its environment.

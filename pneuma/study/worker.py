@@ -145,7 +145,7 @@ class Worker:
                 "Pneuma or the run's own files (level, characters, reward, environment, wrappers) changed"
             )
         say = partial(self.reporter.note, name)
-        checkpoints = RunCheckpoints(self.store, name, run, self.how, say)
+        checkpoints = RunCheckpoints(self.store, name, self.how.checkpoint_seconds, say)
         while True:
             try:
                 with _warnings(say) as warned:

@@ -36,8 +36,6 @@ MISTAKES = {
     "study run collapse --set scale=raw": "--set scale: conditions of study collapse set it",
     f"{RUN} --address a:1": "--address requires --executor ray",
     f"{RUN} --seeds 0": "--seeds 0: must be a count",
-    "study collapse activation --trust": "--trust requires --fork",
-    "study collapse activation --fork-seeds 1": "--fork-seeds requires --fork",
     "study run nowhere.toml": "nowhere.toml: cannot be read: No such file",
     "study export activation --out x.csv": "Missing option '--table'",
     "study compare": "Missing argument 'NAME'",

@@ -20,7 +20,6 @@ INSTALLED = "RunsAProgram-v0"
 COMMANDS = {
     "export as .zip": ("run", "export", "{}", "--out", "x.zip"),
     "export as .onnx": ("run", "export", "{}", "--out", "x.onnx"),
-    "fork": ("run", "fork", "{}", "--at", "64", "--set", "gamma=0.9"),
     "render": ("env", "render", "pneuma/Pneuma-v0", "--player", "{}", "--out", "x.gif"),
 }
 RECORDS: dict[str, dict[str, Any]] = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -77,14 +76,3 @@ def test_a_policy_carries_the_statistics_of_the_last_rollout_and_records_are_as_
     assert saved["worlds/observed_count"] == pytest.approx(384 + 2, abs=1e-3)
     returns = [row["return"] for row in result.records.episodes]
     assert returns == [float(row["length"]) for row in result.records.episodes]  # CartPole pays 1 a step
-
-
-def test_a_fork_of_another_gamma_goes_on_with_what_was_learned() -> None:
-    run = normalized()
-    slots = GymnasiumSlots(run, slot_seeds(run), training=True)
-    for _ in range(60):
-        slots.step(np.zeros(2, np.int64))
-    fork = GymnasiumSlots(replace(run, gamma=0.5), slot_seeds(run), training=True)
-    fork.restore_state(slots.saved_state())
-    np.testing.assert_equal(fork.saved_state(), slots.saved_state())
-    np.testing.assert_array_equal(fork.seen, slots.seen)

@@ -1,4 +1,4 @@
-"""Checkpoints of a run in the store: when they are taken, which are kept, and where a run goes on."""
+"""Checkpoints of a run in the store: when they are taken, and where a run goes on."""
 
 from __future__ import annotations
 
@@ -6,17 +6,14 @@ from typing import Any
 
 import pytest
 
-from pneuma.config import make_run
 from pneuma.engines.loop import Progress
 from pneuma.engines.records import Checkpoint, Records
 from pneuma.study import checkpoints
 from pneuma.study.checkpoints import RunCheckpoints, checkpoint_files
-from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.provenance import Attempt
 from pneuma.study.store import Store
 
 NAME = "0123456789abcdef"
-RUN = make_run({"steps": 2560})  # 10 updates of 256
 
 
 class _Clock:
@@ -35,9 +32,8 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> _Clock:
     return clock
 
 
-def begin(store: Store, keep: int = 0, said: list[str] | None = None) -> RunCheckpoints:
-    how = ExecutorConfig(checkpoint_seconds=15.0, keep_checkpoints=keep)
-    return RunCheckpoints(store, NAME, RUN, how, (said if said is not None else list[str]()).append)
+def begin(store: Store, said: list[str] | None = None) -> RunCheckpoints:
+    return RunCheckpoints(store, NAME, 15.0, (said if said is not None else list[str]()).append)
 
 
 def tell(own: RunCheckpoints, step: int, at_once: bool = False) -> None:
@@ -76,15 +72,6 @@ def test_what_takes_long_to_write_is_written_less_often(
         clock.now += seconds
         tell(own, step)
     assert steps(store) == [768, 256]
-
-
-def test_those_that_a_study_keeps_stay(store: Store, clock: _Clock) -> None:
-    own = begin(store, keep=2)  # at 1,280 and 2,560, and the first update's
-    for step in range(256, 2561, 256):
-        clock.now += 15.0 if step in (256, 512, 768) else 0.0
-        tell(own, step)
-    own.finish()
-    assert steps(store) == [2560, 1280, 256]
 
 
 def test_a_damaged_checkpoint_is_said_and_the_one_before_is_taken(store: Store) -> None:

@@ -53,13 +53,10 @@ def test_of_a_run_unlike_all_others_the_time_is_unknown() -> None:
 
 
 def test_a_pace_is_of_the_steps_that_were_trained(tmp_path: Path) -> None:
-    """Of a diverged run they are fewer than its budget; of a fork, without its parent's."""
+    """Of a diverged run they are fewer than its budget."""
     store = Store(tmp_path)
     save(store, RUN, 512, 2.56, HERE)
     assert pace(store) == pytest.approx(2.56 / 512)
-    fork = make_run({**as_fields(RUN), "horizon": 128, "parent": "a" * 16, "fork_step": 2304})
-    save(store, fork, 2560, 2.56, HERE)
-    assert pace(store, fork) == pytest.approx(2.56 / 256)
 
 
 # --- What produced a run ---------------------------------------------------------------------------

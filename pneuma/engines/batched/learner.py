@@ -34,7 +34,7 @@ HIDDEN_GAIN, ACTOR_GAIN, CRITIC_GAIN = math.sqrt(2), 0.01, 1.0
 
 def initial_networks(run: Run, features: int, actions: int, player: int = 0) -> Networks:
     """Return orthogonal weights and zero biases, from the run's random stream for weights."""
-    generator = np.random.default_rng(stream_seed(run.stream, "weights", player))
+    generator = np.random.default_rng(stream_seed(run.seed, "weights", player))
     scale = run.first_layer_scale
     return {
         "actor": _layers(generator, (features, *run.actor, actions), scale, ACTOR_GAIN),
@@ -49,13 +49,10 @@ class Learner:
         self.run = run
         self.networks: Networks = initial_networks(run, features, actions, player)
         self.optimizer: Tree = to_numpy(initial_state(run.optimizer, self.networks))
-        self.generator = self.fresh_order(player)
+        # of the order of minibatches
+        self.generator = np.random.default_rng(stream_seed(run.seed, "minibatches", player))
         self._actions = actions
         self._numbers = run_numbers(run, player)
-
-    def fresh_order(self, player: int) -> np.random.Generator:
-        """Return a generator of the order of minibatches as at a run's begin."""
-        return np.random.default_rng(stream_seed(self.run.stream, "minibatches", player))
 
     def policy(self) -> Policy:
         return Policy(self.run.activation, self.networks["actor"], self.networks["critic"])

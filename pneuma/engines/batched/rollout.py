@@ -86,7 +86,7 @@ class Collector:
 
     def __init__(self, run: Run) -> None:
         self._run = run
-        self.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
+        self.generator = np.random.default_rng(stream_seed(run.seed, "actions"))
         self._set_up()
 
     def _set_up(self) -> None:
@@ -154,13 +154,6 @@ class Collector:
             array[:] = saved[name]
         self.worlds.observe()
 
-    def fork(self) -> None:
-        """Continue with random streams of the run's own, and with XP reset if it says so."""
-        self.worlds.rekey(slot_seeds(self._run))
-        if self._run.fork_reset == "xp":
-            self.worlds.players["xp"] = 0.0
-            self.worlds.observe()
-
 
 class GymnasiumCollector(Collector):
     """Gymnasium's environments in a run's slots, of which each step is Python."""
@@ -206,10 +199,6 @@ class GymnasiumCollector(Collector):
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
         self.slots.restore_state({name: saved[f"worlds/{name}"] for name in self.slots.saved_state()})
-
-    def fork(self) -> None:
-        """Continue with random streams of the run's own, from each slot's next episode on."""
-        self.slots.reseed(slot_seeds(self._run))
 
 
 def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.ndarray:

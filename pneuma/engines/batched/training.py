@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
-from functools import partial, reduce
+from functools import reduce
 from operator import add
 from typing import Any
 
 import jax
 import numpy as np
 
-from pneuma.config import Run, is_gymnasium_id, stream_seed
+from pneuma.config import Run, is_gymnasium_id
 from pneuma.engines.batched.learner import Learner
 from pneuma.engines.batched.rollout import Collector, GymnasiumCollector
-from pneuma.engines.loop import ResumableTrainer, begins_fork
+from pneuma.engines.loop import ResumableTrainer
 from pneuma.engines.policy import Policy, overflows
 from pneuma.engines.records import Checkpoint, Records
 
@@ -72,45 +71,34 @@ class BatchedTrainer(ResumableTrainer):
         return Checkpoint(step, arrays, numbers, records.copy())
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Resume from a checkpoint; a fork starts from its parent's, with random streams of its own.
-
-        A fork resets what its run says.
-        """
-        run, numbers = self.run, checkpoint.numbers
-        begins = begins_fork(run, checkpoint)
-        reset = run.fork_reset if begins else ""
+        numbers = checkpoint.numbers
         if numbers["layout"] != self.collector.layout:
             raise ValueError("the state of the worlds was laid out otherwise")
-        if numbers["optimizer"] != run.optimizer and reset != "optimizer":
+        if numbers["optimizer"] != self.run.optimizer:
             raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
         self.collector.restore_state(checkpoint.arrays)
         self.collector.generator.bit_generator.state = numbers["actions"]
         for player, learner in enumerate(self.learners):
-            _restore_learner(learner, player, checkpoint, reset)
-        if begins:
-            self.collector.fork()
-            self.collector.generator = np.random.default_rng(stream_seed(run.stream, "actions"))
-            for player, learner in enumerate(self.learners):
-                learner.generator = learner.fresh_order(player)
+            _restore_learner(learner, player, checkpoint)
 
 
-def _restore_learner(learner: Learner, player: int, checkpoint: Checkpoint, reset: str) -> None:
-    """Take over everything but what a fork resets: the optimizer, or the critic with its moments."""
+def _restore_learner(learner: Learner, player: int, checkpoint: Checkpoint) -> None:
+    learner.networks = _restored(learner.networks, player, "networks", checkpoint)
+    learner.optimizer = _restored(learner.optimizer, player, "optimizer", checkpoint)
+    learner.generator.bit_generator.state = checkpoint.numbers["minibatches"][player]
 
-    def restored(part: str) -> Any:
-        return jax.tree.map_with_path(partial(saved, part), getattr(learner, part))
 
-    def saved(part: str, path: Any, fresh: Any) -> np.ndarray:
+def _restored(tree: Any, player: int, part: str, checkpoint: Checkpoint) -> Any:
+    """Return a tree of arrays with the values of a checkpoint."""
+
+    def saved(path: Any, fresh: Any) -> np.ndarray:
         name = _array_name(player, part, path)
-        if reset and reset in re.split(r"[/.]", name):
-            return np.array(fresh)  # a copy, as an optimizer's moments may begin as one array
         array = checkpoint.arrays[name]
         if array.shape != np.shape(fresh):
             raise ValueError(f"{name} is of shape {array.shape}, not {np.shape(fresh)}")
         return np.array(array)
 
-    learner.networks, learner.optimizer = restored("networks"), restored("optimizer")
-    learner.generator.bit_generator.state = checkpoint.numbers["minibatches"][player]
+    return jax.tree.map_with_path(saved, tree)
 
 
 def _array_name(player: int, part: str, path: Any) -> str:

@@ -79,7 +79,7 @@ def run_numbers(run: Run, player: int = 0) -> dict[str, Any]:
         "part_limit": limit if run.clip == "separate" else math.inf,
         "weight_decay": run.weight_decay,
     }
-    key = np.array([stream_seed(run.stream, "upgd-noise", player)], np.uint64).view(np.uint32)
+    key = np.array([stream_seed(run.seed, "upgd-noise", player)], np.uint64).view(np.uint32)
     return {name: np.float32(value) for name, value in numbers.items()} | {"noise_key": key}
 
 

@@ -56,7 +56,6 @@ class ExecutorConfig:
     Attributes:
         workers: how many train at once.
         checkpoint_seconds: between two checkpoints of a run.
-        keep_checkpoints: how many of each run to keep for forks.
         logs: folders of TensorBoard logs, by run.
         project: the user's study, for the provenance of runs.
         until: steps at which runs pause, by run: they go on to a checkpoint there; 0 is the end.
@@ -66,7 +65,6 @@ class ExecutorConfig:
 
     workers: int = 1
     checkpoint_seconds: float = 15.0
-    keep_checkpoints: int = 0
     logs: Mapping[str, str] = field(default_factory=dict)
     until: Mapping[str, int] = field(default_factory=dict)
     project: Mapping[str, str] = field(default_factory=dict)
