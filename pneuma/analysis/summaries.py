@@ -122,6 +122,7 @@ def _generator(*words: str) -> np.random.Generator:
 NO_CELL = "–"
 SHOWN = 3
 """Outcomes of which means are shown unless others are asked for."""
+FAILURES = ("collapsed", "diverged")
 TOLD_BY = ("mean", "share", "median")
 """Statistics that stand for an outcome in a thesis's table: the first of them that it has."""
 FEW_EPISODES = 10
@@ -170,10 +171,28 @@ def statistics_cells(data: StudyData, found: pd.DataFrame, outcomes: Sequence[st
 
 
 def overview_cells(data: StudyData, found: pd.DataFrame) -> pd.DataFrame:
-    """Return a row for each condition: means of the first outcomes, and shares of runs that failed."""
-    names = [*found["outcome"][found["statistic"] == "mean"].unique()][:SHOWN]
-    failed = [("collapsed", "share"), ("diverged", "share")]
-    return _condition_cells(data, found, [*((name, "mean") for name in names), *failed]).reset_index()
+    """Return a row for each condition: means of the first outcomes, and shares of runs that failed, if any.
+
+    It has at most five columns, so that a terminal shows words whole.
+    """
+    failed = [(name, "share") for name in FAILURES if (_failed_shares(found, name) > 0).any()]
+    names = found["outcome"][found["statistic"] == "mean"].unique()[: SHOWN - len(failed)]
+    means = [(name, "mean") for name in names]
+    return _condition_cells(data, found, means + failed).reset_index()
+
+
+def failures_text(found: pd.DataFrame) -> str:
+    """Return the ways in which no run failed, as a sentence; empty if there is none."""
+    without = []
+    for name in FAILURES:
+        shares = _failed_shares(found, name)
+        if len(shares.dropna()) and not (shares > 0).any():
+            without.append(name)
+    return f"No run {' or '.join(without)}." if without else ""
+
+
+def _failed_shares(found: pd.DataFrame, name: str) -> pd.Series:
+    return found["value"][(found["outcome"] == name) & (found["statistic"] == "share")]
 
 
 def thesis_cells(

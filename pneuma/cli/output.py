@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import os
+import re
 import shlex
 import shutil
 import sys
@@ -11,10 +13,13 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass
+from itertools import chain, zip_longest
 from json import dumps
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rich.cells import cell_len
 
 from pneuma.errors import UserError, nearest_name, plain, print_aside
 from pneuma.figures import FIGURE_FORMATS
@@ -77,6 +82,9 @@ def _flush() -> None:
 # --- Results in any form --------------------------------------------------------------------------
 
 OUTPUT_FORMATS = ("table", "markdown", "latex", "csv", "json")
+COLUMN_GAP = "  "
+_WORD = re.compile(r"\[[^\]]*\]|\S+")
+"""A word of a cell; an interval in brackets is one."""
 
 
 class Table(NamedTuple):
@@ -137,35 +145,55 @@ def print_result(result: Result, form: str) -> None:
 
 
 def _print_table(table: Table) -> None:
-    """Print a table of text, which may be untrusted; one that is wider than the terminal is folded."""
-    from rich.cells import cell_len
-
+    """Print a table of text, which may be untrusted; in a narrow terminal cells are folded between words."""
     rows = [[plain(_shown(cell)) for cell in row] for row in table.rows]
     lines = [[*map(plain, table.heads)], *rows] if any(table.heads) else rows
-    widths = [max(map(cell_len, column)) for column in zip(*lines, strict=True)]
-    if sys.stdout.isatty() and sum(widths) + 2 * len(widths) > shutil.get_terminal_size().columns:
-        return _print_folded(lines, bool(any(table.heads)))
+    room = math.inf
+    if sys.stdout.isatty():
+        room = shutil.get_terminal_size().columns - len(COLUMN_GAP) * (len(lines[0]) - 1)
+    widths = _column_widths(lines, room)
     for line in lines:
-        padded = (cell + " " * (width - cell_len(cell)) for cell, width in zip(line, widths, strict=True))
-        print("  ".join(padded).rstrip())
+        cells = [_folded(cell, width) for cell, width in zip(line, widths, strict=True)]
+        for texts in zip_longest(*cells, fillvalue=""):
+            padded = (
+                text + " " * (width - cell_len(text)) for text, width in zip(texts, widths, strict=True)
+            )
+            print(COLUMN_GAP.join(padded).rstrip())
+
+
+def _column_widths(lines: Sequence[Sequence[str]], room: float) -> list[int]:
+    """Return the widths of columns; the widest ones are narrowed to fit, though no word is broken."""
+    widths, least = [], []
+    for column in zip(*lines, strict=True):
+        widths.append(max(map(cell_len, column)))
+        words = chain.from_iterable(_WORD.findall(cell) for cell in column)
+        least.append(max(map(cell_len, words), default=0))
+    while sum(widths) > room:
+        wider = [place for place, width in enumerate(widths) if width > least[place]]
+        if not wider:
+            break
+        widest = max(wider, key=widths.__getitem__)
+        widths[widest] -= 1
+    return widths
+
+
+def _folded(cell: str, width: int) -> list[str]:
+    """Return the lines of a cell in a column of a width, broken between words."""
+    if cell_len(cell) <= width:
+        return [cell]
+    lines = [""]
+    for word in _WORD.findall(cell):
+        longer = f"{lines[-1]} {word}".lstrip()
+        if cell_len(longer) <= width:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return [line for line in lines if line]
 
 
 def _shown(cell: object) -> str:
     unknown = cell is None or cell != cell
     return "–" if unknown else f"{cell:,.4g}" if isinstance(cell, float) else str(cell)
-
-
-def _print_folded(lines: Sequence[Sequence[str]], has_heads: bool) -> None:
-    from rich import table as rich
-    from rich.console import Console
-    from rich.text import Text
-
-    laid_out = rich.Table(box=None, pad_edge=False, header_style="", show_header=has_heads)
-    for head in lines[0]:
-        laid_out.add_column(Text(head), overflow="fold")
-    for row in lines[has_heads:]:
-        laid_out.add_row(*map(Text, row))
-    Console(color_system=None, highlight=False).print(laid_out)
 
 
 def frame_table(frame: pd.DataFrame) -> Table:

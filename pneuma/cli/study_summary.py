@@ -72,7 +72,7 @@ def summary(
         few = any(len(data.of_condition(name)) < LEAST_RUNS for name in data.conditions)
         lacking += f" Means of fewer than {LEAST_RUNS} runs have none." * few
         text = f"Means, and shares of runs, with 95 % intervals.{lacking} More: --outcome NAME, or --all."
-        shown += ["", text]
+        shown += ["", *filter(None, [summaries.failures_text(found)]), text]
     notes = [data.ends, *summaries.lacks_text(data, found, asked), summaries.episodes_text(data, listed)]
     return Result({**data.about, "summary": found}, shown, data.full_title, notes, table, found)
 

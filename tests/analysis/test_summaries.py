@@ -15,10 +15,16 @@ from pneuma.analysis.export import encode_table
 from pneuma.analysis.intervals import shown_with_interval
 from pneuma.analysis.outcomes import reason
 from pneuma.analysis.study_data import StudyData
-from pneuma.analysis.summaries import compare_conditions, summary_table
+from pneuma.analysis.summaries import (
+    compare_conditions,
+    failures_text,
+    overview_cells,
+    summary_table,
+    with_cells,
+)
 from pneuma.study.store import Store
 
-from ..hand_made import healthy, learning, save_collapse, study_of
+from ..hand_made import BUDGET, healthy, learning, save_collapse, study_of
 
 FINALS = {"a": (0.2, 0.4, 0.5, 0.9), "b": (0.3, 0.3, 0.3, 0.3)}
 ARMS = {"a": (0.2, 0.4, 0.5, 0.9, 0.5), "b": (0.1, 0.3, 0.3, 0.45, 0.35)}
@@ -159,3 +165,18 @@ def test_four_runs_have_a_difference_without_an_interval_and_steps_without_end_a
     assert killed["difference"] == pytest.approx(0.2) and np.isnan([killed["low"], killed["high"]]).all()
     assert steps["mean_b"] == float("inf") and np.isnan(steps["difference"])
     assert steps["p_better"] == pytest.approx((2 * 4 + 2 * 4 * 0.5) / 16)  # two of a's runs get there
+
+
+def test_the_overview_has_five_columns_and_what_never_happens_is_a_line(tmp_path: Path) -> None:
+    """Where two of four runs diverge, a mean makes room."""
+    store, cells = Store(tmp_path), {("a", seed): f"a{seed}" * 8 for seed in range(4)}
+    for (_, seed), run_id in cells.items():
+        save_collapse(store, run_id, healthy(), learning(), end=BUDGET // 2 if seed < 2 else BUDGET)
+    data = study_of(store, cells)
+    found = with_cells(summary_table(data))
+    heads = ["condition", "runs", "final-share-killed (share)", "auc-share-killed (share)"]
+    assert [*overview_cells(data, found)] == [*heads, "diverged"]
+    assert failures_text(found) == "No run collapsed."
+    sound = found.assign(value=found["value"].where(found["outcome"] != "diverged", 0))
+    assert failures_text(sound) == "No run collapsed or diverged."
+    assert [*overview_cells(data, sound)] == [*heads, "greedy-share-killed (share)"]

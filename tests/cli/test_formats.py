@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 from pathlib import Path
@@ -10,6 +11,7 @@ import pandas as pd
 import pytest
 
 from pneuma.analysis.export import encode_frame
+from pneuma.cli.output import Result, Table, print_result
 from pneuma.study.store import Store
 
 from ..analysis.claim_files import HIGH, LOW, save_runs, write_files
@@ -117,3 +119,28 @@ def test_variables_for_other_programs_do_not_stop_a_figure(
     monkeypatch.setenv("MPLBACKEND", "nonsense")
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "abc")
     printed("study", "plot", *mine, "--format", "pdf", "--out", tmp_path / "drawn")
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_of_a_hundred_columns_shows_words_and_intervals_whole(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A head was once broken as final-share-kil, led."""
+    monkeypatch.setenv("COLUMNS", "100")
+    heads = [f"final-share-killed-{k} (share)" for k in range(4)]
+    cells = ["0.851 [0.827, 0.876]", "two words that are longer than the rest", "–", "0.5"]
+    with contextlib.redirect_stdout(Terminal()) as terminal:
+        print_result(Result({}, [Table(heads, [cells, ["", "b", "c", "d"]])]), "table")
+    lines = terminal.getvalue().splitlines()
+    assert max(map(len, lines)) <= 100
+    words = "[0.827, 0.876]", *(f"final-share-killed-{k}" for k in range(4)), "(share)"
+    assert all(any(word in line for line in lines) for word in words)
+    assert [line.split() for line in lines[-1:]] == [["b", "c", "d"]]
+    monkeypatch.setenv("COLUMNS", "20")  # too narrow for all words, which stay whole
+    with contextlib.redirect_stdout(Terminal()) as terminal:
+        print_result(Result({}, [Table(heads, [cells])]), "table")
+    assert all(word in terminal.getvalue() for word in words)
