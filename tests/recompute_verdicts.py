@@ -1,7 +1,7 @@
 """Every verdict on the published runs by another hand: `python -m tests.recompute_verdicts [RESULTS]`.
 
 What `pneuma study verify --json` says is computed again from studies/claims.toml and the published tables by
-NumPy and SciPy: the outcome of each run, effects, intervals, widths that are planned, and verdicts. Nothing
+NumPy and SciPy: the outcome of each run, effects, intervals and verdicts. Nothing
 of Pneuma is imported, and the rules are written from docs/claims.md. Ends with 1 if anything differs.
 """
 
@@ -60,8 +60,7 @@ def check(told: Mapping[str, Any], rows: Mapping[str, Row]) -> tuple[list[str], 
         wrong.append("not every claim is judged in each of its worlds")
     for one in told["claims"]:
         claim, world = claims[one["claim"]], one["world"]
-        spreads = PILOT.get(world, {})
-        for what, place, mine, theirs in compared(claim, world, one, rows, of_world[world], spreads):
+        for what, place, mine, theirs in compared(claim, world, one, rows, of_world[world]):
             if alike(mine, theirs):
                 agreed[what] += 1
             else:
@@ -75,20 +74,15 @@ def compared(
     one: Mapping[str, Any],
     rows: Mapping[str, Row],
     contrasts: int,
-    spreads: Mapping[str, float],
 ) -> Iterator[tuple[str, str, Any, Any]]:
     """Yield for each number: what it is, of which contrast, as computed here, as told."""
     by_outcome: dict[str, list[str]] = {name: [] for name in claim["outcome"]}
     alpha, some = ALPHA / contrasts, False
     planned = [(name, *pair) for name in claim["outcome"] for pair in pairs(claim)]
     yield "claims", "", len(planned), len(one["contrasts"])
-    narrow = {name: True for name in claim["outcome"]}
     for (name, a, b), row in zip(planned, one["contrasts"], strict=True):
         place = f"{name} {', '.join(a)}"
         yield "contrasts", place, (name, ", ".join(a)), (row["outcome"], row["a"])
-        half = half_width(claim, name, world, a, b, alpha, spreads)
-        yield "planned widths", place, half, row["half_width"]
-        narrow[name] &= half is not None and half <= (number(claim, "margin", name, world) or 0) + 1e-12
         arms = {condition: [rows[id] for id in row["runs"].get(condition, ())] for condition in (*a, *b)}
         for condition, runs in arms.items():
             check_fixed(claim, condition, runs)
@@ -102,8 +96,6 @@ def compared(
         yield "verdicts of contrasts", place, verdict, row["verdict"]
         by_outcome[name].append(verdict)
     verdict = of_claim([of_outcome(each) for each in by_outcome.values()], claim)
-    if not claim.get("seen") and not (all if claim["need"] == "all" else any)(narrow.values()):
-        verdict = "untestable"  # it is not admitted
     yield "verdicts" if some else "claims without runs", "", verdict, one["verdict"]
 
 
@@ -119,7 +111,7 @@ def alike(mine: Any, theirs: Any) -> bool:
 
 with (ROOT / "studies" / "claims.toml").open("rb") as _file:
     LIST: dict[str, Any] = tomllib.load(_file)
-ALPHA, PILOT = LIST["list"]["alpha"], LIST["pilot"]["spreads"]
+ALPHA = LIST["list"]["alpha"]
 
 
 def read_claims() -> dict[str, Claim]:
@@ -388,38 +380,6 @@ def of_claim(verdicts: Sequence[str], claim: Claim) -> str:
     if yes or no:
         return "supported" if yes else "refuted"
     return "inconclusive" if "inconclusive" in verdicts else "untestable"
-
-
-# --- The design check ------------------------------------------------------------------------------
-
-
-def half_width(
-    claim: Claim,
-    outcome: str,
-    world: str,
-    a: Sequence[str],
-    b: Sequence[str],
-    alpha: float,
-    spreads: Mapping[str, float],
-) -> float | None:
-    """Return the half width of arms that spread as the pilot's, normally, around one mean."""
-    counts, named = claim["kind"] == "incidence", outcome
-    if counts:
-        key = "above" if "above" in claim else "below"
-        limit = claim[key][outcome] if isinstance(claim[key], dict) else claim[key]
-        named = f"{outcome} {key} {limit:g}"
-    spread = number(claim, "spread", outcome, world) or spreads.get(named, 0.5 if counts else None)
-    if spread is None:
-        return None
-    arms = {}
-    for name in (*a, *b):
-        runs = len(seeds_of(claim, name))
-        scores = stats.norm.ppf((np.arange(runs) + 0.5) / runs)
-        some = (np.arange(runs) < round(spread * runs)) * 1.0
-        arms[name] = some if counts else spread * scores / scores.std(ddof=1)
-    constant = 0.0 if claim["kind"] == "range" else number(claim, "value", outcome, world) or 0.0
-    _, ends = interval(claim["kind"], a, b, arms, constant, alpha)
-    return (ends[1] - ends[0]) / 2 if ends else None
 
 
 if __name__ == "__main__":

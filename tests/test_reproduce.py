@@ -14,9 +14,6 @@ from pneuma.analysis.claims.fixed_runs import fixed_amounts, with_claims
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.shipped import list_studies
 from pneuma.study.spec import Study, load_study
-from pneuma.study.store import Store
-
-from .hand_made import healthy, learning, make_id, save_collapse, study_of
 
 ROOT = Path(__file__).parents[1]
 REPRODUCE = runpy.run_path(str(ROOT / "studies/reproduce.py"))
@@ -98,24 +95,3 @@ def test_a_failure_stops_no_other_study(
             REPRODUCE["main"]()
         assert ended.value.code == code or (code == 1 and "Failed" in str(ended.value.code))
     assert len(called) == trained
-
-
-# --- The pilot -------------------------------------------------------------------------------------
-
-PILOT = runpy.run_path(str(ROOT / "studies/pilot.py"))
-
-
-def test_a_pilot_tells_the_deviation_between_the_runs_of_a_condition(tmp_path: Path) -> None:
-    """Steps to what is never reached are the budget; the third run kills 47 % at step 8,000."""
-    store, cells = Store(tmp_path), {("one", seed): make_id("one", seed) for seed in (1, 2, 3)}
-    for run_id, value, best in zip(cells.values(), (1.0, 2.0, 6.0), (0.1, 0.2, 0.6), strict=True):
-        save_collapse(store, run_id, healthy(), learning(best), returns=[value] * 100)
-    spread = {row[2]: row for row in PILOT["spreads"](study_of(store, cells))}
-    assert spread["steps-to:0.47"] == ("mine", "one", "steps-to:0.47", 3, "1.15e+03")  # 2,000 / √3
-    assert spread["final-return"] == ("mine", "one", "final-return", 3, "2.65")  # √((4 + 1 + 9) / 2)
-
-
-def test_a_pilot_reads_the_studies_that_have_runs(tmp_path: Path) -> None:
-    first = next(PILOT["studies_of"](str(tmp_path), {}))  # of the tables that come with Pneuma
-    assert first.study.name == "magic" and first.rows
-    assert {run.fields["slots"] for run in first.rows} == {4}

@@ -31,6 +31,11 @@ from .cli.calls import described
 
 RECORD = Path(__file__).with_name("unchanged.json")
 TABLES = ("evaluations", "curves", "summary")
+CONTRAST = (
+    "outcome", "a", "b", "effect", "low", "high", "simultaneous_low", "simultaneous_high", "seeds_a",
+    "seeds_b", "verdict", "reason",
+)  # fmt: skip
+"""What a verdict comes from, of each of its contrasts."""
 PUBLISHED = Path(__file__).parents[1] / "results" / "published"
 NOWHERE = Path(__file__).with_name("no-results")
 """A results folder that is not there: only published tables are read."""
@@ -93,14 +98,16 @@ def _tables() -> dict[str, str]:
 
 
 def _verdicts() -> dict[str, str]:
-    """Digest the verdicts on the published tables, which `verify` reads where they are a folder's own."""
+    """Return each verdict on the published tables, and a digest of the numbers that it comes from."""
     with TemporaryDirectory() as folder:
         shutil.copytree(PUBLISHED, Path(folder) / "published")
         told = described("study", "verify", "--json", "--results", folder)
-    return {
-        f"{verdict['claim']} {verdict['world']}": _digest(json.dumps(verdict, sort_keys=True))
-        for verdict in told["claims"]
-    }
+    verdicts = {}
+    for verdict in told["claims"]:
+        numbers = [[row[key] for key in CONTRAST] for row in verdict["contrasts"]]
+        words = f"{verdict['verdict']} {_digest(json.dumps(numbers))}"
+        verdicts[f"{verdict['claim']} {verdict['world']}"] = words
+    return verdicts
 
 
 def _digest(text: str) -> str:

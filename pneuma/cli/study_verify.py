@@ -8,7 +8,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, Table, frame_table, rows_result
+from pneuma.cli.output import Result, Table, frame_table
 from pneuma.errors import plain, unknown_name
 from pneuma.presets import WORLDS
 from pneuma.study.shipped import shipped_tables
@@ -16,8 +16,7 @@ from pneuma.study.store import Store
 
 if TYPE_CHECKING:
     from pneuma.analysis.claims.claim_list import Claim, ClaimList
-    from pneuma.analysis.claims.table import ClaimContrast
-    from pneuma.analysis.claims.verdicts import Verdict
+    from pneuma.analysis.claims.verdicts import ClaimContrast, Verdict
 
 WIDTH = 100
 """Characters in a line of a sentence."""
@@ -31,9 +30,6 @@ def verify(
     file: Annotated[
         Path | None, opt.option("FILE", "A claims file to judge instead of the thesis's.", name="--claims")
     ] = None,
-    design: Annotated[
-        bool, opt.flag("--design", "Show the smallest differences that the planned runs can detect.")
-    ] = False,
     results: opt.Results = opt.HERE,
     format: opt.Format = opt.TABLE,
 ) -> Result:
@@ -42,7 +38,6 @@ def verify(
     Name claims to see also what is compared, how many runs there are, and the reason.
     """
     from pneuma.analysis.claims.claim_list import RULES, load_claims
-    from pneuma.analysis.claims.table import plan_contrasts
     from pneuma.analysis.claims.verdicts import judge
     from pneuma.analysis.claims.words import verdict_table, verdicts_by_claim
 
@@ -54,18 +49,19 @@ def verify(
     def is_selected(claim: Claim, where: str) -> bool:
         return (not claims or claim.name in claims or claim.like in claims) and world in (None, where)
 
-    head = {"claims_hash": claim_list.digest, "alpha": claim_list.head.alpha}
-    if design:
-        every = plan_contrasts(claim_list)
-        selected = [row for row in every if is_selected(row.claim, row.world)]
-        return _design(claim_list, head, every, selected)
     verdicts = judge(claim_list, store, wanted=is_selected)
     by_claim = verdicts_by_claim(verdicts)
     contrasts = {world: claim_list.contrasts(world) for world in WORLDS}
     documents = [_document(verdict) for verdict in verdicts]
     numbers = [_row(row) for verdict in verdicts for row in verdict.contrasts]
     return Result(
-        {**head, "rules": RULES, "contrasts": contrasts, "claims": documents},
+        {
+            "claims_hash": claim_list.digest,
+            "alpha": claim_list.head.alpha,
+            "rules": RULES,
+            "contrasts": contrasts,
+            "claims": documents,
+        },
         [*_missing_note(store, file, verdicts), *_show(claim_list, by_claim, in_detail=bool(claims))],
         table=verdict_table(by_claim),
         numbers=numbers,
@@ -168,8 +164,12 @@ def _document(verdict: Verdict) -> dict[str, Any]:
     }
 
 
-def _planned(row: ClaimContrast) -> dict[str, Any]:
+def _row(row: ClaimContrast) -> dict[str, Any]:
+    """Return a row of the table: what was planned, and what the runs show."""
+    contrast = row.contrast
     a, b = row.names
+    mean_a, mean_b = contrast.means
+    seeds_a, seeds_b = contrast.seeds
     return {
         "claim": row.claim.name,
         "world": row.world,
@@ -177,19 +177,7 @@ def _planned(row: ClaimContrast) -> dict[str, Any]:
         "a": a,
         "b": b,
         "alpha": row.alpha,
-        "spread": row.spread,
-        "half_width": row.half_width,
         "margin": row.margin,
-    }
-
-
-def _row(row: ClaimContrast) -> dict[str, Any]:
-    """Return a row of the table: what was planned, and what the runs show."""
-    contrast = row.contrast
-    mean_a, mean_b = contrast.means
-    seeds_a, seeds_b = contrast.seeds
-    return {
-        **_planned(row),
         "effect": contrast.effect,
         "mean_a": mean_a,
         "mean_b": mean_b,
@@ -203,32 +191,3 @@ def _row(row: ClaimContrast) -> dict[str, Any]:
         "seeds_b": seeds_b,
         "none_learned": row.none_learned,
     }
-
-
-def _design(
-    claim_list: ClaimList,
-    head: Mapping[str, Any],
-    every: Sequence[ClaimContrast],
-    selected: Sequence[ClaimContrast],
-) -> Result:
-    """Return how near the seeds of claims tell their effects, and which claims are not admitted."""
-    refused = {(row.claim.name, row.world): row.refused for row in every if row.refused}
-    notes = [f"Not admitted: {name}, {where}: {reason}" for (name, where), reason in refused.items()]
-    admitted = "Every claim is admitted." if claim_list.pilot else "Without a pilot every claim is admitted."
-    plans, shown = [], []
-    for row in selected:
-        planned = _planned(row)
-        reason = row.why_undecidable
-        plans.append({**planned, "seeds": [*row.planned], "reason": reason, "admitted": not row.refused})
-        shown.append(
-            {
-                **{key: planned[key] for key in ("claim", "world", "outcome")},
-                "seeds": "/".join(map(str, row.planned)),
-                **{key.replace("_", " "): planned[key] for key in ("spread", "half_width", "margin")},
-                "": reason or "decidable",
-            }
-        )
-    table = rows_result("", shown).shown
-    legend = "half width: that of the simultaneous interval, as the pilot's spread lets expect."
-    document = {**head, "pilot": claim_list.pilot is not None, "design": plans}
-    return Result(document, ["", *table, "", legend], "", notes or [admitted], shown, plans)

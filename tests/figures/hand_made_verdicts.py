@@ -6,8 +6,7 @@ from typing import Any
 
 from pneuma.analysis.claims.claim_list import Claim
 from pneuma.analysis.claims.contrasts import Contrast
-from pneuma.analysis.claims.table import ClaimContrast
-from pneuma.analysis.claims.verdicts import Verdict
+from pneuma.analysis.claims.verdicts import ClaimContrast, Verdict
 from pneuma.analysis.intervals import Interval, no_interval
 
 

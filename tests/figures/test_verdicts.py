@@ -59,7 +59,6 @@ def test_effects_are_told_in_plain_units(fields: dict[str, Any], means: Pair, en
         ("untestable", "no runs: tanh, 8 seeds; train with: pneuma", "not tested\nnot trained yet"),
         ("untestable", "arm at floor: tanh is not shown", "not tested\nthe agents learned nothing there"),
         ("untestable", "tanh seed 7: nothing is recorded", "not tested\na run has no value"),
-        ("untestable", "not admitted: 16 runs tell it to ±1 only", "not tested\ntoo few runs"),
         ("refuted", AS_CLAIMED_BUT_SMALL, f"does not hold\n{KILLS}\n{AS_CLAIMED_BUT_SMALL}"),
     ],
 )

@@ -3,10 +3,9 @@
     [list]                      title, what was learned before, alpha, the first seed
     [defaults]                  seeds, steps, worlds, outcome and kind of a claim that has none
     [margins]                   by outcome, of claims that state none
-    [pilot]                     spreads between runs, for `table.py`
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
 
-studies/claims.toml → ClaimList → `table.py`, and runs to train (`fixed_runs.py`). The file's checksum and the
+studies/claims.toml → ClaimList → its runs (`fixed_runs.py`) → `verdicts.py`. The file's checksum and the
 version of the rules that judge are printed with the verdicts. docs/claims.md explains each key.
 """
 
@@ -100,16 +99,6 @@ class ListHead(Table):
     seeds_from: Seed = 0
 
 
-class Pilot(Table):
-    """Spreads between runs of other seeds, for the design check: by world and outcome.
-
-    That of an incidence, 'OUTCOME above X', is the share of runs in arm b.
-    """
-
-    command: Text = ""
-    spreads: dict[World, dict[OutcomeOrEvent, Annotated[float, Field(ge=0)]]] = {}
-
-
 class Claim(Table):
     """A sentence of the thesis, or a statement of one's own, as a test; docs/claims.md explains its keys.
 
@@ -142,7 +131,6 @@ class Claim(Table):
     kind: Kind = "mean"
     direction: Direction
     margin: ByOutcome = None
-    spread: ByOutcome = None
     note: Text = ""
     list_margins: Mapping[str, Any] = {}
 
@@ -215,9 +203,6 @@ class Claim(Table):
         """Return the constant that arms are compared with, or None."""
         return _of(self.value, outcome, world)
 
-    def spread_of(self, world: str, outcome: str) -> float | None:
-        return _of(self.spread, outcome, world)
-
     @model_validator(mode="after")
     def _fits_together(self) -> Claim:
         """Refuse keys that are valid one by one but not together."""
@@ -244,7 +229,7 @@ class Claim(Table):
                     raise wrong(f"{key}: {name} is listed twice", key)
 
     def _check_outcomes(self) -> None:
-        for key in ("margin", "value", "spread", "above", "below"):
+        for key in ("margin", "value", "above", "below"):
             numbers = getattr(self, key)
             for name in numbers if isinstance(numbers, dict) else ():
                 if name not in self.outcome:
@@ -283,7 +268,6 @@ class ClaimsFile(Table):
     list: ListHead = ListHead()
     defaults: dict[Annotated[str, OneOf(DEFAULTS)], Any] = {}
     margins: dict[OutcomeOrEvent, ByWorld] = {}
-    pilot: Pilot | None = None
     claims: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
 
 
@@ -301,7 +285,6 @@ class ClaimList:
     claims: Mapping[str, Claim]
     studies: Mapping[str, Study]
     head: ListHead = ListHead()
-    pilot: Pilot | None = None
 
     def contrasts(self, world: str) -> int:
         """Return the number of contrasts in a world, with or without runs.
@@ -330,7 +313,7 @@ def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
             both = f"{first.name} and {second.name} share a row, and are both about the world {min(shared)}"
             raise file.mistake(("claims", second.name), f"like: {both}", "like")
     digest = checksum(file.text.encode())
-    return ClaimList(file.path, digest, claims, studies, contents.list, contents.pilot)
+    return ClaimList(file.path, digest, claims, studies, contents.list)
 
 
 def _read_claim(file: TomlFile, name: str, contents: ClaimsFile, studies: dict[str, Study]) -> Claim:

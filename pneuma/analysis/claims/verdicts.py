@@ -10,15 +10,15 @@ the chance of any false verdict in a world is at most 5 %, whichever claims are 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pneuma.analysis.claims.claim_list import Claim, ClaimList
-from pneuma.analysis.claims.contrasts import Contrast
+from pneuma.analysis.claims.contrasts import Contrast, compare_arms
 from pneuma.analysis.claims.fixed_runs import TRAIN_WITH, Arm, ClaimRuns, find_claim_runs
-from pneuma.analysis.claims.table import ClaimContrast, plan_claim
 from pneuma.analysis.intervals import Interval
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.run_index import RunIndex
@@ -39,13 +39,67 @@ Wanted = Callable[[Claim, str], bool]
 
 
 @dataclass(frozen=True)
+class ClaimContrast:
+    """A row of the table: a contrast of a claim in a world, and the verdict on it alone.
+
+    Attributes:
+        a, b: the conditions of either arm, several for a range; b is empty for a constant.
+        alpha: the contrast's own part of the list's error rate in the world.
+        contrast: what the runs show; its reason is not empty if nothing can be concluded.
+        runs: the ids of the runs that were read, by condition.
+        verdict: empty before it is judged.
+        none_learned: whether neither arm is shown to play better than the random player, so that being alike
+            counts for nothing.
+    """
+
+    claim: Claim
+    world: str
+    outcome: str
+    a: tuple[str, ...]
+    b: tuple[str, ...]
+    alpha: float = 1.0
+    contrast: Contrast = Contrast()
+    runs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    verdict: str = ""
+    none_learned: bool = False
+
+    @property
+    def margin(self) -> float | None:
+        return self.claim.margin_of(self.world, self.outcome)
+
+    @property
+    def value(self) -> float:
+        """The constant that arm a is compared with; 0 if there is none."""
+        return self.claim.value_of(self.world, self.outcome) or 0.0
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys((*self.a, *self.b)))
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """The arms as text; b may be a number."""
+        return ", ".join(self.a), ", ".join(self.b) or f"{self.value:g}"
+
+    @property
+    def has_effect(self) -> bool:
+        return math.isfinite(self.contrast.effect)
+
+    def compare(self, values: Mapping[str, np.ndarray]) -> Contrast:
+        """Return the contrast of runs, (runs,) of each condition."""
+        a = {name: values[name] for name in self.a}
+        b = {name: values[name] for name in self.b} or self.value
+        return compare_arms(self.claim.kind, a, b, 1 - self.alpha)
+
+
+@dataclass(frozen=True)
 class Verdict:
     """The verdict on a claim in one of `WORLDS`.
 
     Attributes:
         verdict: supported, refuted, mixed, inconclusive or untestable.
         reason: why it is untestable, what is missing, or `AS_CLAIMED_BUT_SMALL`; empty for a plain result.
-        contrasts: its rows of the table, untestable all if it is not admitted.
+        contrasts: its rows of the table.
         commits: of the code that trained its runs.
     """
 
@@ -95,24 +149,24 @@ def judge(
     for claim in claims.claims.values():
         for world in claim.worlds:
             if wanted(claim, world):
-                runs = find_claim_runs(index, claims, claim, world)
-                verdicts.append(judge_claim(plan_claim(claims, claim, world), runs))
+                verdicts.append(judge_claim(claims, find_claim_runs(index, claims, claim, world)))
     return verdicts
 
 
-def judge_claim(planned: Sequence[ClaimContrast], runs: ClaimRuns) -> Verdict:
-    """Return the verdict on a claim in one world, given the plan of its contrasts and its runs."""
+def judge_claim(claims: ClaimList, runs: ClaimRuns) -> Verdict:
+    """Return the verdict on a claim of a list in one world by its runs."""
     claim, world = runs.claim, runs.world
-    if planned[0].refused:
-        reason = f"not admitted: {planned[0].refused}"
-        refused = [replace(row, verdict=UNTESTABLE, contrast=Contrast(reason=reason)) for row in planned]
-        return Verdict(claim, world, UNTESTABLE, reason, tuple(refused))
-    rows = tuple(_judge_contrast(row, runs) for row in planned)
-    by_outcome: dict[str, list[str]] = {}
-    for row in rows:
-        by_outcome.setdefault(row.outcome, []).append(row.verdict)
-    verdict = combine([all_of(verdicts) for verdicts in by_outcome.values()], claim.need)
-    return Verdict(claim, world, verdict, _reason(verdict, rows), rows, runs.commits)
+    alpha = claims.head.alpha / claims.contrasts(world)
+    rows: list[ClaimContrast] = []
+    verdicts: list[str] = []
+    for outcome in claim.outcome:
+        of_outcome = [
+            _judge_contrast(ClaimContrast(claim, world, outcome, a, b, alpha), runs) for a, b in claim.pairs
+        ]
+        verdicts.append(all_of(row.verdict for row in of_outcome))
+        rows += of_outcome
+    verdict = combine(verdicts, claim.need)
+    return Verdict(claim, world, verdict, _reason(verdict, rows), tuple(rows), runs.commits)
 
 
 def _reason(verdict: str, rows: Sequence[ClaimContrast]) -> str:

@@ -16,13 +16,13 @@ from textwrap import shorten
 import pandas as pd
 
 from pneuma.analysis.claims.claim_list import Claim
-from pneuma.analysis.claims.table import ClaimContrast
 from pneuma.analysis.claims.verdicts import (
     INCONCLUSIVE,
     MIXED,
     REFUTED,
     SUPPORTED,
     UNTESTABLE,
+    ClaimContrast,
     Verdict,
 )
 from pneuma.analysis.intervals import MOST, decimals, shown
@@ -47,7 +47,6 @@ WORLD_NAMES = {
 """Heads of columns: text, published code, arena."""
 
 _PLAIN_REASONS = {
-    "not admitted": "too few runs",
     "arm at floor": "the agents learned nothing there",
     "both arms are at the floor": "all runs end alike",
     "both arms are at the ceiling": "all runs end alike",
