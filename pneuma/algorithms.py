@@ -68,36 +68,55 @@ VALUE_BASED = tuple(name for name, fields in ALGORITHM_FIELDS.items() if "explor
 
 OF_ALGORITHMS = frozenset(key for keys in ALGORITHM_FIELDS.values() for key in keys)
 
-_DQN_DEFAULTS: dict[str, Any] = {
-    "buffer_size": 100_000, "learning_starts": 100, "train_every": 4, "gradient_steps": 1,
-    "target_every": 10_000, "exploration": 0.05, "exploration_fraction": 0.1,
-}  # fmt: skip
 _TABLE_DEFAULTS: dict[str, Any] = {
     "exploration": 0.1, "exploration_fraction": 0.0, "action_slip": 0.0, "reward_noise": 0.0,
 }  # fmt: skip
+_TWO_NETWORKS: dict[str, Any] = {"actor": (64, 64), "critic": (64, 64), "activation": "tanh"}
+_DQN_DEFAULTS: dict[str, Any] = {
+    "actor": (64, 64), "activation": "relu", "optimizer": "adam", "gamma": 0.99, "learning_rate": 1e-4,
+    "minibatch": 32, "gradient_limit": 10.0, "buffer_size": 1_000_000, "learning_starts": 100,
+    "train_every": 4, "gradient_steps": 1, "target_every": 10_000, "exploration": 0.05,
+    "exploration_fraction": 0.1,
+}  # fmt: skip
 
 ALGORITHM_DEFAULTS: dict[str, dict[str, Any]] = {
-    "trpo": {"target_kl": 0.01, "conjugate_steps": 15, "line_search_steps": 10},
+    "ppo": {
+        **_TWO_NETWORKS, "optimizer": "adam", "gamma": 0.99, "gae_lambda": 0.95, "learning_rate": 3e-4,
+        "clip_range": 0.2, "horizon": 2048, "minibatch": 64, "epochs": 10, "value_coefficient": 0.5,
+        "entropy_coefficient": 0.0, "gradient_limit": 0.5, "normalize_advantage": True,
+    },
+    "a2c": {
+        **_TWO_NETWORKS, "optimizer": "rmsprop", "gamma": 0.99, "gae_lambda": 1.0, "learning_rate": 7e-4,
+        "horizon": 5, "value_coefficient": 0.5, "entropy_coefficient": 0.0, "gradient_limit": 0.5,
+    },
+    "trpo": {
+        **_TWO_NETWORKS, "optimizer": "adam", "gamma": 0.99, "gae_lambda": 0.95, "learning_rate": 1e-3,
+        "horizon": 2048, "minibatch": 128, "epochs": 10, "target_kl": 0.01, "conjugate_steps": 15,
+        "line_search_steps": 10,
+    },
     "dqn": _DQN_DEFAULTS,
     "double-dqn": _DQN_DEFAULTS,
     "q-learning": _TABLE_DEFAULTS,
     "double-q-learning": _TABLE_DEFAULTS,
-}
-"""Defaults of fields that only some algorithms have. Those of Stable-Baselines3's and sb3-contrib's learners
-are their own, but for a buffer of a tenth."""
-
-OPTIMIZER_FIELDS: dict[str, tuple[str, ...]] = {
-    "adam": ("betas", "epsilon"),
-    "sgd": ("momentum", "dampening"),
-    "rmsprop": ("smoothing", "epsilon", "momentum"),
-    "upgd": ("betas", "epsilon", "utility_decay", "noise"),
-}
-"""The fields that each optimizer reads; the others are None in a resolved run."""
-
-OPTIMIZER_DEFAULTS: dict[str, Any] = {
-    "betas": (0.9, 0.999), "epsilon": 1e-5, "momentum": 0.0, "dampening": 0.0, "smoothing": 0.99,
-    "utility_decay": 0.999, "noise": 0.001,
 }  # fmt: skip
+"""What a run has where nobody sets it: the defaults of the classes of Stable-Baselines3 and sb3-contrib."""
+
+OPTIMIZER_DEFAULTS: dict[str, dict[str, Any]] = {
+    "adam": {"betas": (0.9, 0.999), "epsilon": 1e-8},
+    "sgd": {"momentum": 0.0, "dampening": 0.0},
+    "rmsprop": {"smoothing": 0.99, "epsilon": 1e-8, "momentum": 0.0},
+    "upgd": {"betas": (0.9, 0.999), "epsilon": 1e-5, "utility_decay": 0.999, "noise": 0.001},
+}
+"""The fields that each optimizer reads, with torch's defaults, or UPGD's authors'; the others are None in a
+resolved run."""
+
+_SMALL_EPSILON = {"epsilon": 1e-5}
+OPTIMIZERS_OF_ALGORITHMS: dict[str, dict[str, dict[str, Any]]] = {
+    "ppo": {"adam": _SMALL_EPSILON},
+    "a2c": {"adam": _SMALL_EPSILON, "rmsprop": _SMALL_EPSILON},
+    "trpo": {"adam": _SMALL_EPSILON},
+}
+"""Where an algorithm has other defaults of an optimizer than the optimizer itself."""
 
 OPTIMIZER_ENGINES: dict[str, tuple[str, ...]] = {
     "adam": ("batched", "sb3"), "sgd": ("batched", "sb3"), "rmsprop": ("batched", "sb3"),
@@ -105,4 +124,12 @@ OPTIMIZER_ENGINES: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """The engines that have each optimizer."""
 
-OF_OPTIMIZERS = frozenset(key for keys in OPTIMIZER_FIELDS.values() for key in keys)
+OF_OPTIMIZERS = frozenset(key for defaults in OPTIMIZER_DEFAULTS.values() for key in defaults)
+
+
+def default_fields(algorithm: str, optimizer: str = "") -> dict[str, Any]:
+    """Return the defaults of an algorithm and of an optimizer, which is the algorithm's own if left out."""
+    defaults = ALGORITHM_DEFAULTS.get(algorithm, {})
+    optimizer = optimizer or defaults.get("optimizer", "")
+    own = OPTIMIZERS_OF_ALGORITHMS.get(algorithm, {}).get(optimizer, {})
+    return {**defaults, **OPTIMIZER_DEFAULTS.get(optimizer, {}), **own}

@@ -19,7 +19,6 @@ from typing import Annotated, Any, Literal, NoReturn
 from annotated_types import Interval, Len
 
 from pneuma.algorithms import (
-    ALGORITHM_DEFAULTS,
     ALGORITHM_ENGINES,
     ALGORITHM_FIELDS,
     ALGORITHMS,
@@ -30,9 +29,9 @@ from pneuma.algorithms import (
     OPEN_LEARNERS,
     OPTIMIZER_DEFAULTS,
     OPTIMIZER_ENGINES,
-    OPTIMIZER_FIELDS,
     TABULAR,
     VALUE_BASED,
+    default_fields,
 )
 from pneuma.env.fields import ENVIRONMENTS, MODULE, EnvConfig, read_fields, resolve_world, with_environment
 from pneuma.errors import UserError
@@ -216,7 +215,7 @@ class Run(EnvConfig):
     reward_noise: Annotated[float, Interval(ge=0, le=1e6)] | None = None
     """Mailman only: standard deviation of normal noise on every reward."""
 
-    optimizer: Annotated[str, OneOf(tuple(OPTIMIZER_FIELDS))] = "adam"
+    optimizer: Annotated[str, OneOf(tuple(OPTIMIZER_DEFAULTS))] = "adam"
     betas: Annotated[tuple[Fraction, ...], Len(2, 2)] | None = None
     epsilon: Annotated[float, Interval(gt=0, le=1)] | None = None
     momentum: Fraction | None = None
@@ -253,20 +252,21 @@ class Run(EnvConfig):
 def make_run(given: Mapping[str, object]) -> Run:
     """Resolve fields to a complete run: checked, rounded, with all defaults filled in.
 
-    Missing fields come from the environment's preset. Fields of the optimizer get their defaults, and those
-    that it does not read become None, so that two ways to write the same training give the same run. The
-    budget is rounded up to whole horizons.
+    Missing fields come from the environment's preset, and from the defaults of the algorithm and the
+    optimizer. What these do not read is at the default of `Run`, so that two ways to write the same training
+    give the same run. The budget is rounded up to whole horizons.
     """
     env = str(given.get("env", ENVIRONMENTS[0]))
     read = read_fields(Run, with_environment(env, given))
     usual = {item.name: item.default for item in fields(Run)}
     values = {key: value for key, value in read.items() if value is not None or usual[key] is not None}
     values = values if is_gymnasium_id(env) else resolve_world(values)
-    named = Run(**{key: values[key] for key in ("env", "algorithm", "optimizer") if key in values})
+    named = Run(**{key: values[key] for key in ("env", "algorithm") if key in values})
+    defaults = default_fields(named.algorithm, values.get("optimizer", ""))
+    named = replace(named, optimizer=values.get("optimizer", defaults.get("optimizer", named.optimizer)))
     known = _read_by(named.env, named.algorithm, named.optimizer)
     if values.get("learners") == "independent" and "learners" not in known:
         _refuse("learners = independent", f"{named.algorithm} trains one policy for all players")
-    defaults = {**ALGORITHM_DEFAULTS.get(named.algorithm, {}), **OPTIMIZER_DEFAULTS}
     defaults = {key: value for key, value in defaults.items() if key in known}
     run = Run(**{**defaults, **{key: values[key] for key in values.keys() & known}})
     run = Run(**{**defaults, **{key: values[key] for key in values.keys() & reads(run)}})
@@ -292,7 +292,7 @@ def _read_by(env: str, algorithm: str, optimizer: str) -> frozenset[str]:
     read = {*ALGORITHM_FIELDS[algorithm]}
     if algorithm not in TABULAR:
         read |= {*OF_OPEN_LEARNERS, *(OF_GYMNASIUM if is_gymnasium_id(env) else OF_WORLDS)}
-        read |= set() if algorithm in OPEN_LEARNERS else {*OPTIMIZER_FIELDS[optimizer]}
+        read |= set() if algorithm in OPEN_LEARNERS else {*OPTIMIZER_DEFAULTS[optimizer]}
     if algorithm in VALUE_BASED:
         read -= {*NORMALIZING}  # what is replayed was seen otherwise
     by_some = {*OF_WORLDS, *OF_GYMNASIUM, *OF_OPTIMIZERS, *OF_ALGORITHMS, *OF_OPEN_LEARNERS}

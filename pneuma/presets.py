@@ -21,14 +21,10 @@ BASES: dict[str, dict[str, Any]] = {
         **_THESIS, "clip_range": 0.1, "horizon": 256, "epochs": 10, "value_coefficient": 0.5,
         "betas": (0.9, 0.9), "activation": "tanh", "gradient_limit": 0.5,
     },
-    "stable-baselines3": {
-        **_THESIS, "clip_range": 0.2, "horizon": 2048, "epochs": 10, "value_coefficient": 0.5,
-        "betas": (0.9, 0.999), "activation": "tanh", "gradient_limit": 0.5,
-        "entropy_coefficient": 0.0, "actor": (64, 64), "critic": (64, 64),
-    },
 }  # fmt: skip
-"""Thesis Tables 6.1 and 6.2, completed with what the text says elsewhere (sections 6.1 and 6.2), and what
-Stable-Baselines3's PPO is without any setting."""
+"""Thesis Tables 6.1 and 6.2, completed with what the text says elsewhere (sections 6.1 and 6.2)."""
+NO_BASE = ""
+"""Of a file without a base: its algorithm's own defaults hold."""
 
 
 @dataclass(frozen=True)

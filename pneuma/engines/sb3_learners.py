@@ -23,7 +23,7 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
-from pneuma.algorithms import ALGORITHM_FIELDS, OPTIMIZER_FIELDS
+from pneuma.algorithms import ALGORITHM_FIELDS, OPTIMIZER_DEFAULTS
 from pneuma.config import ANNEALED, Run, stream_seed
 from pneuma.engines.records import NAN, Checkpoint, Records
 from pneuma.sb3_names import NAMES
@@ -126,7 +126,7 @@ def optimizer_arguments(run: Run) -> dict[str, Any]:
 
     Stable-Baselines3 uses epsilon 1e-5 only if no optimizer arguments are given, otherwise torch's 1e-8.
     """
-    names = OPTIMIZER_FIELDS[run.optimizer]
+    names = OPTIMIZER_DEFAULTS[run.optimizer]
     arguments = {_TORCH_NAMES.get(name, name): getattr(run, name) for name in names}
     return {**arguments, "weight_decay": run.weight_decay}
 

@@ -195,7 +195,7 @@ def winners_study(winners: Sequence[Winner], seeds: Sequence[int], steps: int) -
         "",
         f"title = {shown('Winners of ' + ', '.join(winner.search.name for winner in winners))}",
         f"section = {shown(search.section)}",
-        f"base = {shown(search.base)}",
+        *([f"base = {shown(search.base)}"] if search.base else []),
         f"baseline = {shown(winners[0].name)}",
         f"worlds = [{shown(search.world)}]",
         "",

@@ -20,12 +20,13 @@ from annotated_types import Interval, MinLen
 from optuna.study import StudyDirection
 from pydantic import AfterValidator, BeforeValidator, Field
 
+from pneuma.algorithms import default_fields
 from pneuma.analysis.intervals import interquartile_mean
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.config import Run, Steps, as_fields, make_run
 from pneuma.env.fields import ENVIRONMENTS, read_field, read_fields, with_environment, with_layout
 from pneuma.errors import UserError, unknown_name
-from pneuma.presets import ARENA, BASES, TEXT, checked_world, world_fields
+from pneuma.presets import ARENA, BASES, NO_BASE, TEXT, checked_world, world_fields
 from pneuma.sb3_names import own_fields
 from pneuma.schema import Table, passes, plain, read_model, read_toml, shown, wrong
 from pneuma.search import FIRST_SEED
@@ -94,7 +95,7 @@ class Search(Table):
     title: Annotated[str, MinLen(1)]
     section: str = ""
     about: Annotated[str, AfterValidator(lambda text: " ".join(text.split()))] = ""
-    base: Annotated[str, OneOf(tuple(BASES))]
+    base: Annotated[str, OneOf((NO_BASE, *BASES))] = NO_BASE
     start: tuple[Annotated[Fields | str, BeforeValidator(_known_base)], ...] = ()
     warm_start: str = ""
     generation: Annotated[int, Interval(ge=1, le=256)] = 8
@@ -205,7 +206,10 @@ class Search(Table):
         """Return a base's fields with those of all trials and the environment's, not yet checked as a run."""
         fields = join_fields(base, self.run)
         env = fields.get("env", ENVIRONMENTS[0])
-        return {**as_fields(Run()), **with_layout(read_fields(Run, with_environment(env, fields)))}
+        read = read_fields(Run, with_environment(env, fields))
+        usual = as_fields(Run())
+        defaults = default_fields(read.get("algorithm", usual["algorithm"]), read.get("optimizer", ""))
+        return {**usual, **defaults, **with_layout(read)}
 
     # --- The same search with other fields
 

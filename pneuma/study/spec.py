@@ -27,7 +27,16 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, fie
 from pneuma.config import Run, Steps, make_run, reads
 from pneuma.env.fields import ENVIRONMENT_SLOTS, ENVIRONMENTS, read_field
 from pneuma.errors import UserError, unknown_name
-from pneuma.presets import BASES, TEXT, WORLDS, checked_world, usual_world, world_fields, world_option
+from pneuma.presets import (
+    BASES,
+    NO_BASE,
+    TEXT,
+    WORLDS,
+    checked_world,
+    usual_world,
+    world_fields,
+    world_option,
+)
 from pneuma.sb3_names import fields_and_keys
 from pneuma.schema import Table, TomlFile, Where, all_wrong, read_model, read_toml, shown, wrong
 from pneuma.study.identity import files_beside
@@ -148,7 +157,7 @@ class Study(Table):
     section: str = ""
     about: Annotated[str, AfterValidator(lambda text: " ".join(text.split()))] = ""
     figure: Annotated[str, matching(r"([\w-][\w.-]*)?", "a file name without folders and ending")] = ""
-    base: Annotated[str, OneOf(tuple(BASES))]
+    base: Annotated[str, OneOf((NO_BASE, *BASES))] = NO_BASE
     baseline: str = ""
     outcomes: tuple[str, ...] = ()
     worlds: Annotated[tuple[Annotated[str, OneOf(tuple(WORLDS))], ...], MinLen(1)] = ()
@@ -225,10 +234,10 @@ class Study(Table):
 
 
 def join_fields(base: str, fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Combine fields with a base and with the defaults of the environment that they choose."""
+    """Combine fields with a base, if there is one, and with the defaults of the environment they choose."""
     env = fields.get("env")
     slots = {"slots": ENVIRONMENT_SLOTS[env]} if env in ENVIRONMENT_SLOTS else {}
-    return {**BASES[base], **slots, **fields}
+    return {**BASES.get(base, {}), **slots, **fields}
 
 
 # --- Reading ---------------------------------------------------------------------------------------

@@ -25,7 +25,6 @@ from stable_baselines3.common.env_util import make_vec_env
 
 from pneuma.config import Run, make_run
 from pneuma.engines.loop import train_run
-from pneuma.presets import BASES
 from pneuma.sb3_names import own_fields
 
 matplotlib.use("Agg")
@@ -77,7 +76,7 @@ def plain_learner(env: str, seed: int) -> PPO:
 def run_of(env: str, seed: int, steps: int, engine: str) -> Run:
     """Return the same training as a run of an engine, evaluated as little as can be."""
     given = {"env": env, "seed": seed, "steps": steps, "engine": engine, "evaluation_episodes": 1}
-    return make_run({**BASES["stable-baselines3"], **own_fields(SETTINGS[env]), **given})
+    return make_run({**own_fields(SETTINGS[env]), **given})
 
 
 def late_return(env: str, seed: int, steps: int, arm: str) -> float:

@@ -22,7 +22,6 @@ from .calls import call, printed, refused
 
 TOML = """
 title = "Two"
-base = "stable-baselines3"
 [factors.env]
 pole = { env = "CartPole-v1" }
 arms = { env = "Acrobot-v1" }

@@ -37,7 +37,8 @@ def store(plan: Plan, store: Store, monkeypatch: pytest.MonkeyPatch, unshipped: 
 @pytest.fixture
 def alone(store: Store) -> str:
     """A run that no study asks for."""
-    return save_finished(store, make_run({"seed": 3, "steps": 256, "gamma": 0.123}), **MACHINE)
+    run = make_run({"seed": 3, "steps": 256, "horizon": 256, "gamma": 0.123})
+    return save_finished(store, run, **MACHINE)
 
 
 def test_list_tells_every_run_once_with_the_studies_that_ask_for_it(

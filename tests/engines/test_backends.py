@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from pneuma.algorithms import OPTIMIZER_ENGINES, OPTIMIZER_FIELDS
+from pneuma.algorithms import OPTIMIZER_DEFAULTS, OPTIMIZER_ENGINES
 from pneuma.config import ACTIVATIONS
 from pneuma.engines import mlp, policy, sb3_learners
 from pneuma.engines.batched import optimizers, update
@@ -71,4 +71,4 @@ def test_an_engine_has_the_optimizers_that_are_said_to_be_its() -> None:
         engine: {name for name, engines in OPTIMIZER_ENGINES.items() if engine in engines} for engine in own
     }
     assert own == said
-    assert OPTIMIZER_ENGINES.keys() == OPTIMIZER_FIELDS.keys() == optimizers.MOMENTS.keys()
+    assert OPTIMIZER_ENGINES.keys() == OPTIMIZER_DEFAULTS.keys() == optimizers.MOMENTS.keys()

@@ -20,7 +20,7 @@ from pneuma.study.store import Store
 
 from ..hand_made import save_run
 
-RUN = make_run({"steps": 2560})
+RUN = make_run({"steps": 2560, "horizon": 256})
 HERE = {"cpu": machine()["cpu"], "device": "cpu"}
 XEON = {"cpu": "Intel Xeon", "device": "cpu"}
 

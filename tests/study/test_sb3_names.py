@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import inspect
 from pathlib import Path
 from typing import Any
 
 import pytest
-from stable_baselines3 import PPO
 
 from pneuma.algorithms import ALGORITHM_FIELDS, VALUE_BASED
 from pneuma.config import Run, make_run
 from pneuma.engines.sb3_learners import LEARNERS, arguments_of
 from pneuma.errors import UserError
-from pneuma.presets import BASES
 from pneuma.sb3_names import NAMES, own_fields
 from pneuma.study.plan import Selection, make_plan
 from pneuma.study.spec import load_study
 
-HEAD = 'title = "Zoo"\nbase = "stable-baselines3"\n[run]\nenv = "CartPole-v1"\n'
+HEAD = 'title = "Zoo"\n[run]\nenv = "CartPole-v1"\n'
 TAIL = '[conditions.ppo]\n[factors]\nlearning_rate = ["lin_1e-3", 1e-4]\n[presets.quick]\nseeds = 1\n'
 CARTPOLE = """n_envs = 8
 n_timesteps = 1e5
@@ -46,7 +43,7 @@ def runs(path: Path, **settings: Any) -> dict[str, Run]:
 def test_an_entry_of_the_zoo_can_be_pasted(tmp_path: Path) -> None:
     found = runs(study(tmp_path / "zoo.toml"))
     expected = {
-        **BASES["stable-baselines3"], "env": "CartPole-v1", "slots": 8, "steps": 100_000, "horizon": 32,
+        "env": "CartPole-v1", "slots": 8, "steps": 100_000, "horizon": 32,
         "minibatch": 256, "gae_lambda": 0.8, "gamma": 0.98, "epochs": 20, "entropy_coefficient": 0.0,
         "clip_range": 0.2, "clip_range_schedule": "linear",
     }  # fmt: skip
@@ -69,12 +66,12 @@ def test_set_takes_the_same_names(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "told"),
     [
-        ("n_steps = 1", r"line 8: \[run\] n_steps: horizon = 1 is not allowed: must be at least 2"),
+        ("n_steps = 1", r"line 7: \[run\] n_steps: horizon = 1 is not allowed: must be at least 2"),
         ("clip_range = 'lin_x'", 'clip_range = "lin_x" is not allowed: must be a number'),
-        ("slots = 4", r"line 6: \[run\] n_envs and slots both set slots"),
+        ("slots = 4", r"line 5: \[run\] n_envs and slots both set slots"),
         ("policy = 'Cnn'", 'policy = "Cnn" is not allowed: a policy of the learner'),
         ("normalize = 'rewards'", "normalize = 'rewards' is not allowed: true or false"),
-        ("n_timesteps = 'x'", r"line 3: \[run\] n_timesteps: steps = \"x\" is not allowed"),
+        ("n_timesteps = 'x'", r"line 2: \[run\] n_timesteps: steps = \"x\" is not allowed"),
         ("policy_kwargs = '__import__(\"os\").abort()'", "policy_kwargs = .* is not allowed"),
     ],
 )
@@ -89,7 +86,7 @@ def test_what_has_no_field_is_refused_by_the_name_in_the_file(tmp_path: Path, li
 
 
 def test_mistakes_are_told_at_once_each_with_its_line(tmp_path: Path) -> None:
-    told = r"line 5: \[run\] seed is set by .*; line 6: \[run\] n_steps: horizon .*; line 7: .*unknown key"
+    told = r"line 4: \[run\] seed is set by .*; line 5: \[run\] n_steps: horizon .*; line 6: .*unknown key"
     with pytest.raises(UserError, match=told):
         load_study(str(study(tmp_path / "zoo.toml", "seed = 1\nn_steps = 1\nx = 2\n")))
 
@@ -122,17 +119,3 @@ def test_every_field_that_an_algorithm_reads_reaches_its_learner(algorithm: str)
 def test_every_argument_that_is_a_field_by_another_name_is_known() -> None:
     assert all(own_fields({theirs: 1}) == {own: 1} for theirs, own in NAMES.items())
     assert {*NAMES.values()} <= {*Run.__dataclass_fields__}
-
-
-def test_the_base_is_stable_baselines3s_own_defaults() -> None:
-    arguments = inspect.signature(PPO).parameters.items()
-    base = BASES["stable-baselines3"]
-    named = {NAMES.get(key, key): argument.default for key, argument in arguments}
-    shared = [key for key in base if named.get(key) is not None]
-    assert {key: base[key] for key in shared} == {key: named[key] for key in shared}
-    assert len(shared) == 10
-    policy = PPO("MlpPolicy", "CartPole-v1", device="cpu").policy
-    group = policy.optimizer.param_groups[0]
-    assert (group["betas"], group["eps"]) == (base["betas"], base["epsilon"])
-    assert policy.net_arch == {"pi": [*base["actor"]], "vf": [*base["critic"]]}
-    assert policy.activation_fn.__name__.lower() == base["activation"]

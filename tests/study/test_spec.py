@@ -91,6 +91,15 @@ def test_a_condition_goes_over_what_is_shared_and_that_over_the_base(tmp_path: P
     assert [study.fields(name)["epochs"] for name in ("tanh", "relu")] == [4, 5]
 
 
+def test_without_a_base_each_algorithm_has_its_librarys_defaults(tmp_path: Path) -> None:
+    """As in A2C's entry of rl-baselines3-zoo for CartPole-v1, which sets almost nothing."""
+    text = STUDY.replace('base = "table-6-2"\n', "").replace("gradient_limit = 0.5", 'algorithm = "a2c"')
+    run = make_run(_load(tmp_path, text).fields("tanh"))
+    assert (run.horizon, run.learning_rate, run.gae_lambda, run.optimizer) == (5, 7e-4, 1.0, "rmsprop")
+    assert (run.epsilon, run.entropy_coefficient, run.gradient_limit) == (1e-5, 0.0, 0.5)
+    assert (run.actor, run.critic) == ((64, 64), (64, 64))
+
+
 # --- Crossed studies -----------------------------------------------------------------------------
 
 

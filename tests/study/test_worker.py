@@ -26,7 +26,7 @@ from pneuma.study.rows import decode_row
 from pneuma.study.store import Status, Store, run_identity
 from pneuma.study.tables import from_parquet
 
-RUNS = [make_run({"seed": seed, "steps": 512}) for seed in (0, 1)]
+RUNS = [make_run({"seed": seed, "steps": 512, "horizon": 256}) for seed in (0, 1)]
 FIRST, SECOND = map(run_id, RUNS)
 TABLES = {"episodes.parquet", "metrics.parquet", "evaluations.parquet"}
 
