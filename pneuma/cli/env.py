@@ -87,9 +87,9 @@ def render(
     scripted = Hunter(worlds).act if player == "hunter" else RandomPlayer(draws).act
     act = drawing(policy, worlds, draws) if policy else scripted
     if not moving:
-        write_file(out, watch.encode_png(Renderer(worlds, camera or "map").frame()))
+        write_file(out, watch.encode_png(Renderer(worlds, camera or "map", env_id=name).frame()))
         return Result({"file": out}, [f"wrote {out}"])
-    renderer = Renderer(worlds, camera or "follow", zoom=GIF_FACTOR)
+    renderer = Renderer(worlds, camera or "follow", zoom=GIF_FACTOR, env_id=name)
     most = 1 + round(seconds * watch.FRAME_RATE)  # the first shows the start
     write_file(out, watch.encode_gif(islice(watch.episode_frames(worlds, act, renderer), most)))
     return Result({"file": out}, [f"wrote {out}: {_story(worlds)}"])

@@ -14,7 +14,8 @@ REGISTERED = (*ENVIRONMENTS, MAILMAN)
 def register_environments() -> None:
     """Register all environments with Gymnasium, with vector environments for Pneuma's worlds.
 
-    Worlds end their episodes themselves, by `episode_steps`: none has a limit of Gymnasium's beside it.
+    Worlds end their episodes themselves, by `episode_steps`: none has a limit of Gymnasium's beside it
+    (`pneuma.env.slots.WithSpec`).
     """
     import gymnasium  # which takes long, and registers them when it is imported
 

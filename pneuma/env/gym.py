@@ -11,13 +11,13 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 
 from pneuma.env.fields import ENVIRONMENTS, arguments_table, make_env_config
-from pneuma.env.slots import chosen_starts, ending_info
+from pneuma.env.slots import WithSpec, chosen_starts, ending_info, read_options
 from pneuma.env.watch import Rendering, keys_to_action
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 
-class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
+class PneumaEnv(WithSpec, Rendering, gymnasium.Env[np.ndarray, np.int64]):
     """PneumaRL: one player against the monsters of a level.
 
     A top-down island of snow, field and desert (thesis chapter 5). Monsters notice a player within 300
@@ -123,7 +123,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
         self.state = Worlds(1, config)
         self.observation_space = self.state.space
         self.action_space = self.state.action_space
-        self._set_up_rendering(self.state, render_mode, camera)
+        self._set_up_rendering(self.state, env_id, render_mode, camera)
         self._actions = np.zeros((1, 1), np.int64)
         self._keyed = False
 
@@ -131,7 +131,7 @@ class PneumaEnv(Rendering, gymnasium.Env[np.ndarray, np.int64]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start an episode; see `gymnasium.Env.reset`. The same seed starts the same world."""
-        start = chosen_starts(self.state, (options or {}).get("start"))
+        start = chosen_starts(self.state, read_options(options, "start").get("start"))
         super().reset(seed=seed)
         if seed is not None or not self._keyed:
             self.state.seed([seed if seed is not None else int(self.np_random.integers(2**63))])

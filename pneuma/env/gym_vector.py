@@ -16,11 +16,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.slots import chosen_starts, ending_info, make_slots
+from pneuma.env.slots import WithSpec, chosen_starts, ending_info, make_slots, read_options
 from pneuma.env.watch import Rendering
 
 
-class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+class PneumaVectorEnv(WithSpec, Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """N worlds as one environment; see `pneuma.env.gym.PneumaEnv` for each.
 
     World i of a batch reset with seed s is the single world reset with seed s + i, bit for bit. With several
@@ -33,6 +33,7 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             resets and ignores the action. `SAME_STEP`: the step that ends resets too, and `info`
             holds `final_obs` and `final_info`. `DISABLED`: reset by hand with
             `reset(options={"reset_mask": booleans})`, one a slot.
+        max_episode_steps: Gymnasium's name of `episode_steps`, which counts if both are given.
         settings: the fields of `pneuma.config.EnvConfig`.
     """
 
@@ -43,13 +44,16 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
         camera: str = "map",
+        max_episode_steps: int | None = None,
         **settings: object,
     ) -> None:
+        if max_episode_steps is not None:
+            settings = {"episode_steps": max_episode_steps, **settings}
         self.slots = make_slots(num_envs, make_env_config(settings, env_id))
         self.state, self.num_envs = self.slots.worlds, num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
-        self._set_up_rendering(self.state, render_mode, camera)
+        self._set_up_rendering(self.state, env_id, render_mode, camera)
         self.single_observation_space = self.state.slot_space
         self.single_action_space = self.state.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -66,7 +70,7 @@ class PneumaVectorEnv(Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         Raises:
             ResetNeeded: when the first reset leaves out some worlds.
         """
-        given = options or {}
+        given = read_options(options, "start", "reset_mask")
         starts = chosen_starts(self.state, given.get("start"))
         seeds = self._seeds(seed)
         mask = self._reset_mask(given.get("reset_mask"))

@@ -11,7 +11,7 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.slots import Slots, chosen_starts, ending_info
+from pneuma.env.slots import Slots, chosen_starts, ending_info, read_options
 from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Worlds
 
@@ -48,7 +48,7 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         low = np.concatenate([space.low for space in self.worlds.spaces])
         high = np.concatenate([space.high for space in self.worlds.spaces])
         self.state_space = spaces.Box(low, high, dtype=np.float32)  # the space of `state`
-        self._set_up_rendering(self.worlds, render_mode, camera)
+        self._set_up_rendering(self.worlds, env_id, render_mode, camera)
 
     def observation_space(self, agent: str) -> spaces.Box:
         return self.worlds.spaces[self._index[agent]]
@@ -64,7 +64,9 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
 
         `options={"start": i}` puts player 0 at start place i, and the others at the following ones.
         """
-        start = chosen_starts(self.worlds, (options or {}).get("start"))
+        given = dict(options or {})
+        given.pop("options", None)  # which PettingZoo's checker passes to every environment
+        start = chosen_starts(self.worlds, read_options(given, "start").get("start"))
         if seed is not None or not self.slots.begun:
             self.worlds.seed([seed if seed is not None else int(seeding.np_random()[0].integers(2**63))])
         self.worlds.reset(starts=start)

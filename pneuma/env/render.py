@@ -1,7 +1,8 @@
 """Frames of the world: the whole map, or a view that follows a player.
 
 A picture is drawn in art pixels, 16 per tile, over a background that is painted once, and then enlarged by a
-whole factor. A strip above it shows a player's HP, XP and progress. The same state gives the same bytes.
+whole factor. A strip above it shows the world's name and progress, and the player's HP and XP; in teams each
+player has a strip. The same state gives the same bytes.
 """
 
 from __future__ import annotations
@@ -38,11 +39,18 @@ PANEL_GAP = 6
 """Gap between items in the strip, and around them, in art pixels."""
 PANEL_LINE = 7
 PANEL_WIDTH = 360
-"""Pixels of a frame's width for each step that the strip is enlarged by."""
+"""Pixels of a frame's width for each step that the strips are enlarged by."""
+BADGES = {
+    "pneuma/Pneuma-v0": ("text", "3668a0"),
+    "pneuma/PneumaGodot-v0": ("godot", "2f7d5b"),
+    "pneuma/PneumaArena-v0": ("arena", "a5432f"),
+}
+"""What names a world in the strip, and the colour of its plate."""
 STRIDE = 40.0  # pixels between two poses: a player's distance in one agent step
 FLASH_TICKS = 12  # how long a bite shows
 PLUSES = ((-9, 0), (8, 3), (-1, 8))
 """Signs of healing: how far aside of a player and above it they begin, in art pixels."""
+PLAYER_PLATE = "7a6070"
 FLAME_GAP = 40.0
 """Pixels from one flame to the next."""
 
@@ -61,7 +69,7 @@ class Renderer:
     """Draws the current state of the worlds in a `Worlds` object.
 
     Attributes:
-        size: width and height of a frame, with the strip.
+        size: width and height of a frame, with the strips.
         background: (height, width, 3) the bare ground of the whole level, in art pixels.
         shown: left, top, width and height of what the map shows of it: the land and two tiles around.
     """
@@ -72,15 +80,23 @@ class Renderer:
         camera: str = "map",
         panel: bool = True,
         zoom: int = FOLLOW_FACTOR,
+        env_id: str = "",
     ) -> None:
         """Paint the background.
 
-        The camera "map" shows the whole level, "follow" a view centred on a player, with `zoom` pixels for
-        each art pixel. A panel above the picture shows HP, XP, step and monsters left. Raises UserError for a
-        level that is too large.
+        Args:
+            worlds: what is drawn.
+            camera: "map" shows the whole level, "follow" a view centred on a player.
+            panel: whether strips above the picture show HP, XP, step and monsters left.
+            zoom: pixels for each art pixel of the view centred on a player.
+            env_id: the environment whose name the strip shows; empty for none.
+
+        Raises:
+            UserError: for a level that is too large.
         """
         self.worlds = worlds
         self.camera = camera
+        self._badge = BADGES.get(env_id)
         self._scenes: dict[int, tuple[np.ndarray, tuple[Item, ...]]] = {}
         self.background, self._obstacles = self._scene(0)
         self.shown = land_and_shore(worlds.levels)
@@ -91,8 +107,10 @@ class Renderer:
             self._factor = max(round(MAP_SIDE / max(height, width)), 1)
         self._size = width * self._factor, height * self._factor
         self._panel_factor = min(max(self._size[0] // PANEL_WIDTH, 1), 3)
-        strip = (PANEL_LINE + 2 * PANEL_GAP) * self._panel_factor // 2 * 2  # even, as videos need it
-        self._panel = strip if panel else 0
+        players = worlds.players.shape[1]
+        strips = 1 if players == 1 else 1 + players
+        height = PANEL_GAP + strips * (PANEL_LINE + PANEL_GAP)
+        self._panel = height * self._panel_factor // 2 * 2 if panel else 0  # even, as videos need it
         self.size = self._size[0], self._size[1] + self._panel
 
     @property
@@ -125,7 +143,7 @@ class Renderer:
         for item in sorted(items, key=lambda item: item.foot):
             sprites.blend(canvas, item.picture, item.left - left, item.top - top)
         frame = np.asarray(canvas.resize(self._size, Image.Resampling.NEAREST))
-        return np.concatenate([self._strip(world, player), frame]) if self._panel else frame.copy()
+        return np.concatenate([self._strips(world, player), frame]) if self._panel else frame.copy()
 
     # --- Cameras ---------------------------------------------------------------------------------
 
@@ -237,39 +255,64 @@ class Renderer:
                     x, y = self._place(body["x"], _foot(body, stats))
                     yield Item(inf, bar, x - bar.shape[1] // 2, y - height)
 
-    # --- The strip above -------------------------------------------------------------------------
+    # --- The strips above ------------------------------------------------------------------------
 
-    def _strip(self, world: int, player: int) -> np.ndarray:
-        strip = Image.new("RGB", (self._size[0], self._panel), f"#{sprites.PLATE}")
-        left, factor = PANEL_GAP, self._panel_factor
-        for picture in self._pieces(world, player):
-            down = PANEL_GAP + (PANEL_LINE - picture.shape[0]) // 2
-            enlarged = picture.repeat(factor, 1).repeat(factor, 0)
-            sprites.blend(strip, enlarged, left * factor, down * factor)
-            left += picture.shape[1] + PANEL_GAP
-        return np.asarray(strip)
+    def _strips(self, world: int, player: int) -> np.ndarray:
+        """Return a strip of the world and its player; in teams one of the world, then one for each player."""
+        players = self.worlds.players.shape[1]
+        if players == 1:
+            rows = [[*self._badges(), *self._player_pieces(world, 0), *self._world_pieces(world)]]
+        else:
+            rows = [[*self._badges(), *self._world_pieces(world)]]
+            for index in range(players):
+                rows.append([_name(index, index == player), *self._player_pieces(world, index)])
+        strips = Image.new("RGB", (self._size[0], self._panel), f"#{sprites.PLATE}")
+        factor = self._panel_factor
+        top = PANEL_GAP
+        for row in rows:
+            left = PANEL_GAP
+            for picture in row:
+                height, width = picture.shape[:2]
+                enlarged = picture.repeat(factor, 1).repeat(factor, 0)
+                sprites.blend(strips, enlarged, left * factor, (top + (PANEL_LINE - height) // 2) * factor)
+                left += width + PANEL_GAP
+            top += PANEL_LINE + PANEL_GAP
+        return np.asarray(strips)
 
-    def _pieces(self, world: int, player: int) -> list[np.ndarray]:
-        """Return the pictures in the strip, one after the other; those without room are cut off."""
-        worlds = self.worlds
-        row, stats, state = worlds.players[world, player], worlds.player_stats[player], worlds.worlds[world]
+    def _badges(self) -> list[np.ndarray]:
+        return [sprites.badge_picture(*self._badge)] if self._badge else []
+
+    def _player_pieces(self, world: int, player: int) -> list[np.ndarray]:
+        """Return bars and numbers of a player; rounded up, so that only the dead have 0 HP."""
+        row, stats = self.worlds.players[world, player], self.worlds.player_stats[player]
+        pictures = [
+            _gauge(row["hp"], stats["hp"], sprites.GOLD, *PANEL_BAR),
+            sprites.text_picture(f"HP {ceil(row['hp'])}/{ceil(stats['hp'])}"),
+        ]
+        if self.worlds.config.magic:
+            pictures += [
+                _gauge(row["energy"], max(stats["energy"], 1.0), sprites.BLUE, *PANEL_BAR),
+                sprites.text_picture(f"EN {int(row['energy'])}/{ceil(stats['energy'])}"),
+            ]
+        return [*pictures, sprites.text_picture(f"XP {ceil(row['xp'])}")]
+
+    def _world_pieces(self, world: int) -> list[np.ndarray]:
+        """Return the step, the monsters that are left, and how the episode has ended."""
+        worlds, state = self.worlds, self.worlds.worlds[world]
         ticks = int(worlds.settings["ticks"][0])  # fewer while a step is shown in several frames
-        texts = [  # rounded up, so that only the dead have 0 HP
-            f"HP {ceil(row['hp'])}/{ceil(stats['hp'])}",
-            f"XP {ceil(row['xp'])}",
+        texts = [
             f"STEP {int(state['steps']) * ticks // TICKS_PER_STEP}",
             f"MONSTERS {state['monsters_left']}/{worlds.monsters.shape[1]}",
         ]
         if state["ending"] != rules.RUNNING:
             texts.append(worlds.ending(world).replace("-", " "))
-        if worlds.config.magic:
-            texts.insert(1, f"EN {int(row['energy'])}/{ceil(stats['energy'])}")
-        pictures = [sprites.text_picture(text) for text in texts]
-        bar = _gauge(row["hp"], stats["hp"], sprites.GOLD, *PANEL_BAR)
-        if worlds.config.magic:
-            pictures.insert(1, _gauge(row["energy"], max(stats["energy"], 1.0), sprites.BLUE, *PANEL_BAR))
-        named = [sprites.text_picture(f"P{player + 1}")] if worlds.players.shape[1] > 1 else []
-        return [*named, bar, *pictures]
+        return [sprites.text_picture(text) for text in texts]
+
+
+def _name(player: int, is_in_view: bool) -> np.ndarray:
+    """Return a player's name in the strip, on a plate if the frame is its view."""
+    name = f"P{player + 1}"
+    return sprites.badge_picture(name, PLAYER_PLATE if is_in_view else sprites.PLATE)
 
 
 def _gauge(left: float, full: float, colour: str, width: int, height: int = 1) -> np.ndarray:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
+import gymnasium
 import numpy as np
 from gymnasium.utils import seeding
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.slots import chosen_starts, ending_info, make_slots
+from pneuma.env.slots import WithSpec, chosen_starts, ending_info, make_slots, read_options
 from pneuma.env.state import LAYOUT_DIGEST, as_bytes
 from pneuma.env.watch import Rendering
 from pneuma.errors import UserError
@@ -38,7 +40,7 @@ class WholeVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
 
-class PneumaVecEnv(Rendering, WholeVecEnv):
+class PneumaVecEnv(WithSpec, Rendering, WholeVecEnv):
     """A vector environment of slots that resets ended worlds at once.
 
     Slot i is player i % players of world i // players. `infos` of a step that ends a slot's episode hold
@@ -78,7 +80,8 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
             raise UserError(f"seeds = {seeds}, seed = {seed}: give seeds, or a number of slots and a seed")
         self.state = self.slots.worlds
         self.state.seed(seeds)
-        self._set_up_rendering(self.state, render_mode, camera)
+        self.spec = replace(gymnasium.spec(env_id), kwargs={"env_id": env_id, **settings})
+        self._set_up_rendering(self.state, env_id, render_mode, camera)
         VecEnv.__init__(self, self.slots.count, self.state.slot_space, self.state.action_space)
         self.metadata = {**Rendering.metadata, **self.metadata}  # type: ignore[misc]
         self.keep_finished = False
@@ -100,7 +103,7 @@ class PneumaVecEnv(Rendering, WholeVecEnv):
         first player of each world count.
         """
         every = slice(None, None, self.slots.players)
-        asked = [options.get("start") for options in self._options[every]]
+        asked = [read_options(options, "start").get("start") for options in self._options[every]]
         starts = chosen_starts(self.state, asked)
         if self._seeds[0] is not None:
             self.state.seed([int(seed) for seed in self._seeds[every] if seed is not None])

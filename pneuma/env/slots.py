@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 
 from pneuma.env import rules
 from pneuma.env.fields import EnvConfig
 from pneuma.env.worlds import ENDINGS, Worlds
-from pneuma.errors import UserError
+from pneuma.errors import UserError, unknown_name
 
 
 class Slots:
@@ -82,6 +85,28 @@ class Slots:
         return masks
 
 
+class WithSpec:
+    """A mixin for environments whose `spec` gives the world's time limit as `max_episode_steps`.
+
+    It is not registered with Gymnasium, because `gymnasium.make` would then put a second limit around the
+    world, which does not know of `episode_steps`.
+    """
+
+    state: Worlds
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How Gymnasium makes the environment."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            spec = replace(spec, max_episode_steps=self.state.config.episode_steps)
+        self._spec = spec
+
+
 def make_slots(count: int, config: EnvConfig) -> Slots:
     """Return the slots of so many worlds that they have this number of players."""
     if count < 1 or count % config.players:
@@ -99,6 +124,15 @@ def ending_info(state: Worlds, slot: int = 0) -> dict[str, Any]:
         "xp": float(row["xp"]),
         "hp": float(row["hp"]),
     }
+
+
+def read_options(options: Mapping[str, Any] | None, *allowed: str) -> dict[str, Any]:
+    """Return the options of a reset, of which some are allowed."""
+    given = dict(options or {})
+    for name in given:
+        if name not in allowed:
+            raise unknown_name("option of reset", name, allowed)
+    return given
 
 
 def chosen_starts(worlds: Worlds, start: Any) -> np.ndarray | None:

@@ -155,6 +155,16 @@ def bar_picture(filled: int, width: int, colour: str, height: int = 1) -> np.nda
     return picture
 
 
+@cache
+def badge_picture(text: str, colour: str) -> np.ndarray:
+    """Return a line of text on a plate of a colour, 9 art pixels high."""
+    letters = text_picture(text)
+    height, width = letters.shape[:2]
+    plate = Image.new("RGBA", (width + 3, height + 2), f"#{colour}")
+    blend(plate, letters, 2, 1)
+    return np.asarray(plate)
+
+
 def text_picture(text: str) -> np.ndarray:
     """Return a line of text, 7 art pixels high, in capitals; characters without a glyph are blank."""
     glyphs, gap = _glyphs(), np.zeros((7, 1, 4), np.uint8)
@@ -173,7 +183,7 @@ def _glyphs() -> dict[str, np.ndarray]:
 
 
 def blend(canvas: Image.Image, picture: np.ndarray, left: int, top: int) -> None:
-    """Paint a picture onto an RGB canvas; parts outside are cut off."""
+    """Paint a picture onto a canvas; parts outside are cut off."""
     image = Image.fromarray(picture)
     canvas.paste(image, (left, top), image)
 

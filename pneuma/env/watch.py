@@ -63,15 +63,17 @@ class Rendering:
     camera: str = "map"
     """`CAMERAS`: the whole map, or a view that follows a player."""
     _drawn: Worlds
+    _env_id: str
     _renderer: Renderer | None = None
 
-    def _set_up_rendering(self, worlds: Worlds, render_mode: str | None, camera: str) -> None:
+    def _set_up_rendering(self, worlds: Worlds, env_id: str, render_mode: str | None, camera: str) -> None:
         if render_mode is not None and render_mode not in RENDER_MODES:
             allowed = "rgb_array, or none; for a window there is gymnasium.wrappers.HumanRendering"
             raise UserError(f"render_mode = {render_mode!r} is not allowed: {allowed}")
         if camera not in CAMERAS:
             raise unknown_name("camera", camera, CAMERAS)
-        self._drawn, self.render_mode, self.camera = worlds, render_mode, camera
+        self._drawn, self._env_id = worlds, env_id
+        self.render_mode, self.camera = render_mode, camera
 
     def render(self) -> Any:
         """Return the frame of the first world, (height, width, 3) uint8, if there is a render mode."""
@@ -79,7 +81,7 @@ class Rendering:
 
     def _frame(self, world: int, player: int = 0) -> np.ndarray:
         if self._renderer is None:
-            self._renderer = Renderer(self._drawn, self.camera)
+            self._renderer = Renderer(self._drawn, self.camera, env_id=self._env_id)
         return self._renderer.frame(world, player)
 
     def _frames(self) -> tuple[np.ndarray, ...]:

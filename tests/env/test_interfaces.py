@@ -19,6 +19,7 @@ from pneuma.env.gym import PneumaEnv
 from pneuma.env.gym_vector import PneumaVectorEnv
 from pneuma.env.pettingzoo import PneumaParallelEnv
 from pneuma.env.sb3 import PneumaVecEnv
+from pneuma.errors import UserError
 
 from .arena import ATTACK, GODOT, RIGHT, THESIS
 
@@ -153,6 +154,12 @@ def test_copied_environments_go_on_alike_and_apart(pit: str, kind: str, how: Cal
     assert play_on(copied, 1, 80) == play_on(env, 1, 80)
 
 
+@each_interface
+def test_an_unknown_option_of_a_reset_is_refused(kind: str) -> None:
+    with pytest.raises(UserError, match="unknown option of reset 'starts' .did you mean start"):
+        reset(INTERFACES[kind](), {"starts": 1})
+
+
 # --- Gymnasium's -----------------------------------------------------------------------------------
 
 N = 4
@@ -227,7 +234,12 @@ def test_xp_outlives_an_unseeded_reset_and_not_a_seeded_one() -> None:
     [(THESIS, 7, False), (THESIS, 1200, False), (GODOT, 7, True)],
 )
 def test_a_limit_is_the_worlds_own(name: str, steps: int, terminated: bool, arena: str) -> None:
-    env = wrapped = gymnasium.make(name, level=arena, episode_steps=steps)
+    settings: dict[str, Any] = {"level": arena, "episode_steps": steps}
+    env = wrapped = gymnasium.make(name, **settings)
+    vector: Any = gymnasium.make_vec(name, 2, **settings)
+    learner = PneumaVecEnv(2, env_id=name, **settings)
+    for spec in (env.spec, vector.spec, gymnasium.make_vec(vector.spec).spec, *learner.get_attr("spec")):
+        assert (spec.id, spec.max_episode_steps) == (name, steps)
     while isinstance(wrapped, gymnasium.Wrapper):
         assert not isinstance(wrapped, TimeLimit)
         wrapped = wrapped.env

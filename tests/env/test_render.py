@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from io import BytesIO
+from itertools import combinations
 from pathlib import Path
 from textwrap import dedent
 from types import ModuleType
@@ -95,15 +96,44 @@ def test_an_arc_covers_the_box_that_strikes(arena: str, facing: int) -> None:
     assert inside.sum() > 0.85 * 4 * half_width * half_height
 
 
+# --- The strips above -----------------------------------------------------------------------------
+
+MARGIN, PITCH = 6, 13  # art pixels above the first strip, and from one to the next
+
+
+def test_a_badge_tells_the_three_worlds_apart(arena: str) -> None:
+    """At the beginning of an episode the rest of their strips is alike."""
+    strips = []
+    for name in ENVIRONMENTS:
+        env: Any = gymnasium.make(name, render_mode="rgb_array", level=arena)
+        env.reset(seed=0)
+        strips.append(env.render()[: MARGIN + PITCH])
+    for first, second in combinations(strips, 2):
+        assert (first != second).any()
+
+
+@pytest.mark.parametrize("player", range(3))
+def test_in_teams_each_player_has_a_strip(arena: str, player: int) -> None:
+    worlds = stage(arena, players=3, classes="tank").worlds
+    renderer = Renderer(worlds, "follow", zoom=2)
+    before = renderer.frame(0, 1)
+    worlds.players["hp"][0, player] = 30
+    height = MARGIN + 4 * PITCH
+    assert len(before) == height + len(Renderer(worlds, "follow", panel=False, zoom=2).frame(0, 1))
+    rows = np.flatnonzero((renderer.frame(0, 1) != before)[:height].any(axis=(1, 2)))
+    assert set((rows - MARGIN + 3) // PITCH) == {1 + player}  # the first is the world's
+
+
 # --- Watching --------------------------------------------------------------------------------------
 
 
 def test_gymnasium_gets_frames(arena: str) -> None:
-    env: Any = gymnasium.make(ENVIRONMENTS[0], render_mode="rgb_array", level=arena, camera="follow")
+    name = ENVIRONMENTS[0]
+    env: Any = gymnasium.make(name, render_mode="rgb_array", level=arena, camera="follow")
     assert env.metadata["render_fps"] == 8  # 60 ticks a second, 8 a step
     env.reset(seed=0)
     for _ in range(2):
-        assert np.array_equal(env.render(), Renderer(env.unwrapped.state, "follow").frame())
+        assert np.array_equal(env.render(), Renderer(env.unwrapped.state, "follow", env_id=name).frame())
         env.step(RIGHT)
 
 
@@ -164,7 +194,7 @@ def test_the_recipe_shows_an_agent_in_a_window(pygame: ModuleType) -> None:
     env = names["env"]
     for _ in range(2):
         on_screen = np.asarray(pygame.surfarray.array3d(pygame.display.get_surface())).swapaxes(0, 1)
-        assert np.array_equal(on_screen, Renderer(env.unwrapped.state).frame())
+        assert np.array_equal(on_screen, Renderer(env.unwrapped.state, env_id=ENVIRONMENTS[2]).frame())
         env.step(RIGHT)
     env.close()
 

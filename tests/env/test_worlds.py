@@ -60,7 +60,7 @@ def test_gymnasiums_and_stable_baselines3s_checkers(env_id: str) -> None:
     env: Any = gymnasium.make(env_id, disable_env_checker=True).unwrapped
     if env_id in ENVIRONMENTS:
         sb3s_check(env)
-    gymnasiums_check(env, skip_render_check=True)  # which would open a window
+    gymnasiums_check(env)  # in every render mode
 
 
 TEAM = {"magic": True, "shared_reward": True}
