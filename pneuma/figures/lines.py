@@ -41,7 +41,7 @@ from pneuma.figures import grid, style
 from pneuma.figures.grid import Panel
 from pneuma.figures.words import MOST_NAMED, label_of, notes_of, styles_of
 from pneuma.study.quantities import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
-from pneuma.study.series import SLACK
+from pneuma.study.series import GRID_POINTS, SLACK
 
 USUAL_QUANTITIES, EVALUATED = ("return", "share_killed", "success"), "evaluated_return"
 _, TRAILING_WINDOW = WINDOWS
@@ -54,6 +54,8 @@ MARKED_POINTS = 8
 """Markers per line, so that lines can be told apart in grey where their names are in the legend."""
 MANY_RUNS = 30
 """With this many runs in a panel, their lines are fainter, so that means stay in front."""
+LEAST_POINTS = GRID_POINTS // 2
+"""With a mean of all runs at fewer points, a curve of training is stubs."""
 BESIDE_COLOUR, MOST_BESIDE = "#404040", 12
 """Of the runs of another study, and most of its conditions that are named at their ends."""
 
@@ -212,16 +214,29 @@ class Column:
 def usual_quantities(data: StudyData, beside: StudyData | None = None) -> list[str]:
     """Return the quantities of a study's usual figure, or of that with another study beside.
 
-    In environments that are not Pneuma's the return is that of evaluations, where both have it: episodes may
-    be so long that few runs end one near each point of a training curve.
+    The return is that of evaluations, where both have it, in environments that are not Pneuma's, and where
+    episodes are so long for the budget that a training curve has gaps.
     """
     known = curve_names(data)
     first, *others = USUAL_QUANTITIES
+    evaluated = all(EVALUATED in curve_names(study) for study in (data, beside or data))
     if not have_one_return(data):
         first = "length"
-    elif is_foreign(data) and all(EVALUATED in curve_names(each) for each in (data, beside or data)):
+    elif evaluated and (is_foreign(data) or _has_stubs(data, first)):
         first = EVALUATED
     return [name for name in (first, *others) if name in known] or known[:1] or ["return"]
+
+
+def _has_stubs(data: StudyData, quantity: str) -> bool:
+    """Return whether in some condition all runs together have values at too few points for a line."""
+    if quantity not in curve_names(data):
+        return False
+    for curve in study_curves(data, [quantity])[quantity]:
+        ended = [not diverged for diverged in curve.diverged]
+        whole = curve.runs.loc[:, ended].notna().all(axis=1)
+        if whole.sum() < LEAST_POINTS:
+            return True
+    return False
 
 
 # --- What is drawn -----------------------------------------------------------------------------------

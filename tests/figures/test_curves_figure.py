@@ -79,6 +79,26 @@ def test_the_random_players_return_is_no_share(tmp_path: Path, drawn: list[Figur
     assert legend(drawn[0])[-1] == "random player (22)"
 
 
+@pytest.mark.parametrize(
+    ("episodes", "status", "returned", "title"),
+    [
+        (20, "done", 0.5, "Return in training"),  # each point of a twentieth of the budget has an episode
+        (4, "done", 0.5, "Return in evaluation"),  # those up to a fifth of it
+        (4, "done", float("nan"), "Return in training"),  # where evaluations have none
+        (4, "diverged", 0.5, "Return in training"),  # a run that ended has no gaps
+    ],
+)
+def test_a_return_of_few_episodes_is_that_of_evaluations(
+    tmp_path: Path, drawn: list[Figure], episodes: int, status: str, returned: float, title: str
+) -> None:
+    """Its curve of training would be stubs."""
+    study = HandMade(tmp_path)
+    study.add("tanh", 0, returned=returned)
+    study.add("tanh", 1, episodes, status=status, returned=returned)
+    study.draw(tmp_path)
+    assert drawn[0].axes[0].get_title(loc="left") == title
+
+
 def test_no_word_reaches_over_the_edge(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
     study.add("learning_rate=1e-4, reward=thesis, scale=unit, stationary", 0, status="diverged")
     (path,) = study.draw(tmp_path, formats=("png",))
