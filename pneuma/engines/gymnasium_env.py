@@ -245,10 +245,34 @@ def _flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
     if part := _not_flat(space):
         fix = "name a wrapper that leaves that out"
         raise UserError(f"{run.env}: observations in {part} cannot be flattened to numbers: {fix}")
+    refuse_flat_pictures(run, space)
     if isinstance(space, spaces.Box):
         shape = space.shape
         return (lambda seen: seen) if len(shape) == 1 else (lambda seen: np.reshape(seen, -1))
     return lambda seen: spaces.flatten(space, seen)
+
+
+def refuse_flat_pictures(run: Run, space: spaces.Space[Any]) -> None:
+    """Refuse a run whose policy would flatten pictures: a multilayer perceptron, as is the default."""
+    if run.policy and not run.policy.startswith("Mlp"):
+        return
+    several = isinstance(space, spaces.Dict)
+    parts = list(space.spaces.values()) if isinstance(space, spaces.Dict) else [space]
+    pictures = [part for part in parts if _is_picture(part)]
+    if not pictures:
+        return
+    fix = 'wrappers = ["FlattenObservation"]'
+    if all(len(picture.shape or ()) == 3 for picture in pictures):
+        policy = "MultiInputPolicy" if several else "CnnPolicy"
+        fix = f'set policy = "{policy}", or {fix}'
+    raise UserError(f"{run.env}: its observations are pictures, which MlpPolicy would flatten: {fix}")
+
+
+def _is_picture(space: spaces.Space[Any]) -> bool:
+    """Return whether a space is of pictures, by Stable-Baselines3's rule; of one channel also without it."""
+    if not isinstance(space, spaces.Box) or space.dtype != np.uint8 or len(space.shape) not in (2, 3):
+        return False
+    return bool((space.low == 0).all() and (space.high == 255).all())
 
 
 def _not_flat(space: spaces.Space[Any], name: str = "") -> str:

@@ -19,12 +19,11 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.preprocessing import is_image_space
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
 from pneuma.algorithms import OPEN_LEARNERS
 from pneuma.config import Run, slot_seeds, stream_seed
-from pneuma.engines.gymnasium_env import blamed, load_class, make_env
+from pneuma.engines.gymnasium_env import blamed, load_class, make_env, refuse_flat_pictures
 from pneuma.engines.gymnasium_evaluation import BEST_EPISODES, Evaluation
 from pneuma.engines.loop import Trainer
 from pneuma.engines.records import Records, Row, episode_row, evaluation_row, metrics_row
@@ -47,10 +46,7 @@ def check_learner(run: Run) -> None:
         allowed = ", ".join(key for key in known if key not in OURS)
         raise UserError(f"algorithm_kwargs: {', '.join(wrong)} not allowed: {run.algorithm} takes {allowed}")
     with closing(make_env(run)) as env:
-        seen = env.observation_space
-    if is_image_space(seen) and not run.policy:
-        fix = 'set policy = "CnnPolicy", or wrappers = ["FlattenObservation"]'
-        raise UserError(f"{run.env}: its observations are pictures, which MlpPolicy would flatten: {fix}")
+        refuse_flat_pictures(run, env.observation_space)
     with closing(_environments(run, 1)) as environments:
         _make_learner(run, environments, build=False)
 

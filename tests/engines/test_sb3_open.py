@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium import spaces
 
 from pneuma.config import Run, make_run
 from pneuma.engines.environment import check_environment
-from pneuma.engines.gymnasium_env import make_env
+from pneuma.engines.gymnasium_env import make_env, refuse_flat_pictures
 from pneuma.engines.loop import train_run
 from pneuma.engines.sb3_open import OpenTrainer
 from pneuma.errors import UserError
@@ -19,6 +22,7 @@ from pneuma.sb3_names import own_fields
 from pneuma.study.identity import run_id
 
 SHORT = {"env": "CartPole-v1", "slots": 2, "horizon": 64, "steps": 256, "evaluation_episodes": 2}
+PICTURE, NUMBERS = spaces.Box(0, 255, (36, 36, 3), np.uint8), spaces.Box(-1, 1, (3,))
 PICTURES = """
 import gymnasium, numpy as np
 
@@ -87,11 +91,35 @@ def test_arguments_of_ppo_that_are_no_fields_are_passed_on(tmp_path: Path) -> No
 def test_a_policy_for_pictures_sees_pictures(tmp_path: Path) -> None:
     (tmp_path / "pictures.py").write_text(PICTURES)
     given = {**SHORT, "env": "Pictures-v0", "env_module": f"{tmp_path}/pictures.py", "steps": 128}
-    with pytest.raises(UserError, match=r'pictures, .*: set policy = "CnnPolicy"'):
-        check_environment(make_run({**given, "algorithm_kwargs": {"vf_coef": 0.4}}))
+    flat: tuple[dict[str, Any], ...] = (
+        {},
+        {"engine": "sb3"},
+        {"algorithm": "dqn"},
+        {"policy": "MlpLstmPolicy"},
+    )
+    for own in (*flat, {"algorithm_kwargs": {"vf_coef": 0.4}}):
+        run = make_run({**given, **own})
+        with pytest.raises(UserError, match=r'pictures, .*: set policy = "CnnPolicy", or wrappers = '):
+            check_environment(run)
+    check_environment(make_run({**given, "wrappers": ["FlattenObservation"]}))
     run = make_run({**given, "policy": "CnnPolicy", "epochs": 1})
     check_environment(run)
     assert train_run(run, lambda _: True).status == "done"
+
+
+@pytest.mark.parametrize(
+    ("space", "fix"),
+    [
+        (PICTURE, 'flatten: set policy = "CnnPolicy", or wrappers = ["FlattenObservation"]'),
+        (spaces.Dict(seen=PICTURE, speed=NUMBERS), 'flatten: set policy = "MultiInputPolicy", or wrappers'),
+        (spaces.Box(0, 255, (36, 36), np.uint8), 'flatten: wrappers = ["FlattenObservation"]'),
+        (spaces.Box(0, 255, (128,), np.uint8), ""),  # the memory of an Atari game
+        (NUMBERS, ""),
+    ],
+)
+def test_what_counts_as_a_picture_and_what_to_write(space: spaces.Space[Any], fix: str) -> None:
+    with pytest.raises(UserError, match=re.escape(fix)) if fix else nullcontext():
+        refuse_flat_pictures(make_run({"env": "Pictures-v0"}), space)
 
 
 def test_wrappers_take_arguments() -> None:
