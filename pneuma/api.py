@@ -28,6 +28,7 @@ from pneuma.schema import plain
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import ExecutorConfig
 from pneuma.study.identity import describe_user_code
+from pneuma.study.last_queries import on_top_of_last
 from pneuma.study.progress import ProgressDisplay
 from pneuma.study.provenance import available_cores, project
 from pneuma.study.store import Store
@@ -82,9 +83,8 @@ def run_study(
         UserError: for an unknown study, selection or world, or when a run crashed or was killed.
         KeyboardInterrupt: after Ctrl-C; the same call resumes.
     """
-    selection = _selection(seeds, steps, conditions, settings, preset)
-    most = _count("workers", workers) or available_cores()
-    planned, store = plan_study(study, selection, world), _store(results)
+    most, store = _count("workers", workers) or available_cores(), _store(results)
+    planned = plan_study(_query(study, world, preset, seeds, steps, conditions, settings), store)
     how = ExecutorConfig(workers=most)
     outcomes = train_plan(planned, store, how, quiet=quiet, on_progress=on_progress)
     if unwell := [outcome for outcome in outcomes if not outcome.status.finished]:
@@ -93,28 +93,27 @@ def run_study(
             f"{len(unwell)} of {len(outcomes)} runs did not end: {cell.condition} seed {cell.seed} "
             f"{status.name} {unwell[0].reason}; see {store.run_folder(cell.run_id) / 'error.txt'}"
         )
-    shown: Any = {"steps": planned.steps, "seeds": sorted({cell.seed for cell in planned.cells})}
-    return open_data(study, results, **shown, conditions=conditions, settings=settings, world=world)
+    return open_data(study, results, preset=spec.LAST, world=world)
 
 
-def plan_study(
-    study: Where, selection: plan.Selection, world: str | None = None, say: Say = _silent
-) -> plan.Plan:
-    """Plan the runs of a study, after `say` was told which code of the user's they run."""
-    asked = spec.load_study(os.fspath(study), world)
-    fields = [asked.fields(condition, selection.settings) for condition in asked.conditions]
+def plan_study(query: plan.Query, store: Store, say: Say = _silent) -> plan.Plan:
+    """Plan the runs of a query to train, after `say` was called with the user's own code that they run."""
+    study = spec.load_study(query.study, query.world, kept=store.studies)
+    if query.preset == spec.LAST:
+        query = on_top_of_last(store, study.name, study.world, query)
+    fields = [study.fields(condition, query.settings) for condition in study.conditions]
     for use in dict.fromkeys(use for settings in fields for use in describe_user_code(settings).values()):
         if use.startswith("run "):
             say(f"Note: the study's file asks to {use}.")
-    if selection.preset == spec.CLAIMS:
+    if query.preset == spec.CLAIMS:
         from pneuma.analysis.claims.fixed_runs import with_claims
 
-        asked = with_claims(asked, selection.steps)
-    planned = plan.make_plan(asked, selection)
-    if asked.outcomes:
+        study = with_claims(study, query.steps)
+    planned = plan.make_plan(study, query)
+    if study.outcomes:
         from pneuma.analysis.outcomes import check_outcomes
 
-        check_outcomes(asked.outcomes, {cell.run.env for cell in planned.cells})
+        check_outcomes(study.outcomes, {cell.run.env for cell in planned.cells})
     return planned
 
 
@@ -147,29 +146,27 @@ def open_data(
     study: Where,
     results: Where | None = None,
     *,
-    steps: int | None = None,
+    preset: str | None = None,
     seeds: int | Sequence[int] | None = None,
+    steps: int | None = None,
     conditions: Sequence[str] = (),
     settings: Mapping[str, Any] | None = None,
     world: str | None = None,
-    any_version: bool = False,
     say: Say = _silent,
 ) -> StudyData:
-    """Open a study's finished runs of one budget, stored or published.
+    """Open the finished runs of a study's cells, stored or published.
 
-    Arguments are those of `run_study`. Left out, `seeds` are all but those of searches' trials, and `steps`
-    those last trained here, or of most conditions and runs. With `any_version`, runs that other versions of
-    your modules, the rules or an engine made count, too. What is shown, and what else is stored, is told to
-    `say`.
+    Arguments are those of `run_study`; `study` may also be "NAME@PRESET". What is left out is as the study
+    was last run in the results folder, in this world; if it was not, it is as in its preset `paper`.
 
     Raises:
-        UserError: when nothing of the study is stored with so many steps, or no run has finished.
+        UserError: for an unknown study, preset, condition or world, or when none of the cells has finished.
     """
     from pneuma.analysis.run_index import RunIndex
     from pneuma.analysis.runs import open_study
 
-    picked = replace(_selection(seeds, steps, conditions, settings), any_version=any_version)
-    return open_study(RunIndex(_store(results)), os.fspath(study), picked, world, say)
+    query = _query(study, world, preset, seeds, steps, conditions, settings)
+    return open_study(RunIndex(_store(results)), query, say)
 
 
 def compare(
@@ -242,10 +239,9 @@ def promote(
     """
     from pneuma.search import promote as promotion
 
-    selection, store = _selection(seeds, steps, (), None), _store(results)
-    assert selection.seeds is not None
+    store = _store(results)
     names = [os.fspath(search) for search in searches]
-    promoted = promotion.promote(store, names, selection.seeds, selection.steps, trial, world)
+    promoted = promotion.promote(store, names, _seeds(seeds) or (), _count("steps", steps), trial, world)
     promoted.plan(store)
     fixed: Any = {"seeds": promoted.seeds, "steps": promoted.steps}
     data = run_study(promoted.path(store), results, **fixed, workers=workers, quiet=quiet)
@@ -342,21 +338,35 @@ def _store(results: Where | None) -> Store:
     return Store(os.environ.get("PNEUMA_RESULTS") or "results" if results is None else results)
 
 
-def _selection(
+def _query(
+    study: Where,
+    world: str | None,
+    preset: str | None,
     seeds: int | Sequence[int] | None,
     steps: int | None,
     conditions: Sequence[str],
     settings: Mapping[str, Any] | None,
-    preset: str | None = None,
-) -> plan.Selection:
-    count, seeds = _count("steps", steps), plain(seeds)
+) -> plan.Query:
+    names = (conditions,) if isinstance(conditions, str) else tuple(conditions)
+    asked = plan.Query(
+        world=world,
+        preset=preset,
+        seeds=_seeds(seeds),
+        steps=_count("steps", steps),
+        conditions=names,
+        settings=plain(dict(settings or {})),
+    )
+    return asked.named(os.fspath(study))
+
+
+def _seeds(seeds: int | Sequence[int] | None) -> tuple[int, ...] | None:
+    if seeds is None:
+        return None
     try:
-        listed = seeds if seeds is None or isinstance(seeds, int) else plain([*seeds])
-        read = None if listed is None else read_seeds(listed)
+        given = plain(seeds)
+        return read_seeds(given if isinstance(given, int | str) else plain([*given]))
     except (ValueError, TypeError):
         raise UserError(f"seeds = {seeds!r} is not allowed: a count, or different whole numbers") from None
-    names = (conditions,) if isinstance(conditions, str) else tuple(conditions)
-    return plan.Selection(preset, read, count, names, plain(dict(settings or {})))
 
 
 def _count(name: str, value: object) -> int | None:

@@ -128,21 +128,40 @@ def read_settings(words: Iterable[str]) -> dict[str, Any]:
 
 LONGEST_NAME = 100
 MOST_SEEDS = 10_000
-SEEDS_ALLOWED = f"a count from 1 to {MOST_SEEDS}, or a list of different seeds from 0 to {2**32 - 1}"
+SEEDS_ALLOWED = f"a count from 1 to {MOST_SEEDS}, a list of different seeds, or text such as 3,5,8 or 1..5"
 
 
 def read_seeds(value: object) -> tuple[int, ...]:
-    """Read seeds: a count n, for 0 … n - 1, or a list.
+    """Read seeds: a count n, for 0 to n - 1; a list; or text with numbers and ranges.
+
+    As text, `"5"` is a count, `"5,"` is the seed 5 alone, and `"1..5"` includes both ends.
 
     Raises:
         ValueError: for anything else, including repeated seeds.
     """
+    if isinstance(value, str):
+        value = _seeds_of_text(value)
     if type(value) is int and 1 <= value <= MOST_SEEDS:
         return tuple(range(value))
     seeds = tuple(value) if isinstance(value, list | tuple) else ()
     if all(type(seed) is int and 0 <= seed < 2**32 for seed in seeds) and 0 < len({*seeds}) == len(seeds):
         return seeds
     raise ValueError
+
+
+def _seeds_of_text(text: str) -> int | list[int]:
+    """Return the count that a text names, or the list of its seeds."""
+    if "," not in text and ".." not in text:
+        return int(text)
+    seeds: list[int] = []
+    for part in text.split(","):
+        if part.strip():
+            first, dots, last = part.partition("..")
+            span = range(int(first), int(last if dots else first) + 1)
+            if len(span) > MOST_SEEDS:
+                raise ValueError
+            seeds.extend(span)
+    return seeds
 
 
 def shown_seeds(seeds: Iterable[int]) -> str:

@@ -15,6 +15,7 @@ from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.files import to_json
+from pneuma.study.plan import Query
 from pneuma.study.row_builder import UNKNOWN
 from pneuma.study.store import Identity, Status, Store
 from pneuma.study.tables import to_parquet
@@ -89,7 +90,7 @@ def save_listing(store: Store, cells: Cells, name: str = "mine", **about: str) -
 def study_of(store: Store, cells: Cells, **about: str) -> StudyData:
     """Return a study that lists runs of a store, which is stored too."""
     save_listing(store, cells, **about)
-    return open_study(RunIndex(store, shipped=False), about.get("name", "mine"))
+    return open_study(RunIndex(store, shipped=False), Query(study=about.get("name", "mine")))
 
 
 # --- Runs that collapse: a hundred updates of 100 steps, an evaluation every five of them ----------

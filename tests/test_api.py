@@ -18,7 +18,7 @@ from pneuma.config import as_fields, make_run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS
 from pneuma.errors import UserError
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store
 
@@ -139,7 +139,7 @@ def test_a_preset_is_opened_with_its_exceptions(tmp_path: Path) -> None:
     """2,000 steps are rounded up to whole updates, of which no preset is."""
     path, store = tmp_path / "unlike.toml", Store(tmp_path / "results")
     path.write_text(EXCEPTION)
-    for cell in make_plan(load_study(str(path)), Selection()).cells:
+    for cell in make_plan(load_study(str(path)), Query()).cells:
         save_finished(store, cell.run)
     data = run_study(path, store.root, quiet=True)
     assert data.runs[["condition", "steps"]].to_numpy().tolist() == [["usual", 2048], ["big", 128]]

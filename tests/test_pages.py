@@ -13,7 +13,7 @@ from typer.main import get_command
 
 from pneuma.cli import app
 from pneuma.errors import UserError
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 from tools.pages import PAGES, ROOT, renewed, rewrite
 
@@ -119,7 +119,7 @@ def test_the_readmes_study_of_your_own_can_be_run(tmp_path: Path) -> None:
     (block,) = re.findall(r"Save this as `horizon.toml`:\n\n((?: {4}.*\n)+)", text)
     path = tmp_path / "horizon.toml"
     path.write_text(re.sub("^ {4}", "", block, flags=re.MULTILINE))
-    cells = make_plan(load_study(str(path)), Selection()).cells
+    cells = make_plan(load_study(str(path)), Query()).cells
     assert {(cell.condition, cell.run.horizon) for cell in cells} == {("short", 128), ("long", 1024)}
     assert {cell.seed for cell in cells} == {0, 1, 2}
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.analysis.claims.fixed_runs import fixed_amounts, with_claims
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.plan import Query, make_plan
 from pneuma.study.shipped import list_studies
 from pneuma.study.spec import Study, load_study
 
@@ -26,11 +26,11 @@ def _trained(part: str) -> set[str]:
         _, _, study, *rest = words
         options = dict(zip(rest[::2], rest[1::2], strict=True))
         steps = int(options["--steps"]) if "--steps" in options else None
-        ids |= _planned(load_study(study, options["--world"]), Selection(options["--preset"], steps=steps))
+        ids |= _planned(load_study(study, options["--world"]), Query(preset=options["--preset"], steps=steps))
     return ids
 
 
-def _planned(study: Study, selection: Selection) -> set[str]:
+def _planned(study: Study, selection: Query) -> set[str]:
     asked = with_claims(study, selection.steps) if selection.preset == "claims" else study
     return {cell.run_id for cell in make_plan(asked, selection).cells}
 
@@ -41,9 +41,11 @@ def test_together_they_train_every_study_and_all_that_claims_fix() -> None:
     for name in list_studies():
         studies = [load_study(name, world) for world in load_study(name).worlds]
         fixed = [
-            (study, Selection("claims", steps=steps)) for study in studies for steps in fixed_amounts(study)
+            (study, Query(preset="claims", steps=steps))
+            for study in studies
+            for steps in fixed_amounts(study)
         ]
-        for study, selection in fixed or [(study, Selection("paper")) for study in studies]:
+        for study, selection in fixed or [(study, Query(preset="paper")) for study in studies]:
             assert _planned(study, selection) <= trained, study.name
 
 

@@ -19,6 +19,7 @@ from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 from pneuma.files import checksum
+from pneuma.study.plan import Query
 from pneuma.study.published import encode_published
 from pneuma.study.row_builder import stored_row
 from pneuma.study.rows import decode_row
@@ -74,7 +75,7 @@ def test_untrusted_a_checksummed_table_that_makes_no_sense_is_one_line(
     _swapped(store, name, change)
     index = RunIndex(store, shipped=False)
     with pytest.raises(UserError, match="no finished run of study mine"):
-        open_study(index, "mine")
+        open_study(index, Query(study="mine"))
     (problem,) = index.problems
     assert problem.startswith(f"{store.run_folder(RUN)}: cannot be read (") and "\n" not in problem
 
@@ -123,11 +124,11 @@ def test_untrusted_a_published_table_that_makes_no_sense_is_one_line(
     clone = Store(tmp_path / "clone")
     _forged(study_of(store, ONE), clone, about, column, values)
     with pytest.raises(UserError) as refused:
-        open_study(index := RunIndex(clone, shipped=False), "mine")
+        open_study(index := RunIndex(clone, shipped=False), Query(study="mine"))
     told = [str(refused.value), *index.problems]
     assert all("\n" not in line for line in told) and any("mine" in line for line in told)
     _forged(study_of(store, ONE), store, about, column, values)
-    assert len(open_study(RunIndex(store, shipped=False), "mine").runs) == 1
+    assert len(open_study(RunIndex(store, shipped=False), Query(study="mine")).runs) == 1
 
 
 @pytest.mark.parametrize(("column", "text"), [("fields", "["), ("provenance", "{"), ("signs", "{}")])

@@ -1,9 +1,9 @@
 """What a rewrite must not move, as checksums: `python -m tests.unchanged` compares, `--record` writes them.
 
-Run ids of every condition of every shipped study in each world, also with one slot where the file says four;
-the tables that `study export` makes of each published table's study; the verdicts of `study verify`. Nothing
-is trained, as the last bits of a training depend on the processor. Golden traces of rules and engines are
-tests of their own.
+The ids of the configuration and of a run of every condition of every shipped study in each world, also with
+one slot where the file says four; the rows of published tables; the tables that `study export` makes of each
+study's preset `paper`; the verdicts of `study verify`. Nothing is trained, as the last bits of a training
+depend on the processor. Golden traces of rules and engines are tests of their own.
 """
 
 from __future__ import annotations
@@ -18,11 +18,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import pyarrow as pa
+
 from pneuma.analysis.export import encode_table
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study
 from pneuma.errors import UserError
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.identity import config_id, run_id
+from pneuma.study.plan import Query, configure
 from pneuma.study.shipped import list_studies
 from pneuma.study.spec import Study, load_study
 from pneuma.study.store import Store
@@ -43,7 +46,7 @@ NOWHERE = Path(__file__).with_name("no-results")
 
 def compare() -> int:
     """Compare with the record, or write it; return 1 where anything differs."""
-    found = {"run ids": _run_ids(), "tables": _tables(), "verdicts": _verdicts()}
+    found = {"run ids": _run_ids(), "rows": _rows(), "tables": _tables(), "verdicts": _verdicts()}
     if "--record" in sys.argv:
         RECORD.write_text(json.dumps(found, indent=1) + "\n")
         return 0
@@ -63,11 +66,10 @@ def _run_ids() -> dict[str, str]:
     for name in list_studies():
         for world in load_study(name).worlds:
             study = load_study(name, world)
-            for preset in {"quick", "paper"} & {*study.presets}:
-                for said, settings in _with_slots(study):
-                    plan = make_plan(study, Selection(preset=preset, settings=settings))
-                    runs = [[cell.condition, cell.run.seed, cell.run_id] for cell in plan.cells]
-                    ids[f"{name} {world} {preset}{said}"] = _digest(json.dumps(sorted(runs)))
+            for suffix, settings in _with_slots(study):
+                runs = configure(study, settings).runs
+                of_conditions = {name: [config_id(run), run_id(run)] for name, run in sorted(runs.items())}
+                ids[f"{name} {world}{suffix}"] = _digest(json.dumps(of_conditions))
     return dict(sorted(ids.items()))
 
 
@@ -78,15 +80,25 @@ def _with_slots(study: Study) -> Iterator[tuple[str, dict[str, Any]]]:
         yield " slots=1", {"slots": 1}
 
 
+def _rows() -> dict[str, str]:
+    """Digest the rows of the published tables."""
+    digests = {}
+    for name, table in RunIndex(Store(NOWHERE)).tables.items():
+        rows = pa.concat_tables([row.table for row in table.rows().values()], promote_options="permissive")
+        digests[name] = _digest(rows.to_pandas().to_csv(index=False))
+    return digests
+
+
 def _tables() -> dict[str, str]:
-    """Digest what readers make of the published tables."""
+    """Digest what readers make of the published preset of each study."""
     found, store = {}, Store(NOWHERE)
     index = RunIndex(store)
     for name, published in index.tables.items():
         about = published.about
+        query = Query(study=about["study"], world=about["world"], settings=about["settings"])
         try:
-            data = open_study(index, about["study"], Selection(settings=about["settings"]), about["world"])
-        except UserError:  # a fork's, whose parent is not published
+            data = open_study(index, query)
+        except UserError:  # runs of earlier settings, which are in no preset
             continue
         for table in TABLES:
             try:

@@ -26,7 +26,7 @@ from pneuma.analysis.claims.verdicts import judge
 from pneuma.analysis.claims.words import verdicts_by_claim
 from pneuma.analysis.export import encode_frame
 from pneuma.analysis.run_index import RunIndex
-from pneuma.analysis.runs import find_study, open_study, read_runs
+from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError
@@ -41,7 +41,7 @@ from pneuma.presets import BASES, WORLDS
 from pneuma.search.promote import find_winners
 from pneuma.search.record import read_record
 from pneuma.search.spec import load_search
-from pneuma.study.plan import Selection
+from pneuma.study.plan import Query
 from pneuma.study.provenance import available_cores
 from pneuma.study.series import SLACK
 from pneuma.study.store import PUBLISHED, Store
@@ -78,8 +78,6 @@ OF_OWN_GAME: Mapping[str, Mapping[str, Mapping[str, str]]] = {
     },
 }
 """The conditions of the thesis's own game that a figure shows in the published code's world, by its names."""
-FRESH = 1000
-"""The first of the 50 seeds for which the own game's claims were planned."""
 OWN_QUANTITIES = ("return", "entropy")
 THESIS_QUANTITIES = ("return", "share_killed")
 WINNERS = {
@@ -92,8 +90,8 @@ ELSEWHERE = {"CartPole": "cartpole", "Acrobot": "acrobot", "MinAtar's Breakout":
 """Studies that ask the same of other environments, by the titles of their panels."""
 WHOLE = ("architecture", "activation", "actor-size", "robustness")
 """Studies of which the thesis's figure shows every condition, or a table all that there is to see."""
-EARLIER = {"slots": 1}
-"""The fields in which runs of earlier lists differ: they were trained in one world at a time."""
+EARLIER: Mapping[str, tuple[str, dict[str, Any]]] = {"fig-6-2": ("one-environment", {"slots": 1})}
+"""Figures that show earlier runs too: the preset and the changed fields that these have."""
 FORKS, FORK_OUTCOMES = "-forks-", ("final-share-killed", "final-return")
 """What names of forks have in them, and what is shown of them."""
 BESIDE = {"published-logs": "author-logs"}
@@ -191,9 +189,9 @@ def _write_settings(folder: Path) -> Path:
 def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str) -> list[Path]:
     """Draw all figures of a study; return the files written."""
     index, pages = _published(results), []
-    for figure, (of, conditions) in THESIS_FIGURES.items():
+    for figure, (of, _) in THESIS_FIGURES.items():
         if of == study:
-            columns = {**thesis_columns(index, study, conditions), **_own_columns(index, figure)}
+            columns = {**thesis_columns(index, figure), **_own_columns(index, figure)}
             pages.append(curves_page(columns, THESIS_QUANTITIES, basename=figure))
     if study == OWN_GAME:
         pages.append(curves_page(_own_columns(index, study), OWN_QUANTITIES, basename=study))
@@ -203,10 +201,7 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str
         winners = find_winners(
             [read_record(Store(results), name, stored=False) for name in searches], None, ()
         )
-        data = open_study(index, study)
-        fresh = data.runs["seed"][data.runs["condition"] == winners[0].tuned]
-        same_seeds = replace(data, runs=data.runs[data.runs["seed"].isin(fresh)])
-        pages.append(winners_page(study, winners, same_seeds))
+        pages.append(winners_page(study, winners, open_study(index, Query(study))))
     elif study == "acrobot":
         pages.append(_elsewhere(index))
     elif study not in WHOLE:
@@ -227,12 +222,16 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
     worlds = {table.about.get("world") for table in index.tables.values() if table.about["study"] == study}
     found = {_title(world): study_runs(index, study, world) for world in [None, *WORLDS] if world in worlds}
     shown = dict.fromkeys(name for data in found.values() if data for name in data.runs["condition"])
-    columns = {title: data.of_conditions([*shown]) for title, data in found.items() if data}
+    columns = {
+        title: data.of_conditions([name for name in shown if name in data.fields])
+        for title, data in found.items()
+        if data
+    }
     if not columns:  # tables of changed fields alone
         return []
     data = next(iter(columns.values()))
     if logs:
-        every = open_study(index, logs)
+        every = open_study(index, Query(logs))
         whole = every.runs["condition"][every.runs["end"] >= (1 - SLACK) * every.runs["end"].median()]
         names = [name for name in data.conditions if data.engines(name) != {"sb3"}]
         ours, beside = data.of_conditions(names), every.of_conditions([*whole])
@@ -262,30 +261,47 @@ def _capital(words: str) -> str:
     return words[:1].upper() + words[1:]
 
 
-def study_runs(index: RunIndex, study: str, world: str | None) -> StudyData | None:
-    """Return a study's runs in a world: those of its file, or else earlier ones."""
-    return _opened(index, study, world, {}) or _opened(index, study, world, EARLIER)
+def study_runs(
+    index: RunIndex,
+    study: str,
+    world: str | None,
+    conditions: Sequence[str] = (),
+    preset: str | None = None,
+    settings: Mapping[str, Any] | None = None,
+) -> StudyData | None:
+    """Return the published runs of a study's preset (default: paper) in a world; None if there are none."""
+    query = Query(study, world, preset, conditions=tuple(conditions), settings=settings or {})
+    try:
+        return open_study(index, query)
+    except UserError:
+        return None
 
 
-def thesis_columns(index: RunIndex, study: str, conditions: Sequence[str]) -> dict[str, StudyData]:
-    """Return the runs of some conditions in each world that has two of them or more, by title.
-
-    Earlier runs of a world come beside those of the study's file if they have a condition that these lack.
-    """
-    columns = {}
+def thesis_columns(index: RunIndex, figure: str) -> dict[str, StudyData]:
+    """Return the runs of a figure's conditions in each world that has two of them or more, by title."""
+    study, conditions = THESIS_FIGURES[figure]
+    columns: dict[str, StudyData] = {}
     for world in WORLDS:
-        if world == "godot" and study in {
-            of for name, (of, _) in THESIS_FIGURES.items() if name in OF_OWN_GAME
-        }:
+        if world == "godot" and figure in OF_OWN_GAME:
             continue  # the own game's runs stand there
-        shown: set[str] = set()
-        for settings, added in (({}, ""), (EARLIER, ", one environment")):
-            data = _longest(index, study, world, conditions, settings)
-            trained = {*data.runs["condition"]} if data else set()
-            if data and len(trained) > 1 and trained - shown:
-                columns[_title(world) + added] = data
-                shown |= trained
+        data = study_runs(index, study, world)
+        if data is not None:
+            _add_column(columns, _title(world), data, conditions)
+        if figure in EARLIER:
+            preset, settings = EARLIER[figure]
+            data = study_runs(index, study, world, preset=preset, settings=settings)
+            if data is not None:
+                _add_column(columns, f"{_title(world)}, one environment", data, conditions)
     return columns
+
+
+def _add_column(
+    columns: dict[str, StudyData], title: str, data: StudyData, conditions: Sequence[str]
+) -> None:
+    trained = {*data.runs["condition"]}
+    shown = [name for name in conditions if name in trained]
+    if len(shown) > 1:
+        columns[title] = data.of_conditions(shown)
 
 
 def _own_columns(index: RunIndex, figure: str) -> dict[str, StudyData]:
@@ -294,35 +310,13 @@ def _own_columns(index: RunIndex, figure: str) -> dict[str, StudyData]:
         return {}
     columns = {}
     for said, names in OF_OWN_GAME[figure].items():
-        shown = replace(data, runs=data.runs[data.runs["seed"].between(FRESH, FRESH + 49)]).renamed(names)
+        shown = data.renamed(names)
         labels = {
             name: label.partition(";")[0] for name, label in shown.study.labels.items() if name != "tanh"
         }
         title = _capital(said) if figure == OWN_GAME else ", ".join(filter(None, ["Published code", said]))
         columns[title] = replace(shown, study=shown.study.model_copy(update={"labels": labels}))
     return {title: data for title, data in columns.items() if len(data.runs)}
-
-
-def _opened(index: RunIndex, study: str, world: str | None, settings: Mapping[str, Any]) -> StudyData | None:
-    try:
-        return open_study(index, study, Selection(settings=settings), world)
-    except UserError:
-        return None  # no runs
-
-
-def _longest(
-    index: RunIndex, study: str, world: str, conditions: Sequence[str], settings: Mapping[str, Any]
-) -> StudyData | None:
-    """Return runs of the longest budget that two conditions have, or of a condition's own if that is less."""
-    data = find_study(index, study, Selection(settings=settings, conditions=tuple(conditions)), world)
-    if world != "godot":  # fresh seeds there belong to claims of other studies, and to some conditions alone
-        data = replace(data, runs=data.runs[data.runs["seed"] < FRESH])
-    if not len(data.runs):
-        return None
-    longest = data.runs.groupby("condition")["steps"].max().nlargest(2).iloc[-1]
-    runs = data.runs[data.runs["steps"] <= (1 + SLACK) * longest]
-    runs = runs[runs["steps"] == runs.groupby("condition")["steps"].transform("max")]
-    return read_runs(index, replace(data, runs=runs.sort_values("seed", kind="stable")))
 
 
 if __name__ == "__main__":

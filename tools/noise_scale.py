@@ -25,7 +25,7 @@ from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.origin import samples_of
 from pneuma.figures.words import headline_of
-from pneuma.study.plan import Selection
+from pneuma.study.plan import Query
 from pneuma.study.store import Store
 
 STUDY, STEPS, OUTCOME = "noise-scale", 294_912, "late-share-killed"
@@ -60,7 +60,7 @@ def correlations(cells: pd.DataFrame) -> list[str]:
 
 
 def open_noise_scale(index: RunIndex) -> StudyData:
-    return open_study(index, STUDY, Selection(steps=STEPS))
+    return open_study(index, Query(STUDY, steps=STEPS))
 
 
 def noise_page(data: StudyData) -> Page:

@@ -101,6 +101,21 @@ class RunIndex:
         of_searches = (listing for listing in listed if listing and "source" not in listing)  # no imports
         return {run["run_id"] for listing in of_searches for run in listing["runs"]}
 
+    def fields_of(self, run_id: str) -> Mapping[str, Any]:
+        """Return the fields of a run; empty if they cannot be read."""
+        for table in self.tables.values():
+            if run_id in table.places:
+                return table.fields(run_id)
+        fields = self.store.read_document(run_id, "run.json").get("run")
+        return fields if isinstance(fields, dict) else {}
+
+    def started(self, run_id: str) -> str:
+        """Return when the training of a run was started, in ISO format; empty if that is not known."""
+        for table in self.tables.values():
+            if run_id in table.places:
+                return table.started(run_id)
+        return str(self.store.read_document(run_id, "provenance.json").get("started", ""))
+
     def _runs_here(self) -> Iterator[tuple[Any, ...]]:
         for run_id in self.store.runs():
             status = self.store.status(run_id, quick=True)

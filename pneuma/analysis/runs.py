@@ -1,21 +1,20 @@
-"""Which of all runs a study's name and options mean.
+"""The runs of exactly a plan's cells.
 
-    results folder, published tables → `RunIndex.frame`: a row for each run, finished or not
-    a study's name, world, changed fields → `find_study`: its conditions, each with its configuration's id,
-        joined with the frame: every run of the study
-    steps and seeds → `choose_runs`: those of one budget → `read_runs`: the finished ones, with their rows
+    Query → `plan_to_read`: as the study was last run here, or else its preset `paper`
+    Plan and `RunIndex.frame` → `runs_of_plan`: the run of each cell, here or published
+    `open_study` → StudyData: those that have finished, with their rows
 
-The runs that have a study's configurations are its runs, wherever they are. Only studies without a file
-(imported logs, forks, a search's trials) list theirs.
+A run counts for a cell if its fields are the cell's. Nothing else is shown: no other seed or budget, and no
+run that another study trained for itself. Studies without a file (imported logs, published forks) list their
+runs.
 """
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -23,316 +22,275 @@ import pandas as pd
 
 from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.study_data import StudyData
-from pneuma.config import Run, as_fields, round_up
-from pneuma.errors import UserError, counted, unknown_name
-from pneuma.presets import TEXT, WORLDS
+from pneuma.config import Run, as_fields
+from pneuma.errors import UserError, unknown_name
+from pneuma.presets import TEXT
 from pneuma.study.identity import config_id, own_files
-from pneuma.study.plan import Selection, configure
+from pneuma.study.last_queries import last_query, noted_studies, on_top_of_last
+from pneuma.study.plan import Plan, Query, configure, default_preset, make_plan, query_words
 from pneuma.study.shipped import list_studies
-from pneuma.study.spec import Study, load_study, run_command
+from pneuma.study.spec import CLAIMS, LAST, PAPER, Study, load_study, results_words
 from pneuma.study.store import FINISHED
-from pneuma.values import read_settings, setting_words, shown_seeds
 
-ALL = Selection()
-Fields = Mapping[str, Mapping[str, Any]]
 Say = Callable[[str], object]
+UNSET: tuple[Any, ...] = (None, False, 0, "", [], {})
+"""Values of fields that a version of Pneuma knew which this one does not, if they were not set."""
 
 
-def find_study(index: RunIndex, name: str, picked: Selection = ALL, world: str | None = None) -> StudyData:
-    """Return a study in a world, with changed fields, and all its runs of any budget.
+def silent(message: str) -> None:
+    """Say nothing."""
+
+
+# --- Which plan ----------------------------------------------------------------------------------------
+
+
+def plan_to_read(index: RunIndex, query: Query) -> Plan:
+    """Return the plan of a query of a study with a file.
+
+    What the query leaves open is as in the study's last `study run` here, in this world; if there was none,
+    as in its preset `paper`, or else as `study run` would train it.
 
     Raises:
-        UserError: for an unknown study, world or condition, or fields that do not go together.
+        UserError: for an unknown study, world, preset or condition, or fields that do not go together.
     """
-    of_file = name in list_studies() or name.endswith(".toml")
-    if not of_file and (listing := index.listing(name)) is not None:
-        return _find_listed(index, listing, picked)
-    others = () if of_file else index.listings()
-    return find_runs(index, load_study(name, world, others, index.store.studies), picked)
+    study = load_study(query.study, query.world, index.listings(), index.store.studies)
+    if query.preset == LAST:
+        return _make_plan(index, study, on_top_of_last(index.store, study.name, study.world, query))
+    if query.preset is None and last_query(index.store, study.name, study.world):
+        with suppress(UserError):  # the study's file may have changed since
+            return _make_plan(index, study, on_top_of_last(index.store, study.name, study.world, query))
+    preset = query.preset or (PAPER if PAPER in study.presets else default_preset(study))
+    return _make_plan(index, study, replace(query, preset=preset))
 
 
-def find_runs(index: RunIndex, study: Study, picked: Selection = ALL) -> StudyData:
-    """Return a study of a file in its world, with changed fields, and all its runs of any budget."""
-    found = configure(study, picked.settings, picked.conditions, index.engine_of)
-    fields = {condition: _without_amount(as_fields(run)) for condition, run in found.runs.items()}
-    ids = [(condition, config_id(run)) for condition, run in found.runs.items()]
-    if picked.any_version:
-        ids += _other_versions(index, fields, found.runs)
-    places = [(condition, place) for condition, known in ids for place in index.places.get(known, ())]
-    runs = index.frame.iloc[[place for _, place in places]].reset_index(drop=True)
-    runs = runs.assign(condition=[condition for condition, _ in places])
-    runs = runs.drop_duplicates(["condition", "seed", "steps"], ignore_index=True)  # the present version's
-    return StudyData(found.study, fields, runs, found.runs)
+def _make_plan(index: RunIndex, study: Study, query: Query) -> Plan:
+    if query.preset == CLAIMS:
+        from pneuma.analysis.claims.fixed_runs import with_claims
+
+        study = with_claims(study, query.steps)
+    return make_plan(study, query, index.engine_of)
 
 
-def _find_listed(index: RunIndex, listing: Mapping[str, Any], picked: Selection) -> StudyData:
+# --- Which runs ----------------------------------------------------------------------------------------
+
+
+def find_study(index: RunIndex, query: Query) -> StudyData:
+    """Return the runs of a query's cells, finished or not; there may be none.
+
+    Raises:
+        UserError: as `plan_to_read`.
+    """
+    of_file = query.study in list_studies() or query.study.endswith(".toml")
+    if not of_file and (listing := index.listing(query.study)) is not None:
+        return _find_listed(index, listing, query)
+    plan = plan_to_read(index, query)
+    data = runs_of_plan(index, plan)
+    return replace(data, asked=query, other_presets=_count_other_presets(index, plan))
+
+
+def configurations_of(
+    index: RunIndex, name: str, world: str | None
+) -> tuple[Study, dict[str, Mapping[str, Any]], Mapping[str, Run]]:
+    """Return a study, and the fields and configuration of all its conditions.
+
+    A study without a file has no configurations.
+    """
+    if (listing := index.listing(name)) is not None and name not in list_studies():
+        data = _find_listed(index, listing, Query(study=name))
+        return data.study, dict(data.fields), {}
+    study = load_study(name, world, index.listings(), index.store.studies)
+    runs = configure(study, {}, engine=index.engine_of).runs
+    return study, {condition: without_amount(as_fields(run)) for condition, run in runs.items()}, runs
+
+
+def runs_of_plan(index: RunIndex, plan: Plan) -> StudyData:
+    """Return the runs of a plan's cells, finished or not.
+
+    Of a cell that has no run of the present version of rules, engine and the user's own files, the newest one
+    of another version counts.
+    """
+    cells = _cell_frame(plan)
+    columns = ["run_id", "config_id", "seed", "steps", "status", "end", "where"]
+    stored = index.frame[columns].reset_index(drop=True)
+    runs = cells.merge(stored, on=["config_id", "seed", "steps"], how="inner")
+    lacking = cells.merge(runs[["condition", "seed", "steps"]], how="left", indicator=True)
+    lacking = lacking[lacking["_merge"] == "left_only"]
+    if len(lacking):
+        older = _runs_of_older_versions(index, stored, lacking, plan.configurations)
+        runs = pd.concat([runs, older], ignore_index=True)
+    order = cells.reset_index().rename(columns={"index": "place"})[["condition", "seed", "place"]]
+    runs = runs.merge(order, on=["condition", "seed"]).sort_values("place", kind="stable", ignore_index=True)
+    fields = {condition: without_amount(as_fields(run)) for condition, run in plan.configurations.items()}
+    return StudyData(plan.study, fields, runs.drop(columns="place"), plan.configurations, plan=plan)
+
+
+def _cell_frame(plan: Plan) -> pd.DataFrame:
+    """Return the cells of a plan: condition, seed, steps and config_id."""
+    ids = {condition: config_id(run) for condition, run in plan.configurations.items()}
+    rows = [(cell.condition, cell.seed, cell.run.steps, ids[cell.condition]) for cell in plan.cells]
+    return pd.DataFrame(rows, columns=["condition", "seed", "steps", "config_id"])
+
+
+def _runs_of_older_versions(
+    index: RunIndex, stored: pd.DataFrame, lacking: pd.DataFrame, configurations: Mapping[str, Run]
+) -> pd.DataFrame:
+    """Return finished runs that have the fields of cells, but were trained by other versions."""
+    finished = stored[stored["status"].isin(FINISHED)]
+    candidates = lacking[["condition", "seed", "steps"]].merge(finished, on=["seed", "steps"])
+    kept = []
+    for (condition, _), runs in candidates.groupby(["condition", "config_id"], sort=False):
+        run_id = str(runs["run_id"].iloc[0])
+        if have_same_fields(as_fields(configurations[str(condition)]), index.fields_of(run_id)):
+            kept.append(runs.assign(started=[index.started(each) for each in runs["run_id"]]))
+    if not kept:
+        return candidates.iloc[:0]
+    newest_first = pd.concat(kept).sort_values("started", ascending=False, kind="stable")
+    return newest_first.drop_duplicates(["condition", "seed"]).drop(columns="started")
+
+
+def have_same_fields(fields: Mapping[str, Any], stored: Mapping[str, Any]) -> bool:
+    """Return whether a stored run has the fields of a run, apart from seed and steps.
+
+    Files and modules of the user's own count by their names.
+    """
+    if not stored:
+        return False
+    wanted, defaults = without_amount(fields), as_fields(Run())
+    for name, value in without_amount(stored).items():
+        if name not in wanted:
+            if value not in UNSET:
+                return False
+        elif _with_bare_names(value) != _with_bare_names(wanted[name]):
+            return False
+    return all(wanted[name] == defaults[name] for name in wanted if name not in stored)
+
+
+def _with_bare_names(value: Any) -> Any:
+    """Return a field's value with the user's own files by their names alone."""
+    if isinstance(value, list | tuple):
+        return tuple(_with_bare_names(part) for part in value)
+    if isinstance(value, str) and value.startswith("/"):
+        file, colon, inside = value.partition(":")
+        return Path(file).name.removesuffix(".py") + colon + inside
+    return value
+
+
+def without_amount(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields without seed and steps."""
+    return {name: value for name, value in fields.items() if name not in ("seed", "steps")}
+
+
+def _count_other_presets(index: RunIndex, plan: Plan) -> dict[str, int]:
+    """Return how many finished runs the other presets of a plan's study have, where there are any."""
+    finished = index.frame[index.frame["status"].isin(FINISHED)]
+    keys = {*zip(finished["config_id"], finished["seed"], finished["steps"], strict=True)}
+    counts: dict[str, int] = {}
+    if plan.query.settings:
+        return counts
+    for preset in plan.study.presets:
+        if preset != plan.preset:
+            other = _cell_frame(make_plan(plan.study, Query(preset=preset), index.engine_of))
+            cells = zip(other["config_id"], other["seed"], other["steps"], strict=True)
+            count = sum(cell in keys for cell in cells)
+            if count:
+                counts[preset] = count
+    return counts
+
+
+def _find_listed(index: RunIndex, listing: Mapping[str, Any], query: Query) -> StudyData:
+    """Return the runs of a study without a file, which lists them."""
     name = listing["study"]
     every: dict[str, dict[str, Any]] = {run["condition"]: {} for run in listing["runs"]}
-    for condition in picked.conditions:
+    for condition in query.conditions:
         if condition not in every:
             raise unknown_name(f"condition of study {name}", condition, every)
-    if picked.settings:
-        raise UserError(f"--set: study {name} has no file whose fields could be changed")
+    if query.settings or query.preset:
+        raise UserError(f"study {name} has no file: it has neither presets nor fields that can be changed")
     listed = pd.DataFrame(listing["runs"])[["run_id", "condition", "seed"]]
     listed = listed.drop_duplicates("run_id", keep="last")
-    listed = listed[listed["condition"].isin(picked.conditions or every)]
+    listed = listed[listed["condition"].isin(query.conditions or every)]
+    if query.seeds is not None:
+        listed = listed[listed["seed"].isin(query.seeds)]
     runs = listed.merge(index.frame.drop(columns="seed").reset_index(drop=True), on="run_id")
-    fields: dict[str, Mapping[str, Any]] = {each: {} for each in every if each in {*listed["condition"]}}
-    baseline, title = listing["baseline"], listing["title"]
-    study = Study.without_file(name, title, every, baseline=baseline, worlds=(TEXT,))
-    data = StudyData(study, fields, runs)
-    found = finished_rows(index, data).runs.set_index("condition")["row"]
-    known = {str(name): _without_amount(row.fields) for name, row in found.items()}
-    return replace(data, fields={**fields, **known})
+    if query.steps:
+        runs = runs[runs["steps"] == query.steps]
+    runs = runs.sort_values("seed", kind="stable", ignore_index=True)
+    study = _listed_study(listing, every)
+    finished = finished_rows(index, StudyData(study, {}, runs)).runs
+    fields: dict[str, Mapping[str, Any]] = {
+        condition: {} for condition in every if condition in {*listed["condition"]}
+    }
+    for condition, row in zip(finished["condition"], finished["row"], strict=True):
+        fields[condition] = without_amount(row.fields)
+    return StudyData(study, fields, runs, asked=query)
 
 
-def _without_amount(fields: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in fields.items() if key not in ("seed", "steps")}
+def _listed_study(listing: Mapping[str, Any], conditions: Mapping[str, Any]) -> Study:
+    name, title, baseline = listing["study"], listing["title"], listing["baseline"]
+    return Study.without_file(name, title, conditions, baseline=baseline, worlds=(TEXT,))
 
 
-def choose_runs(index: RunIndex, data: StudyData, picked: Selection = ALL) -> StudyData:
-    """Return a study with those of its runs that have the steps and seeds that were asked for, seed by seed.
-
-    Without steps these are the runs of the budget of this study's last `study run` here, or else of the
-    published budget with most conditions and runs. What other studies train changes neither. Budgets without
-    any of the seeds that were asked for are passed over, and those without one of the conditions.
-
-    Raises:
-        UserError: when nothing is stored that is asked for.
-    """
-    runs, study = data.runs, data.study
-    if not data.configurations:
-        runs = runs[runs["steps"] == picked.steps] if picked.steps else runs
-        if not len(runs):
-            of = f" of {picked.steps:,} steps" if picked.steps else ""
-            raise UserError(f"study {study.name} has no runs{of} in {index.store.root}")
-        return _narrowed(replace(data, runs=runs), picked)
-    if not len(runs):
-        raise UserError(_nothing(index, data))
-    tried = runs["run_id"].isin(index.trials)
-    if picked.seeds is None and not tried.all():  # a winner looks better by the runs that chose it
-        data = replace(data, runs=runs[~tried])
-    of_search = []
-    if len(data.runs) < len(runs):
-        seeds = shown_seeds(runs["seed"][tried])
-        of_search = [f"{counted(int(tried.sum()), 'run')} of a search's trials (--seeds {seeds})"]
-    budgets, last_here = _by_budget(data), False
-    if picked.steps is None:
-        having = {
-            steps: each
-            for steps, each in budgets.items()
-            if picked.seeds is None or each["seed"].isin(picked.seeds).any()
-        }
-        whole = {steps: each for steps, each in having.items() if {*data.fields} <= {*each["condition"]}}
-        having = whole if picked.conditions and whole else having
-        budget, last_here = _usual_budget(index, data, having or budgets)
-    elif len(chosen := runs_of_budget(data, picked.steps)):
-        budgets, budget = {**budgets, picked.steps: chosen}, picked.steps
-    else:
-        known = ", ".join(f"{steps:,}" for steps in budgets)
-        known = "; ".join([f"{known} steps", *of_search])
-        raise UserError(f"--steps {picked.steps}: {data.where} has runs of {known}")
-    shown, others = budgets[budget], []
-    for steps, each in sorted(budgets.items(), key=lambda each: -len(each[1])):
-        if not each.equals(shown):
-            published = ", published" if (each["where"] != "").all() else ""
-            others.append(f"{counted(len(each), 'run')} of {steps:,} steps{published} (--steps {steps})")
-    others += of_search + _elsewhere(index, study)
-    if any(map(own_files, data.fields.values())) and not picked.any_version:
-        others += _earlier(index, data)
-    chosen_data = replace(data, runs=shown, steps=budget, others=others, last_here=last_here)
-    return _narrowed(chosen_data, picked)
-
-
-def _narrowed(data: StudyData, picked: Selection) -> StudyData:
-    seeds = {*data.runs["seed"]}
-    kept = seeds if picked.seeds is None else seeds & {*picked.seeds}
-    if not kept:
-        few = ", ".join(map(str, sorted(seeds)[:10])) + (", …" if len(seeds) > 10 else "")
-        raise UserError(f"--seeds: {data.where} has none of these; it has {few or 'no runs'}")
-    narrowed = [*picked.conditions] if len(data.fields) < len(data.study.conditions) else []
-    narrowed += ["seeds", *map(str, sorted(kept))] if kept < seeds else []
-    narrowed += ["steps", str(picked.steps)] if picked.steps else []
-    narrowed += ["any-version"] if picked.any_version else []
-    runs = data.runs[data.runs["seed"].isin(kept)].sort_values("seed", kind="stable")
-    return replace(data, runs=runs, narrowed=narrowed)
-
-
-def _by_budget(data: StudyData) -> dict[int, pd.DataFrame]:
-    """Return the runs of each budget, in the words of the study's presets where they have it."""
-    known = [preset.steps for preset in data.study.presets.values()]
-    found: dict[int, pd.DataFrame] = {}
-    for steps in dict.fromkeys([*known, *sorted({*data.runs["steps"]})]):
-        runs = runs_of_budget(data, steps)
-        if len(runs) and not any({*runs.index} <= {*others.index} for others in found.values()):
-            found[steps] = runs
-    return found
-
-
-def runs_of_budget(data: StudyData, steps: int) -> pd.DataFrame:
-    """Return the runs of one budget: so many steps, rounded up, or what a preset of it says instead."""
-    amounts = dict.fromkeys(data.configurations, steps)
-    for preset in data.study.presets.values():
-        if preset.steps == steps:
-            amounts |= {name: each.steps for name, each in preset.conditions.items() if name in amounts}
-    budgets = {name: round_up(data.configurations[name], amount) for name, amount in amounts.items()}
-    return data.runs[data.runs["steps"] == data.runs["condition"].map(budgets)]
-
-
-def _usual_budget(index: RunIndex, data: StudyData, budgets: Mapping[int, pd.DataFrame]) -> tuple[int, bool]:
-    """Return the budget that is shown without --steps, and whether it is that of the last run here."""
-    for last in index.store.noted_steps(data.study.name).get(data.study.variant, [])[-1:]:
-        runs = {*runs_of_budget(data, last).index}
-        for steps, each in budgets.items():
-            if runs and runs <= {*each.index}:
-                return steps, True
-    published = {steps: runs for steps, runs in budgets.items() if (runs["where"] != "").any()}
-    sizes = {steps: (runs["condition"].nunique(), len(runs)) for steps, runs in budgets.items()}
-    return max(published or budgets, key=sizes.__getitem__), False
+# --- Their rows -----------------------------------------------------------------------------------------
 
 
 def finished_rows(index: RunIndex, data: StudyData) -> StudyData:
     """Return a study with its finished runs alone, and their rows; there may be none."""
     runs = data.finished
-    runs = runs.assign(row=pd.Series([*map(index.row, runs["run_id"])], runs.index, dtype=object))
-    return replace(data, runs=runs.dropna(subset="row").reset_index(drop=True))
+    rows = pd.Series([index.row(run_id) for run_id in runs["run_id"]], runs.index, dtype=object)
+    return replace(data, runs=runs.assign(row=rows).dropna(subset="row").reset_index(drop=True))
 
 
-def read_runs(index: RunIndex, data: StudyData, say: Say = lambda message: None) -> StudyData:
+def read_runs(index: RunIndex, data: StudyData, say: Say = silent) -> StudyData:
     """Return a study with its finished runs and their rows; a UserError if there are none."""
-    found = finished_rows(index, data)
+    finished = finished_rows(index, data)
     for problem in index.problems:
         say(f"Note: {problem}.")
-    if left_out := len(data.runs) - len(found.runs):
-        say(f"Note: {left_out} of {len(data.runs)} runs are not finished or damaged, and left out.")
-    if not len(found.runs):
-        train = f": run `{run_command(data.study, index.store.root)}` first" if data.configurations else ""
-        raise UserError(f"no finished run of study {data.where} is in {index.store.root}{train}")
-    return found
+    if not len(finished.runs):
+        raise UserError(_nothing_text(index, data))
+    return finished
 
 
-def open_study(
-    index: RunIndex,
-    name: str,
-    picked: Selection = ALL,
-    world: str | None = None,
-    say: Say = lambda message: None,
-) -> StudyData:
-    """Return the finished runs of a study that are asked for, wherever they are.
+def open_study(index: RunIndex, query: Query, say: Say = silent) -> StudyData:
+    """Return the finished runs of a query's cells, with their rows.
 
-    `name` may be the path of a file; `world` is by default the arena where the study is run in it. `say` is
-    told what is shown and what else is stored.
+    Args:
+        index: the runs of a results folder, and published ones.
+        query: its study may be listed, a shipped one, or a file.
+        say: is called with a line on what is shown, and with notes.
 
     Raises:
-        UserError: when nothing is stored that is asked for, or no run of it has finished.
+        UserError: as `plan_to_read`, or when none of the cells has a finished run.
     """
-    data = choose_runs(index, find_study(index, name, picked, world), picked)
+    data = find_study(index, query)
+    opened = read_runs(index, data)
     say(data.text(index.store.root))
-    return read_runs(index, data, say)
+    for problem in index.problems:
+        say(f"Note: {problem}.")
+    return opened
+
+
+def _nothing_text(index: RunIndex, data: StudyData) -> str:
+    """Return the message that no cell has a finished run: what trains them, and what else there is."""
+    if data.plan is None:
+        return f"study {data.study.name} has no finished run in {index.store.root}"
+    problems = "".join(f" {problem}." for problem in index.problems)
+    missing_files = {name for fields in data.fields.values() for name in own_files(fields, missing=True)}
+    if missing_files:
+        names = ", ".join(sorted(missing_files))
+        return f"{names}: not found, so the runs of {data.where} are not known.{problems}"
+    words = ["pneuma", "study", "run", *query_words(data.plan), *results_words(index.store.root)]
+    return f"{data.text(index.store.root)} Train them with `{shlex.join(words)}`.{problems}"
 
 
 def studies_here(index: RunIndex, world: str | None = None) -> Iterator[StudyData]:
-    """Yield the studies that were run in the results folder, in each world and with each change of fields.
-
-    Each has the runs there of the steps that it was run with.
-    """
-    for name in index.store.noted_studies():
-        for variant, noted in index.store.noted_steps(name).items():
-            with suppress(UserError, OSError, ValueError):  # its file or its record is damaged
-                data = _find_variant(index, name, variant, noted)
-                yield from _those_here(data) if world in (None, data.study.world) else ()
-    for name in index.store.listings() if world is None else ():
-        with suppress(UserError):
-            yield from _those_here(find_study(index, name))
-
-
-def _find_variant(index: RunIndex, name: str, variant: str, noted: Sequence[int]) -> StudyData:
-    """Return a study as one of its variants is noted, with the runs of the steps that are noted."""
-    world, *words = shlex.split(variant)
-    study = load_study(name, world, kept=index.store.studies)
-    data = find_runs(index, study, Selection(settings=read_settings(words)))
-    runs = [runs_of_budget(data, steps) for steps in noted]
-    return replace(data, runs=pd.concat(runs).drop_duplicates())
-
-
-def _those_here(data: StudyData) -> Iterator[StudyData]:
-    if len(runs := data.runs[data.runs["where"] == ""]):
-        yield replace(data, runs=runs)
-
-
-# --- What else there is -----------------------------------------------------------------------------
-
-
-def _elsewhere(index: RunIndex, study: Study) -> list[str]:
-    """Return in which other worlds runs of a study are stored."""
-    found = []
-    for world in study.worlds:
-        if world != study.world:
-            other = configure(load_study(study.file, world), study.settings)
-            count = sum(len(index.places.get(config_id(run), ())) for run in other.runs.values())
-            found += [f"{counted(count, 'run')} in {WORLDS[world].title} (--world {world})"] if count else []
-    return found
-
-
-def _nothing(index: RunIndex, data: StudyData) -> str:
-    """Return that no runs are stored, what to run, and what is stored that differs in one field."""
-    others = [*_elsewhere(index, data.study), *_changed(index, data)]
-    stored = f" Stored are: {'; '.join(others)}." if others else ""
-    train = f"run `{run_command(data.study, index.store.root)}` first, or give --results"
-    lacking = {name for fields in data.fields.values() for name in own_files(fields, missing=True)}
-    if lacking:
-        train = f"{', '.join(sorted(lacking))} is not found, by which its runs are known; {train}"
-    damaged = "".join(f" {problem}." for problem in index.problems)
-    return f"study {data.where} has no runs in {index.store.root}: {train}.{stored}{damaged}"
-
-
-def _changed(index: RunIndex, data: StudyData) -> list[str]:
-    """Return the single fields by whose change stored runs are those of the study."""
-    counts: dict[str, int] = {}
-    alike = [*_alike(index, data.fields)]
-    own = {known for _, known, unlike in alike if not unlike}  # of another version, of whichever condition
-    for _, known, unlike in alike:
-        if known not in own:
-            option = shlex.join(setting_words(unlike))
-            counts[option] = counts.get(option, 0) + len(index.places[known])
-    return [*_earlier(index, data), *(f"{counted(n, 'run')} ({option})" for option, n in counts.items())]
-
-
-def _earlier(index: RunIndex, data: StudyData) -> list[str]:
-    """Return how many runs another version of the user's modules, the rules or an engine made."""
-    others = {known for _, known in _other_versions(index, data.fields, data.configurations)}
-    runs = sum(len(index.places[known]) for known in others)
-    own = {Path(name).name for fields in data.fields.values() for name in own_files(fields)}
-    of = ", ".join(sorted(own)) or "rules or engine"
-    return [f"{counted(runs, 'run')} of another version of {of} (--any-version)"] if runs else []
-
-
-def _other_versions(index: RunIndex, fields: Fields, runs: Mapping[str, Run]) -> list[tuple[str, str]]:
-    """Return the configurations of stored runs whose fields are those of a condition, but not the id."""
-    ids = {condition: config_id(run) for condition, run in runs.items()}
-    alike = ((condition, known) for condition, known, unlike in _alike(index, fields) if not unlike)
-    return [(condition, known) for condition, known in alike if known != ids[condition]]
-
-
-def _alike(index: RunIndex, fields: Fields) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Yield each condition with configurations that differ from it in one field or none, and its value."""
-    finished = index.frame[index.frame["status"].isin(FINISHED)].drop_duplicates("config_id")
-    bare = {condition: {key: _bare(value) for key, value in own.items()} for condition, own in fields.items()}
-    for known, run_id in finished[["config_id", "run_id"]].itertuples(index=False):
-        if (row := index.row(run_id)) is None:
-            continue
-        kept = {key: _bare(value) for key, value in _without_amount(row.fields).items()}
-        for condition, own in bare.items():
-            unlike = (key for key in {**own, **kept} if own.get(key) != kept.get(key))
-            if len(few := [*islice(unlike, 2)]) < 2:
-                yield condition, known, {key: row.fields.get(key) for key in few}
-
-
-def _bare(value: Any) -> Any:
-    """Return a field's value with the user's own files by their names alone."""
-    if isinstance(value, list | tuple):
-        return tuple(map(_bare, value))
-    if isinstance(value, str) and value.startswith("/"):
-        file, colon, inside = value.partition(":")
-        return Path(file).name.removesuffix(".py") + colon + inside
-    return value
+    """Yield the studies that were run in the results folder, in each world: the runs of their last query."""
+    for name, noted_world in noted_studies(index.store):
+        if world in (None, noted_world):
+            with suppress(UserError, OSError, ValueError):  # its file is damaged or has gone
+                yield find_study(index, Query(name, noted_world, LAST))
+    if world is None:
+        for name in index.store.listings():
+            with suppress(UserError):
+                data = find_study(index, Query(name))
+                if (data.runs["where"] == "").any():
+                    yield data

@@ -20,17 +20,16 @@ from pneuma.env.fields import are_own_characters, is_own_level
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.presets import WORLDS
 from pneuma.study.identity import config_id
+from pneuma.study.plan import Plan, Query
 from pneuma.study.quantities import WINDOWS
 from pneuma.study.rows import Row
 from pneuma.study.series import SLACK, held_curve, make_grid
-from pneuma.study.spec import Study
+from pneuma.study.spec import LAST, Study
 from pneuma.study.store import FINISHED
-from pneuma.values import settings_name, shown_settings
+from pneuma.values import settings_name, shown_seeds, shown_settings
 
 NAMING = ("condition", "seed", "run_id")
 """The first columns of tables of records."""
-LONGEST_OTHERS = 80
-"""Characters for what else is stored, in the line that says what is shown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,31 +38,27 @@ class StudyData:
 
     Attributes:
         study: in its world and with changed fields; one that lists its runs has no path.
-        fields: the fields of each condition that was asked for, apart from seed and steps.
+        fields: the fields of each condition, apart from seed and steps.
         runs: a row for each run, seed by seed: condition, seed, run_id, config_id, steps, status, end, and
             `where`, the table that has it, or empty; of finished runs that were read also `row`, a `Row`.
         configurations: the configuration of each condition; empty if the study lists its runs.
-        narrowed: conditions, seeds and steps that were asked for, which figures' names contain.
-        steps: agent steps of each run, as `--steps` takes them; None for a study that lists its runs.
-        others: what else is stored of the study, each with the option that shows it.
-        last_here: whether the budget is that of the study's last `study run` in this results folder.
+        plan: the cells that the runs are of; None if the study lists its runs.
+        asked: what the command named of it.
+        other_presets: how many finished runs the study's other presets have.
     """
 
     study: Study
     fields: Mapping[str, Mapping[str, Any]]
     runs: pd.DataFrame
     configurations: Mapping[str, Run] = field(default_factory=dict)
-    narrowed: Sequence[str] = ()
-    steps: int | None = None
-    others: Sequence[str] = ()
-    last_here: bool = False
+    plan: Plan | None = None
+    asked: Query = Query()
+    other_presets: Mapping[str, int] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         counts = self.runs["condition"].value_counts()
         conditions = ", ".join(f"{name} ({counts.get(name, 0)})" for name in self.conditions)
-        known = f"{self.study.name} ({self.world})" if self.world else self.study.name
-        known += f", {self.steps:,} steps" if self.steps else ""
-        return f"StudyData {known}: {counted(len(self.runs), 'run')} of {conditions}"
+        return f"StudyData {self.label}: {counted(len(self.runs), 'run')} of {conditions}"
 
     @property
     def finished(self) -> pd.DataFrame:
@@ -94,36 +89,79 @@ class StudyData:
         changed = shown_settings(self.study.settings)
         return f"{self.study.name}{world}" + (f" with {changed}" if changed else "")
 
-    def text(self, root: Path) -> str:
-        """Say in one sentence what of a results folder is shown, and what else is stored."""
-        published = int((self.runs["where"] != "").sum())
-        origin = f"{published} of them published"
-        origin = f"published; none was trained in {root}" if published == len(self.runs) else origin
-        here = "as last run here" if self.last_here else "trained here"
-        here = here if len(self.finished) else "none has finished yet"
-        parts = [f"{self.where}: {counted(len(self.runs), 'run')}"]
-        parts += [f"of {self.steps:,} steps"] if self.steps else []
-        parts += [f"({origin})" if published else f"({here})"] if published or self.steps else []
-        own = {config_id(run) for run in self.configurations.values()}
-        if other := int((~self.runs["config_id"].isin(own)).sum()) if own else 0:
-            parts[-1] += f", {other} of another version"
-        return " ".join(parts) + "." + self._other_runs()
+    @property
+    def label(self) -> str:
+        """The study with its world, preset, and what is asked for beside the preset."""
+        parts = [self.where]
+        query = self.asked if self.plan is None else self.plan.query
+        if self.plan is not None:
+            parts.append(f"preset {self.plan.preset}")
+        if query.conditions:
+            parts.append(f"{' and '.join(query.conditions)} alone")
+        if query.seeds is not None:
+            parts.append(f"seeds {shown_seeds(query.seeds)}")
+        if query.steps:
+            parts.append(f"{self.steps or query.steps:,} steps")
+        return ", ".join(parts)
 
-    def _other_runs(self) -> str:
-        """Say what else is stored in at most `LONGEST_OTHERS` characters; `study status` says the rest."""
-        text: list[str] = []
-        rest = list(self.others)
-        while rest and len("; ".join([*text, rest[0]])) < LONGEST_OTHERS:
-            text.append(rest.pop(0))
-        more = [f"{len(rest)} more (pneuma study status {self.study.name})"] if rest else []
-        return f" Stored too: {'; '.join([*text, *more])}." if self.others else ""
+    @property
+    def steps(self) -> int | None:
+        """Agent steps of each run; None if they differ."""
+        if self.plan is not None:
+            amounts = {cell.run.steps for cell in self.plan.cells}
+        else:
+            amounts = {*self.runs["steps"].tolist()}
+        return amounts.pop() if len(amounts) == 1 else None
+
+    def text(self, root: Path) -> str:
+        """Return one line on what is shown of a results folder, and on what else there is."""
+        finished, planned = self.finished, len(self.runs)
+        published = int((finished["where"] != "").sum())
+        if self.plan is not None:
+            planned = len(self.plan.cells)
+        count = f"{len(finished)} of {counted(planned, 'run')}"
+        own = {config_id(run) for run in self.configurations.values()}
+        older = int((~finished["config_id"].isin(own)).sum()) if own else 0
+        origins = []
+        if 0 < published < len(finished):
+            origins.append(f"{len(finished) - published} trained here, {published} published")
+        elif published:
+            origins.append("published")
+        if older:
+            origins.append(f"{older} by another version")
+        if origins:
+            count += f" ({'; '.join(origins)})"
+        text = f"{self.label}: {count}."
+        if self.other_presets:
+            others = [f"{name} ({counted(runs, 'run')})" for name, runs in self.other_presets.items()]
+            text += f" Also: {', '.join(others)}."
+        return text
 
     @property
     def about(self) -> dict[str, Any]:
         """Which runs of the study a document is about."""
-        amount = {"steps": self.steps, "seeds": sorted({*self.runs["seed"].tolist()})}
-        settings = dict(self.study.settings)
-        return {"study": self.study.name, "world": self.world or None, **amount, "settings": settings}
+        return {
+            "study": self.study.name,
+            "world": self.world or None,
+            "preset": self.plan.preset if self.plan else None,
+            "steps": self.steps,
+            "seeds": sorted({*self.runs["seed"].tolist()}),
+            "settings": dict(self.study.settings),
+        }
+
+    @property
+    def narrowed(self) -> list[str]:
+        """The preset, conditions, seeds and steps that were asked for, which figures' names contain."""
+        asked, words = self.asked, []
+        if asked.preset not in (None, LAST):
+            words.append(str(asked.preset))
+        if len(self.fields) < len(self.study.conditions):
+            words += asked.conditions
+        if asked.seeds is not None:
+            words += ["seeds", *map(str, sorted(asked.seeds))]
+        if asked.steps:
+            words += ["steps", str(asked.steps)]
+        return words
 
     @property
     def full_title(self) -> str:
@@ -141,8 +179,8 @@ class StudyData:
     def basename(self, *parts: str) -> str:
         """Return the name of a figure's files, or of a table, without its ending.
 
-        It contains the world, changed fields, and the conditions, seeds and steps that were asked for, so
-        that neither a variant nor a part of a study replaces the study's own figure.
+        It contains the world, changed fields, and the preset, conditions, seeds and steps that were asked
+        for, so that neither a variant nor a part of a study replaces the study's own figure.
         """
         slug = settings_name(self.study.settings, *filter(None, [*self.narrowed, *parts]))
         return "-".join(filter(None, [self.study.figure, self.world, slug]))
@@ -310,7 +348,6 @@ def join_studies(one: StudyData, other: StudyData) -> tuple[StudyData, dict[str,
     changed = {"title": title, "conditions": fields, "labels": {}, "colors": {}, "settings": {}, "levels": {}}
     study = one.study.model_copy(update=changed)
     runs = pd.concat([each.runs for each in both], ignore_index=True)
-    steps = one.steps if one.steps == other.steps else None
-    joined = StudyData(study, fields, runs, narrowed=one.narrowed, steps=steps)
+    joined = StudyData(study, fields, runs, asked=one.asked)
     shared = [name for name in one.conditions if one.of_condition(name) and other.of_condition(name)]
     return joined, {name: (f"{name}, {words[0]}", f"{name}, {words[1]}") for name in shared}

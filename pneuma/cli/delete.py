@@ -10,43 +10,53 @@ from typing import Annotated
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, say
 from pneuma.errors import UserError, counted
+from pneuma.study.last_queries import forget_query, last_query
+from pneuma.study.spec import LAST
 from pneuma.study.store import Store
 from pneuma.study.stored_runs import find_run
 
 Yes = Annotated[bool, opt.flag("--yes", "Remove them without asking.")]
 
 
-def delete_study(name: opt.Study, picked: opt.StoredFilter, yes: Yes = False) -> Result:
-    """Remove a study's runs from the results folder; without --steps those that are shown.
+def delete_study(name: opt.Study, picked: opt.RunFilter, yes: Yes = False) -> Result:
+    """Remove the runs of a study's cells from the results folder.
 
     Runs of another study that was run here too stay until that one is removed. Published tables are not
     touched.
     """
-    from pneuma.analysis.runs import find_study, runs_of_budget, studies_here
+    from pneuma.analysis.runs import studies_here
 
-    index, data = picked.index, picked.choose(name)
-    here, study = {*data.runs["run_id"][data.runs["where"] == ""]}, data.study
-    others = {
-        run_id: other.where
-        for other in studies_here(index)
-        if (other.study.name, other.study.variant) != (study.name, study.variant)
-        for run_id in other.runs["run_id"]
-    }
-    kept = here & others.keys()
-    notes = [f"Note: kept, as {others[min(kept)]} has them too: {counted(len(kept), 'run')}."] if kept else []
+    index, data = picked.index, picked.find(name)
+    study = data.study
+    here = {*data.runs["run_id"][data.runs["where"] == ""]}
+    studies_by_run: dict[str, str] = {}
+    for other in studies_here(index):
+        if (other.study.name, other.study.world) != (study.name, study.world):
+            studies_by_run |= dict.fromkeys(other.runs["run_id"], other.where)
+    kept = here & studies_by_run.keys()
+    notes = []
+    if kept:
+        notes.append(f"Note: kept, as {studies_by_run[min(kept)]} has them too: {counted(len(kept), 'run')}.")
     result = _delete(index.store, sorted(here - kept), yes, notes, data.text(index.store.root))
     if {*result.document["removed"]} != here - kept:
         return result  # nobody agreed
-    every = find_study(index, name, replace(picked.selection, conditions=()), picked.world)
     if study.path is None:
-        if {*every.runs["run_id"]} <= here:
+        if {*data.runs["run_id"]} <= here and not picked.condition and picked.seeds is None:
             index.store.remove(index.store.listing_path(study.name))
-    else:
-        every = replace(every, runs=every.runs[every.runs["where"] == ""])
-        noted = index.store.noted_steps(study.name).get(study.variant, [])
-        left = [steps for steps in noted if {*runs_of_budget(every, steps)["run_id"]} - here]
-        index.store.note_steps(study.name, study.variant, left)
+    elif not _is_any_left(picked, study.name, study.world):
+        forget_query(index.store, study.name, study.world)
     return result
+
+
+def _is_any_left(picked: opt.RunFilter, study: str, world: str) -> bool:
+    """Return whether a run of a study's last query is still stored."""
+    last = last_query(picked.store, study, world)
+    if last is None:
+        return False
+    from pneuma.analysis.runs import plan_to_read
+
+    plan = plan_to_read(picked.index, replace(last, preset=LAST))
+    return any(picked.store.status(cell.run_id, quick=True).name != "planned" for cell in plan.cells)
 
 
 def delete_run(name: opt.RunId, yes: Yes = False, results: opt.Results = opt.HERE) -> Result:

@@ -21,10 +21,9 @@ from pneuma.errors import UserError, nearest_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.presets import WORLDS
 from pneuma.study.executors.base import EXECUTORS, LOCAL, RAY, ExecutorConfig, load_executor
-from pneuma.study.plan import Selection
-from pneuma.study.spec import CLAIMS, PRESETS
+from pneuma.study.plan import Query
 from pneuma.study.store import Store
-from pneuma.values import MOST_SEEDS, SEEDS_ALLOWED, read_seeds, read_value, setting_words, shown_seeds
+from pneuma.values import SEEDS_ALLOWED, read_seeds, read_value, setting_words, shown_seeds
 
 if TYPE_CHECKING:
     from pneuma.analysis.run_index import RunIndex
@@ -87,22 +86,13 @@ def seeds(help_text: str, first: int = 0) -> Any:
 
     def read(text: str) -> tuple[int, ...]:
         try:
-            parts = [seed for part in text.split(",") if part.strip() for seed in _span(part)]
-            if "," in text or ".." in text:
-                return read_seeds(parts)
-            return tuple(first + seed for seed in read_seeds(parts[0]))
-        except (ValueError, IndexError):
-            raise WrongText(f"{text}: must be {SEEDS_ALLOWED}, as in 3,5,8 or 1..5") from None
+            seeds = read_seeds(text)
+        except ValueError:
+            raise WrongText(f"{text}: must be {SEEDS_ALLOWED}") from None
+        is_count = "," not in text and ".." not in text
+        return tuple(first + seed for seed in seeds) if is_count else seeds
 
     return option("N|LIST", help_text, read)
-
-
-def _span(text: str) -> range:
-    first, dots, last = text.partition("..")
-    seeds = range(int(first), int(last if dots else first) + 1)
-    if len(seeds) > MOST_SEEDS:
-        raise ValueError
-    return seeds
 
 
 def _read_setting(text: str) -> tuple[str, Any]:
@@ -119,7 +109,7 @@ Several = list[str] | None
 SeveralRead = list[Any] | None
 """That of one whose texts are converted; `Any` is that of a single one."""
 
-Study = Annotated[str, argument("NAME", "A study's name, or the path of a study file (….toml).")]
+Study = Annotated[str, argument("NAME[@PRESET]", "A study's name, or the path of its file (….toml).")]
 RunId = Annotated[str, argument("RUN_ID", "A stored run's id, or its first digits.")]
 HERE = Path("results")
 Results = Annotated[Path, option("DIR", "Where runs are kept.", envvar="PNEUMA_RESULTS")]
@@ -133,17 +123,14 @@ Trust = Annotated[bool, flag("--trust", "Use what the run names: files, code, ar
 RetryFailed = Annotated[bool, flag("--retry-failed", "Try runs again that crashed before.")]
 Seeds = Annotated[Any, seeds("A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone.")]
 Steps = Annotated[Any, count("Steps of each run, rounded up to whole updates.")]
-StoredSteps = Annotated[Any, count("Runs of so many steps (default: those last trained here).")]
 Conditions = Annotated[Several, option("NAME", "Only this condition (may be repeated).")]
 _CHANGE = "Set a field of the run, or of the world (may be repeated)."
 Settings = Annotated[SeveralRead, option("KEY=VALUE", _CHANGE, _read_setting, "--set")]
 """Pairs of a field and its value; use `dict(set_ or ())`."""
 _WHOSE = "Whose rules: the arena (default), the thesis's text, or its published code."
 World = Annotated[str | None, choice(WORLDS, _WHOSE)]
-_VERSIONS = "Also runs that other versions of your modules, the rules or an engine made."
-AnyVersion = Annotated[bool, flag("--any-version", _VERSIONS)]
-_PRESETS = "|".join((*PRESETS, CLAIMS))
-Preset = Annotated[str | None, option(_PRESETS, "How much to run (default: quick, or the first).")]
+_PLANS = "A named plan of the study, such as quick or paper; also NAME@PRESET."
+Preset = Annotated[str | None, option("PRESET", _PLANS)]
 _OF_FIGURES = "Of figures (may be repeated; default: png and svg)."
 Formats = Annotated[SeveralRead, choice(FIGURE_FORMATS, _OF_FIGURES, name="--format")]
 PlotFolder = Annotated[Path | None, option("DIR", "Where to write (default: RESULTS/figures).", name="--out")]
@@ -160,20 +147,27 @@ Address = Annotated[str | None, option("HOST:PORT", "The cluster of --executor r
 
 @dataclass(frozen=True)
 class RunFilter:
-    """Which runs of a study a command reads: the options that choose them."""
+    """Which cells of a study a command is about."""
 
     seeds: Seeds = None
-    steps: StoredSteps = None
+    steps: Steps = None
     condition: Conditions = None
     set_: Settings = None
+    preset: Preset = None
     world: World = None
     results: Results = HERE
 
-    @property
-    def selection(self) -> Selection:
-        settings, preset = dict(self.set_ or ()), getattr(self, "preset", None)
-        any_version = getattr(self, "any_version", False)
-        return Selection(preset, self.seeds, self.steps, tuple(self.condition or ()), settings, any_version)
+    def query(self, name: str, world: str | None = None) -> Query:
+        """Return the query of a study by its name, or by STUDY@PRESET."""
+        asked = Query(
+            world=world or self.world,
+            preset=self.preset,
+            seeds=self.seeds,
+            steps=self.steps,
+            conditions=tuple(self.condition or ()),
+            settings=dict(self.set_ or ()),
+        )
+        return asked.named(name)
 
     @property
     def store(self) -> Store:
@@ -187,32 +181,16 @@ class RunFilter:
         return RunIndex(self.store)
 
     def open(self, name: str, world: str | None = None) -> StudyData:
-        """Open the finished runs of a study, and say what is shown and what else is stored."""
+        """Open the finished runs of a study's cells, and print what is shown."""
         from pneuma.analysis.runs import open_study
 
-        return open_study(self.index, name, self.selection, world or self.world, say)
+        return open_study(self.index, self.query(name, world), say)
 
-    def choose(self, name: str) -> StudyData:
-        """Return the runs of a study, finished or not."""
-        from pneuma.analysis.runs import choose_runs, find_study
+    def find(self, name: str) -> StudyData:
+        """Return the runs of a study's cells, finished or not."""
+        from pneuma.analysis.runs import find_study
 
-        found = find_study(self.index, name, self.selection, self.world)
-        return choose_runs(self.index, found, self.selection)
-
-
-@dataclass(frozen=True)
-class StoredFilter(RunFilter):
-    """Which stored runs of a study are shown."""
-
-    any_version: AnyVersion = False
-
-
-@dataclass(frozen=True)
-class TrainFilter(RunFilter):
-    """Which runs of a study are trained."""
-
-    steps: Steps = None
-    preset: Preset = None
+        return find_study(self.index, self.query(name))
 
 
 @dataclass(frozen=True)

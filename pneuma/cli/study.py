@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,14 +12,18 @@ from pneuma.cli import delete, study_files, study_results, study_run, study_summ
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, listed_result, rows_of, say, tallied, write_file
 from pneuma.config import is_gymnasium_id, reads
-from pneuma.errors import UserError, counted, unknown_name
+from pneuma.errors import UserError, unknown_name
 from pneuma.files import create_whole
 from pneuma.study import plan, shipped, spec
+from pneuma.study.plan import Query
 from pneuma.study.store import FINISHED, Store
-from pneuma.values import shown_settings, shown_value
+from pneuma.values import shown_seeds, shown_settings, shown_value
 
 if TYPE_CHECKING:
     from pneuma.analysis.study_data import StudyData
+
+STATES = ("done", "diverged", "published", "running", "partial", "crashed", "killed", "damaged", "planned")
+"""States of runs, in the order of columns; those of another kind are only in the document."""
 
 app = opt.Commands("study", "Compare conditions over many seeds.")
 
@@ -73,33 +77,37 @@ def new(
 def show(name: opt.Study, world: opt.World = None, results: opt.Results = opt.HERE) -> Result:
     """Show what a study compares: its conditions as resolved, and its presets."""
     from pneuma.analysis.run_index import RunIndex
-    from pneuma.analysis.runs import find_study
+    from pneuma.analysis.runs import configurations_of
 
-    data = find_study(RunIndex(Store(results)), name, world=world)
-    study = data.study
-    read = {condition: reads(run) for condition, run in data.configurations.items()}
-    fields = {
-        condition: {key: value for key, value in own.items() if key in read.get(condition, own)}
-        for condition, own in data.fields.items()
-    }
-    data = replace(data, fields=fields)
-    keys = ("section", "about", "world", "worlds") if study.path else ()
-    about = {key: getattr(study, key) for key in keys}
-    presets = {n: {"seeds": p.seeds, "steps": p.steps} for n, p in study.presets.items()}
-    head = {"study": study.name, "title": study.title, "baseline": study.baseline}
-    return Result({**head, **about, "conditions": fields, "presets": presets}, _show(data))
+    study, fields, configurations = configurations_of(RunIndex(Store(results)), name, world)
+    for condition, run in configurations.items():
+        affecting = reads(run)
+        fields[condition] = {key: value for key, value in fields[condition].items() if key in affecting}
+    document: dict[str, Any] = {"study": study.name, "title": study.title, "baseline": study.baseline}
+    if study.path:
+        document |= {key: getattr(study, key) for key in ("section", "about", "world", "worlds")}
+    document["conditions"] = fields
+    document["presets"] = {preset: _amounts(study, preset) for preset in study.presets}
+    own = any(not is_gymnasium_id(run.env) for run in configurations.values())
+    return Result(document, _show(study, fields, own))
 
 
-def _show(data: StudyData) -> Iterator[str | Table]:
-    study, fields = data.study, data.fields
+def _amounts(study: spec.Study, preset: str) -> dict[str, dict[str, Any]]:
+    """Return the seeds and steps of each condition of a preset, in the study's world."""
+    amounts = study.presets[preset].amounts(study.conditions, study.world)
+    return {name: {"seeds": amount.seeds, "steps": amount.steps} for name, amount in amounts.items()}
+
+
+def _show(study: spec.Study, fields: Mapping[str, Mapping[str, Any]], own: bool) -> Iterator[str | Table]:
     several, differing = len(fields) > 1, plan.differing_fields(fields)
     yield study.title + (f" (thesis section {study.section})" if study.section else "")
     if study.path:
         yield study.about
     if several:
         yield ""
-        yield "The conditions differ in:" if differing else "The conditions do not differ: this is A/A."
-    yield from (f"  {key}: {_who_has(values)}" for key, values in differing.items())
+        yield "The conditions differ in:" if differing else "The conditions do not differ."
+    for key, values in differing.items():
+        yield f"  {key}: {_who_has(values)}"
     if several:
         yield f"Compared with: {study.baseline}"
     yield ""
@@ -108,22 +116,21 @@ def _show(data: StudyData) -> Iterator[str | Table]:
         if key not in (*differing, "seed", "steps"):
             yield f"  {key} = {shown_value(value)}"
     if study.path is None:
-        yield f"Seeds: {', '.join(map(str, dict.fromkeys(data.runs['seed'])))}"
         return
-    from pneuma.analysis.claims.fixed_runs import fixed_amounts
-
     yield ""
-    if not all(is_gymnasium_id(run.env) for run in data.configurations.values()):
+    if own:
         yield f"Runs in: {', '.join(study.worlds)} (here {study.world})"
         yield ""
     yield "Presets:"
-    amounts = [(name, {"": amount, **amount.conditions}) for name, amount in study.presets.items()]
-    amounts += [(spec.CLAIMS, dict(amount)) for amount in fixed_amounts(study).values()]
-    rows = [
-        (f"  {preset}", condition, f"{counted(len(amount.seeds), 'seed')} x {amount.steps:,} steps")
-        for preset, of_conditions in amounts
-        for condition, amount in of_conditions.items()
-    ]
+    rows: list[tuple[str, str, str]] = []
+    for preset in study.presets:
+        by_amount: dict[str, list[str]] = {}
+        for condition, amount in _amounts(study, preset).items():
+            text = f"seeds {shown_seeds(amount['seeds'])}, {amount['steps']:,} steps"
+            by_amount.setdefault(text, []).append(condition)
+        for text, conditions in by_amount.items():
+            is_every = len(conditions) == len(study.conditions)
+            rows.append((f"  {preset}", text, "" if is_every else ", ".join(conditions)))
     yield Table([""] * 3, rows)
 
 
@@ -139,32 +146,70 @@ def _who_has(values: Mapping[str, Any]) -> str:
 # --- status ----------------------------------------------------------------------------------------
 
 
-@app.command(short_help="Say how far the runs of a study are.")
+@app.command(short_help="Show the progress of a study's runs.")
 def status(
-    picked: opt.StoredFilter,
-    name: Annotated[str | None, opt.argument("NAME", "A study; left out: all that were run.")] = None,
+    picked: opt.RunFilter,
+    name: Annotated[str | None, opt.argument("NAME[@PRESET]", "A study; default: all that were run.")] = None,
+    runs: Annotated[bool, opt.flag("--runs", "List each run.")] = False,
     format: opt.Format = opt.TABLE,
 ) -> Result:
-    """Say how far the runs of a study are."""
+    """Show how many runs of a study have ended, by preset and condition; with --runs, list them."""
     if name is None:
         return _every_status(picked)
-    data = picked.choose(name)
+    from pneuma.analysis.runs import find_study
+
+    data = picked.find(name)
     say(data.text(picked.store.root))
     for problem in picked.index.problems:
         say(f"Note: {problem}.")
+    if runs or data.plan is None:
+        return _status_of_runs(data)
+    states = _states(data.plan.preset, data)
+    for preset in data.study.presets:
+        if preset != data.plan.preset:
+            other = find_study(picked.index, Query(data.study.file, data.study.world, preset))
+            states += _states(preset, other)
+    names = [state for state in STATES if any(state in row for row in states)]
+    heads = ["preset", "condition", "runs", *names]
+    rows = [[row.get(head, "") for head in heads] for row in states]
+    document = {"study": data.study.name, "world": data.world or None, "presets": states}
+    return Result(document, [Table(heads, rows)], table=states)
+
+
+def _states(preset: str, data: StudyData) -> list[dict[str, Any]]:
+    """Return how many runs of each condition of a preset are in which state; one row if none is stored."""
+    assert data.plan is not None
+    planned = Counter(cell.condition for cell in data.plan.cells)
+    if not len(data.runs):
+        total = planned.total()
+        return [{"preset": preset, "condition": f"all {len(planned)}", "runs": total, "planned": total}]
+    rows: list[dict[str, Any]] = []
+    for condition, count in planned.items():
+        runs = data.runs[data.runs["condition"] == condition]
+        states = runs["status"].where(runs["where"] == "", "published")
+        row: dict[str, Any] = {"preset": preset, "condition": condition, "runs": count}
+        row |= Counter(states)
+        if count > len(runs):
+            row["planned"] = row.get("planned", 0) + count - len(runs)
+        rows.append(row)
+    return rows
+
+
+def _status_of_runs(data: StudyData) -> Result:
+    """Return each run of a study's cells with its state."""
     frame = data.runs.assign(step=data.runs["end"], published=data.runs["where"] != "")
     runs = rows_of(frame[["run_id", "condition", "seed", "status", "step", "published"]])
     table = []
     for run in runs:
         label = f"{run['status']} as published" if run["published"] else run["status"]
-        label += f" at step {run['step']:,}" if run["step"] and run["status"] not in FINISHED else ""
+        if run["step"] and run["status"] not in FINISHED:
+            label += f" at step {run['step']:,}"
         table.append((f"  {run['condition']}", f"seed {run['seed']}", run["run_id"], label))
     text: list[str | Table] = [Table([""] * 4, table), tallied(run["status"] for run in runs)]
-    text += [f"Stored too: {other}" for other in data.others]
     return Result({"study": data.study.name, "runs": runs}, text, table=runs)
 
 
-def _every_status(picked: opt.StoredFilter) -> Result:
+def _every_status(picked: opt.RunFilter) -> Result:
     from pneuma.analysis.runs import studies_here
 
     studies, table = [], []

@@ -29,7 +29,6 @@ from pneuma.study.quantities import (
     UPDATE_QUANTITIES,
     WINDOWS,
 )
-from pneuma.study.spec import asked_words, results_words
 
 if TYPE_CHECKING:
     from pneuma.analysis.study_data import StudyData
@@ -90,7 +89,7 @@ class Drawing:
 
 
 def plot(
-    picked: opt.StoredFilter,
+    picked: opt.RunFilter,
     asked: Drawing,
     names: Annotated[opt.Several, opt.argument("NAME", "Studies; left out: all that were run.")] = None,
     out: opt.PlotFolder = None,
@@ -161,20 +160,14 @@ def plot(
     return Result({"figures": files}, wrote(files))
 
 
-def _run_here(picked: opt.StoredFilter) -> list[tuple[str, str | None]]:
-    """Return the studies, each in its world, all of whose conditions have runs in the results folder."""
+def _run_here(picked: opt.RunFilter) -> list[tuple[str, str | None]]:
+    """Return the studies that were run in the results folder, each in its world."""
     from pneuma.analysis.runs import studies_here
 
-    every = [*studies_here(picked.index, picked.world)]
-    here = [data for data in every if not data.study.settings]
-    whole = [data for data in here if {*data.finished["condition"]} == {*data.fields}]
-    if every and not here:
-        again = command("study", "plot", *asked_words(every[0].study), *results_words(picked.store.root))
-        raise UserError(f"studies were run with changed fields alone; name one: {again}")
-    if not whole:
-        names = ", ".join(dict.fromkeys(data.study.name for data in here)) or "one"
-        raise UserError(f"no study has runs of all its conditions in {picked.store.root}: name {names}")
-    return [(data.study.file, data.world or None) for data in whole]
+    here = [data for data in studies_here(picked.index, picked.world) if len(data.finished)]
+    if not here:
+        raise UserError(f"no run of a study has finished in {picked.store.root}")
+    return [(data.study.file, data.world or None) for data in here]
 
 
 def _quantities(data: StudyData, names: list[str]) -> list[str]:
@@ -225,7 +218,7 @@ def table(
 
 def export(
     name: opt.Study,
-    picked: opt.StoredFilter,
+    picked: opt.RunFilter,
     table: Annotated[str, opt.choice(EXPORT_TABLES, "What to export.")],
     out: Annotated[Path, opt.option("FILE", f"The file to write, in {_ENDINGS}; - prints CSV.")],
     band: Annotated[str | None, opt.choice(EDGED_BANDS, "Of curves: low and high (default: sd).")] = None,

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def collapse(name: opt.Study, picked: opt.StoredFilter) -> Result:
+def collapse(name: opt.Study, picked: opt.RunFilter) -> Result:
     """Say which runs collapsed, when, by which signs, and how often in each condition."""
     data = picked.open(name)
     from pneuma.analysis.collapse import diagnoses, incidence

@@ -32,7 +32,7 @@ Unpublished = Annotated[
 
 def plan_(
     name: opt.Study,
-    chosen: opt.TrainFilter,
+    chosen: opt.RunFilter,
     unpublished: Unpublished = False,
     detect: Annotated[float | None, opt.option("X", "How many seeds find a difference of X.")] = None,
     outcome: Annotated[str | None, opt.option("NAME", "With --detect: of what (default: as usual).")] = None,
@@ -107,7 +107,7 @@ def _seeds_to_detect(data: StudyData | None, detect: float, outcome: str | None,
 
 def run(
     name: opt.Study,
-    chosen: opt.TrainFilter,
+    chosen: opt.RunFilter,
     place: opt.Place,
     checkpoint_seconds: Annotated[float, opt.option("S", "Between a run's checkpoints.", min=0.01)] = 15.0,
     tensorboard: Annotated[Path | None, opt.option("DIR", "Log to TensorBoard while runs train.")] = None,
@@ -178,7 +178,7 @@ def _plan(chosen: opt.RunFilter, name: str, unpublished: bool) -> plan.Plan:
     """Plan a study; with `unpublished`, skip published runs."""
     from pneuma import api
 
-    planned = api.plan_study(name, chosen.selection, chosen.world, say)
+    planned = api.plan_study(chosen.query(name), chosen.store, say)
     if not unpublished:
         return planned
     from pneuma.analysis.run_index import RunIndex
@@ -223,7 +223,5 @@ def _outcome(planned: plan.Plan, results: Sequence[execute.CellResult], store: S
     stored = f"{trained} trained now, {len(results) - trained} were stored"
     yield f"{planned.study.name}: {states}; {stored}."
     if results and all(result.status.finished for result in results):
-        some = planned.conditions if {*planned.conditions} < {*planned.study.conditions} else ()
-        picked = [word for name in some for word in ("--condition", name)]
-        drawn = command("study", "plot", *spec.asked_words(planned.study), *picked, "--results", store.root)
+        drawn = command("study", "plot", *spec.asked_words(planned.study), "--results", store.root)
         yield f"Draw it with: {drawn}"

@@ -11,7 +11,6 @@ from pneuma.cli.output import Result, Table, command, draw_files, frame_table, r
 from pneuma.errors import UserError, counted
 from pneuma.presets import WORLDS
 from pneuma.study.spec import load_study
-from pneuma.values import shown_seeds
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,7 +28,7 @@ SCALE = (
 
 def summary(
     name: opt.Study,
-    picked: opt.StoredFilter,
+    picked: opt.RunFilter,
     outcome: opt.Outcomes = None,
     all_: Annotated[bool, opt.flag("--all", "Tell all statistics of the usual outcomes.")] = False,
     format: opt.Format = opt.TABLE,
@@ -82,7 +81,7 @@ def summary(
 
 def compare(
     name: opt.Study,
-    picked: opt.StoredFilter,
+    picked: opt.RunFilter,
     a: Annotated[str | None, opt.argument("A", "A condition.")] = None,
     b: Annotated[str | None, opt.argument("B", "The condition that A is compared with.")] = None,
     with_: Annotated[
@@ -113,7 +112,7 @@ def compare(
     if a and b:
         picked = replace(picked, condition=[a, b])
         data, heads, pairs = picked.open(name), [a, b], {"": (a, b)}
-        _refuse_empty_arms(picked, name, data)
+        _refuse_empty_arms(data)
         claims = [] if outcome else _claims_on(data, a, b)
     else:
         data, other = picked.open(name), replace(picked, condition=None, set_=None).open(str(with_))
@@ -130,8 +129,7 @@ def compare(
     if plot:
         from pneuma.figures.summary import comparison_page
 
-        narrowed = [word for word in data.narrowed if word not in heads]  # these are named below
-        basename = replace(data, narrowed=narrowed).basename("compare", *(heads if b else heads[1:]))
+        basename = data.basename("compare", *(heads if b else heads[1:]))
         words = ["compare", name, *([a, b] if a and b else ["--with", str(with_)]), "--plot"]
         words += [word for each in outcome or () for word in ("--outcome", each)]
         seeds = tuple({*data.runs["seed"]})  # whatever is trained later
@@ -217,24 +215,11 @@ def _few_text(parts: Iterable[StudyData]) -> str:
     return f"Bootstrap intervals of fewer than {LEAST_RUNS} runs in an environment are too narrow." * few
 
 
-def _refuse_empty_arms(picked: opt.StoredFilter, name: str, data: StudyData) -> None:
-    """Refuse a comparison with a condition that has no runs of the steps that are shown."""
-    from pneuma.analysis.runs import find_study
-
-    every = find_study(picked.index, name, picked.selection, picked.world).finished
-    steps = f" of {data.steps:,} steps" if data.steps else ""
-    seeds = f" with --seeds {shown_seeds(picked.seeds)}" if picked.seeds else ""
+def _refuse_empty_arms(data: StudyData) -> None:
+    """Refuse a comparison with a condition none of whose cells has finished."""
     for condition in data.conditions:
         if not data.of_condition(condition):
-            found = []
-            for amount, runs in every[every["condition"] == condition].groupby("steps"):
-                options = [f"--steps {amount}"] if amount != data.steps else []
-                tried = not picked.index.trials.isdisjoint(runs["run_id"])
-                options += [f"--seeds {shown_seeds(runs['seed'])}"] if seeds or tried else []
-                told = f"{counted(len(runs), 'run')} of {amount:,} ({' '.join(options)})"
-                found += [told] if options else []  # without any, they are damaged
-            known = f"; it has {', '.join(found)}" if found else ""
-            raise UserError(f"{condition}: no run{steps}{seeds} has finished{known}")
+            raise UserError(f"{condition}: none of its runs has finished ({data.label})")
 
 
 def _common_text(data: StudyData, pairs: Iterable[tuple[str, str]]) -> Iterator[str]:

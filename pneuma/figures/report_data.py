@@ -14,16 +14,17 @@ from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.claims.verdicts import judge
 from pneuma.analysis.claims.words import verdicts_by_claim
 from pneuma.analysis.run_index import RunIndex
-from pneuma.analysis.runs import choose_runs, find_study, read_runs, studies_here
+from pneuma.analysis.runs import find_study, read_runs, studies_here
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.errors import UserError, counted
 from pneuma.figures.report import Part, Verdicts, numbers_table, study_picture
 from pneuma.presets import WORLDS
 from pneuma.study import spec
-from pneuma.study.plan import differing_fields
+from pneuma.study.plan import Query, differing_fields, query_words
 from pneuma.study.rows import Row
 from pneuma.study.shipped import list_studies
+from pneuma.study.spec import PAPER
 from pneuma.study.store import Store
 from pneuma.values import shown_value
 
@@ -56,8 +57,10 @@ def gather_report(store: Store, names: Sequence[str], say: Callable[[str], None]
     sections = []
     for place, name in enumerate(asked, 1):
         say(f"{place}/{len(asked)} {name}")
-        study = find_study(index, name).study
-        parts = [_part(index, name, world) for world in (study.worlds if study.path else (None,))]
+        study = find_study(index, Query(name)).study
+        parts: list[Part] = []
+        for world in study.worlds if study.path else (None,):
+            parts += _parts(index, study, name, world)
         about = {key: getattr(study, key) for key in ("title", "section", "about")}
         sections.append({"study": study.name, **about, "parts": parts})
     sections.sort(key=lambda section: (not section["section"], section["section"], section["study"]))
@@ -79,21 +82,30 @@ def _judged_claims(store: Store, studies: Collection[str]) -> tuple[Verdicts, st
     return verdicts_by_claim(judge(known, store, wanted=lambda claim, world: claim.study in studies)), note
 
 
-def _part(index: RunIndex, name: str, world: str | None) -> Part:
-    """Return a study in one world."""
-    data = find_study(index, name, world=world)
+def _parts(index: RunIndex, study: spec.Study, name: str, world: str | None) -> list[Part]:
+    """Return a study in one world: its preset `paper`, which claims judge, and what was last run here."""
+    data = find_study(index, Query(name, world))
+    if PAPER not in study.presets or (data.plan and data.plan.preset == PAPER):
+        return [_part(index, data, name, world)]
+    paper = find_study(index, Query(name, world, PAPER))
+    shown = [each for each in (paper, data) if len(each.runs)] or [data]
+    return [_part(index, each, name, world) for each in shown]
+
+
+def _part(index: RunIndex, data: StudyData, name: str, world: str | None) -> Part:
+    """Return the runs of a plan of a study."""
     study, titles = data.study, {world.env: f"In {world.title}" for world in WORLDS.values()}
     environments = dict.fromkeys(str(fields.get("env")) for fields in data.fields.values())
+    words = query_words(data.plan) if data.plan else [study.name]
     part = Part(
-        f"{study.name} in {WORLDS[world].title}" if len(study.worlds) > 1 and world else study.name,
-        shlex.join(spec.asked_words(study)),
+        data.label if data.plan else study.name,
+        shlex.join(words),
         ", ".join(titles.get(env, env) for env in environments),
         ["No runs yet."],
-        spec.run_command(study) if study.path else "",
+        shlex.join(["pneuma", "study", "run", *words]) if data.plan else "",
     )
     if not len(data.runs):
         return part
-    data = choose_runs(index, data)
     runs, count = data.runs, len(data.runs)
     part.notes = [f"{' = '.join(names)} are one configuration: comparing them is A/A." for names in data.same]
     steps = f"{counted(count, 'run')} of up to {runs['steps'].max():,} agent steps"
@@ -119,8 +131,7 @@ def _add_data(index: RunIndex, part: Part, data: StudyData) -> None:
         part.numbers = numbers_table(part.label, summary_table(data))
         origins = Counter(tuple(_facts(run).items()) for run in data.rows)
         part.origins = [(dict(facts), runs) for facts, runs in origins.items()]
-        steps = f" --steps {data.steps}" if data.steps else ""
-        part.picture = study_picture(data, part.words + steps)
+        part.picture = study_picture(data, part.words)
     except (UserError, UnicodeError) as error:  # a name in a record may be invalid text
         part.notes.append(_without_folder(index.store, error))
 

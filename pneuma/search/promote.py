@@ -28,7 +28,7 @@ from pneuma.schema import shown
 from pneuma.search.record import Record, common_steps, read_record
 from pneuma.search.spec import Objective, Search
 from pneuma.search.values import counted_outcome, objective_value
-from pneuma.study.plan import Plan, Selection, differing_fields, make_plan
+from pneuma.study.plan import Plan, Query, differing_fields, make_plan
 from pneuma.study.spec import load_study, unread_fields
 from pneuma.study.store import Store
 
@@ -94,12 +94,14 @@ class Promotion:
         """Write the study's file into the results folder, and return its runs."""
         store.check_writable()
         store.write(self.path(store), self.text.encode())
-        return make_plan(load_study(str(self.path(store))), Selection(seeds=self.seeds, steps=self.steps))
+        return make_plan(load_study(str(self.path(store))), self._query(store))
 
     def data(self, store: Store) -> StudyData:
         """Return the study's runs once they are trained."""
-        chosen = Selection(seeds=self.seeds, steps=self.steps)
-        return open_study(RunIndex(store), str(self.path(store)), chosen)
+        return open_study(RunIndex(store), self._query(store))
+
+    def _query(self, store: Store) -> Query:
+        return Query(study=str(self.path(store)), seeds=self.seeds, steps=self.steps)
 
 
 def promote(

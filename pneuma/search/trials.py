@@ -29,7 +29,7 @@ from pneuma.search.samplers import BY_SEED, PRUNERS, make_sampler
 from pneuma.search.spec import Budget, Search, check_budget
 from pneuma.search.values import Outcomes, objective_value, over_seeds
 from pneuma.study.execute import CellResult, check_environments
-from pneuma.study.identity import config_id, run_id
+from pneuma.study.identity import config_id
 from pneuma.study.plan import Cell, Plan, rounding_notes
 from pneuma.study.spec import Study
 from pneuma.study.store import Store
@@ -206,7 +206,7 @@ def _entry(record: Record, what: str) -> Iterator[None]:
 def _cells(task: Task, number: int, params: Mapping[str, Any]) -> list[Cell]:
     run = task.search.make_run(params, steps=task.budget.steps)
     runs = [replace(run, seed=seed) for seed in task.budget.seeds]
-    return [Cell(f"trial-{number:03}", one.seed, one, run_id(one)) for one in runs]
+    return [Cell(f"trial-{number:03}", one.seed, one) for one in runs]
 
 
 def _cells_of(task: Task, trial: FrozenTrial) -> list[Cell]:
@@ -234,7 +234,8 @@ def make_trial_plan(task: Task, cells: Sequence[Cell]) -> Plan:
         about=task.search.about,
         world=task.search.world,
     )
-    return Plan(study, tuple(cells), tuple(rounding_notes((task.budget.steps, cell.run) for cell in cells)))
+    notes = tuple(rounding_notes((task.budget.steps, cell.run) for cell in cells))
+    return Plan(study, tuple(cells), notes=notes)
 
 
 # --- Values ----------------------------------------------------------------------------------------

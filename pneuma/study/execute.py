@@ -14,6 +14,7 @@ from pneuma.algorithms import OF_OPEN_LEARNERS
 from pneuma.config import OF_GYMNASIUM, Run, env_config, is_open
 from pneuma.errors import counted
 from pneuma.study.executors.base import Event, ExecutorConfig, load_executor
+from pneuma.study.last_queries import note_query
 from pneuma.study.plan import Cell, Plan
 from pneuma.study.store import Status, Store, run_identity
 
@@ -67,13 +68,10 @@ def prepare(
         runs = [{key: getattr(cell, key) for key in keys} for cell in plan.cells]
         about = {"title": plan.study.title, "baseline": plan.study.baseline, "runs": runs}
         store.save_listing(plan.study.name, about)
-    elif plan.steps:
+    elif plan.query.study:
         if plan.study.own_path:
             store.write(store.studies / plan.study.path.name, plan.study.path.read_bytes())
-        before = store.noted_steps(plan.study.name).get(plan.study.variant, [])
-        steps = [*(each for each in before if each != plan.steps), plan.steps]
-        if steps != before:
-            store.note_steps(plan.study.name, plan.study.variant, steps)
+        note_query(store, plan)
     return todo, _notes(plan, statuses, todo)
 
 

@@ -1,6 +1,9 @@
-"""Plan a study: turn a selection of conditions and seeds into runs.
+"""Plan a study: from a query to the cells that it means.
 
-study, preset and options → Plan of cells (condition × seed → Run and its id)
+    Study and Query → Plan of cells, each a condition, a seed and its Run
+
+Everything that concerns runs of a study (training, figures, tables, claims, deletion) concerns the cells of
+one plan, and no other runs.
 """
 
 from __future__ import annotations
@@ -9,7 +12,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -26,9 +29,20 @@ from pneuma.config import (
 from pneuma.env.fields import OF_PLAYERS, read_field
 from pneuma.errors import UserError, unknown_name
 from pneuma.sb3_names import own_fields
-from pneuma.study.identity import files_beside, run_id
-from pneuma.study.spec import CLAIMS, CONDITION, MOST_CONDITIONS, Preset, Study, does_nothing, unread_fields
-from pneuma.values import read_value, short, split_list
+from pneuma.study.identity import config_id, files_beside, run_id
+from pneuma.study.spec import (
+    CLAIMS,
+    CONDITION,
+    LAST,
+    MOST_CONDITIONS,
+    QUICK,
+    Preset,
+    Study,
+    asked_words,
+    does_nothing,
+    unread_fields,
+)
+from pneuma.values import read_value, short, shown_seeds, split_list
 
 Swept = Mapping[str, Mapping[str, Any]]
 """The values of each field to sweep, by what the user wrote."""
@@ -43,25 +57,36 @@ class _Variant(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Selection:
-    """Which part of a study to run. None leaves a choice to the preset.
+class Query:
+    """Which cells of which study are meant. None, or empty, leaves a choice to the preset.
 
     Attributes:
-        preset: name of the preset; quick if None.
+        study: a study's name, or the path of its file.
+        world: a key of `pneuma.presets.WORLDS`; default: the arena if the study has it.
+        preset: name of the preset, or `LAST`.
+        seeds: of each condition.
         steps: agent steps of each run.
         conditions: names of conditions; all if empty.
         settings: run fields that override those of every condition. A field with several values makes a
             condition for each value.
-        any_version: whether runs that other versions of the user's modules, the rules or an engine made count
-            as the study's, where it has no others.
     """
 
+    study: str = ""
+    world: str | None = None
     preset: str | None = None
     seeds: tuple[int, ...] | None = None
     steps: int | None = None
     conditions: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
-    any_version: bool = False
+
+    def named(self, name: str) -> Query:
+        """Return the query with the study that a name means, and the preset of `STUDY@PRESET`."""
+        study, at, preset = name.rpartition("@")
+        if not at:
+            return replace(self, study=name)
+        if self.preset and self.preset != preset:
+            raise UserError(f"{name}: names the preset {preset}; leave out the preset {self.preset}")
+        return replace(self, study=study, preset=preset)
 
 
 @dataclass(frozen=True)
@@ -69,55 +94,89 @@ class Cell:
     condition: str
     seed: int
     run: Run
-    run_id: str
+
+    @cached_property
+    def run_id(self) -> str:
+        return run_id(self.run)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The cells of a selection, seed by seed.
+    """The cells of a query, seed by seed.
 
     Attributes:
+        study: in its world, with the query's settings.
+        preset: the name of the preset that fills in what the query leaves open.
+        query: what was asked for.
         notes: sentences for the user, for example that the budget was rounded up.
-        steps: agent steps as they were asked for; 0 for a study without a file.
         published: ids of runs that need no training because a published table has them.
     """
 
     study: Study
     cells: tuple[Cell, ...]
+    preset: str = ""
+    query: Query = Query()
     notes: tuple[str, ...] = ()
-    steps: int = 0
     published: frozenset[str] = frozenset()
 
     @property
     def conditions(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(cell.condition for cell in self.cells))
 
+    @cached_property
+    def configurations(self) -> dict[str, Run]:
+        """The run of each condition's first cell; its seed and steps mean nothing."""
+        configurations: dict[str, Run] = {}
+        for cell in self.cells:
+            configurations.setdefault(cell.condition, cell.run)
+        return configurations
 
-def make_plan(study: Study, selection: Selection) -> Plan:
-    """Plan a selection of a study. Where the engine is left open, environments are made to find one."""
-    preset = find_preset(study, selection)
-    amounts = {
-        condition: preset.conditions.get(condition, preset)
-        for condition in study.conditions
-        if condition in preset.conditions or preset.seeds
-    }
-    for name in selection.conditions:
+
+def make_plan(study: Study, query: Query, engine: Callable[[Run], str] | None = None) -> Plan:
+    """Plan the cells of a query.
+
+    Args:
+        study: the study that the query names, in its world.
+        query: its preset, seeds, steps, conditions and settings.
+        engine: chooses an engine where a run's fields leave it open; by default environments are made to
+            find one.
+    """
+    preset = query.preset or default_preset(study)
+    amounts = find_preset(study, preset).amounts(study.conditions, study.world)
+    for name in query.conditions:
         if name in study.conditions and name not in amounts:
-            raise UserError(f"--condition {name}: the preset {selection.preset} has no runs of it")
-    wanted = selection.conditions or tuple(amounts)
-    asked = configure(study, selection.settings, wanted, _able_engines())
-    steps = {name: selection.steps or amounts[origin].steps for name, origin in asked.origins.items()}
-    seeds = {name: selection.seeds or amounts[origin].seeds for name, origin in asked.origins.items()}
-    runs = {name: replace(run, steps=round_up(run, steps[name])) for name, run in asked.runs.items()}
-    cells = tuple(
-        Cell(name, seed, run, run_id(run))
-        for seed in dict.fromkeys(seed for seeds_of_one in seeds.values() for seed in seeds_of_one)
-        for name in runs
-        if seed in seeds[name]
-        for run in [replace(runs[name], seed=seed)]
-    )
-    notes = [*rounding_notes((steps[name], run) for name, run in runs.items()), *_notes(asked.study, cells)]
-    return Plan(asked.study, cells, tuple(notes), selection.steps or preset.steps)
+            raise UserError(f"condition {name}: the preset {preset} has no runs of it")
+    asked = configure(study, query.settings, query.conditions or tuple(amounts), engine or _able_engines())
+    runs: dict[str, Run] = {}
+    seeds: dict[str, tuple[int, ...]] = {}
+    notes: list[str] = []
+    for name, origin in asked.origins.items():
+        amount = amounts[origin]
+        seeds[name] = query.seeds or amount.seeds
+        runs[name] = replace(asked.runs[name], steps=round_up(asked.runs[name], query.steps or amount.steps))
+    if query.steps:
+        notes += rounding_notes((query.steps, run) for run in runs.values())
+    cells: list[Cell] = []
+    for seed in dict.fromkeys(seed for of_condition in seeds.values() for seed in of_condition):
+        for name, run in runs.items():
+            if seed in seeds[name]:
+                cells.append(Cell(name, seed, replace(run, seed=seed)))
+    notes += _notes(asked.study, runs)
+    return Plan(asked.study, tuple(cells), preset, query, tuple(notes))
+
+
+def query_words(plan: Plan) -> list[str]:
+    """Return the words of a command that name a plan's study and query."""
+    query, words = plan.query, asked_words(plan.study)
+    if plan.preset != default_preset(plan.study):
+        words += ["--preset", plan.preset]
+    for condition in query.conditions:
+        words += ["--condition", condition]
+    if query.seeds is not None:
+        words += ["--seeds", f"{shown_seeds(query.seeds)},"]
+    if query.steps:
+        words += ["--steps", str(query.steps)]
+    return words
 
 
 def _able_engines() -> Callable[[Run], str]:
@@ -266,25 +325,30 @@ def differing_fields(conditions: Mapping[str, Mapping[str, Any]]) -> dict[str, d
     }
 
 
-def find_preset(study: Study, selection: Selection) -> Preset:
-    """Return the preset that is asked for; else quick, or the study's first."""
-    name = selection.preset or ("quick" if "quick" in study.presets else next(iter(study.presets), "quick"))
+def default_preset(study: Study) -> str:
+    """Return the preset that is trained where none is named: quick, or else the study's first."""
+    return QUICK if QUICK in study.presets else next(iter(study.presets), QUICK)
+
+
+def find_preset(study: Study, name: str) -> Preset:
+    """Return a preset by its name; a UserError that lists the study's presets."""
     if name not in study.presets:
-        raise unknown_name(f"preset of study {study.name}", name, (*study.presets, CLAIMS))
+        raise unknown_name(f"preset of study {study.name}", name, (*study.presets, LAST, CLAIMS))
     return study.presets[name]
 
 
 _SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps"}
 
 
-def _notes(study: Study, cells: Sequence[Cell]) -> Iterator[str]:
+def _notes(study: Study, runs: Mapping[str, Run]) -> Iterator[str]:
     """Yield notes on conditions of the same runs, and on those that need a slower engine."""
-    by_run: dict[str, list[str]] = {}
-    for cell in cells:
-        by_run.setdefault(cell.run_id, []).append(cell.condition)
-    for names in dict.fromkeys(tuple(names) for names in by_run.values() if len(names) > 1):
-        yield f"{', '.join(names)} have identical settings: a comparison shows noise"
-    for name, run in {cell.condition: cell.run for cell in cells}.items():
+    names_by_configuration: dict[str, list[str]] = {}
+    for name, run in runs.items():
+        names_by_configuration.setdefault(config_id(run), []).append(name)
+    for names in names_by_configuration.values():
+        if len(names) > 1:
+            yield f"{', '.join(names)} have identical settings: a comparison shows noise"
+    for name, run in runs.items():
         if run.engine != ENGINES[0] and _leaves_engine_open(study, name):
             reason = beyond_engine(run) or "such actions"
             yield f"{name}: trained by {run.engine}, because the engine batched cannot train {reason}"

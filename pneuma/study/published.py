@@ -100,6 +100,24 @@ class Published:
         self.index = list(zip(*columns, strict=True))
         self.places = {run_id: place for place, (run_id, *_) in enumerate(self.index)}
 
+    def fields(self, run_id: str) -> dict[str, Any]:
+        """Return the fields of one of its runs; empty if they make no sense."""
+        return self._documents("fields", run_id)
+
+    def started(self, run_id: str) -> str:
+        """Return when the training of one of its runs was started; empty if that is not known."""
+        return str(self._documents("provenance", run_id).get("started", ""))
+
+    def _documents(self, column: str, run_id: str) -> dict[str, Any]:
+        try:
+            return parse_json(self._texts[column][self.places[run_id]].as_py().encode())
+        except (ValueError, AttributeError):
+            return {}
+
+    @cached_property
+    def _texts(self) -> pa.Table:
+        return from_parquet(self._data, ["fields", "provenance"])
+
     @cached_property
     def _rows(self) -> pa.Table:
         return sound_rows(from_parquet(self._data))

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from annotated_types import MinLen
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from pneuma.config import Run, Steps, make_run, reads
 from pneuma.env.fields import ENVIRONMENT_SLOTS, ENVIRONMENTS, read_field
@@ -44,6 +44,11 @@ from pneuma.study.shipped import find_file, list_studies, read_head, studies_fol
 from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, matching, read_seeds, setting_words, short
 
 PRESETS = ("quick", "standard", "paper")
+"""The presets of searches, and the usual ones of studies."""
+QUICK, PAPER = "quick", "paper"
+"""The presets that are planned, and read, where none is named."""
+LAST = "last"
+"""In place of a preset's name: what the study's last `study run` in the results folder trained."""
 CLAIMS = "claims"
 """The preset that comes from claims (`analysis/claims/`) and not from a study's file."""
 MOST_CONDITIONS = 1000
@@ -99,35 +104,60 @@ def _read_fields(table: Any) -> Any:
 
 Name = Annotated[str, matching(r"(?!_)(?s:.*\S.*)", "a name that can be read and begins otherwise than _")]
 """The name of a condition or a value. Names that begin with _ have a meaning to matplotlib."""
+PresetName = Annotated[
+    str,
+    matching(
+        r"(?!(last|claims)$)[a-z][\w-]*", "a name of small letters, digits, - and _, but last or claims"
+    ),
+]
 Fields = Annotated[dict[str, Any], BeforeValidator(_read_fields)]
 Seeds = Annotated[tuple[int, ...], Reads(read_seeds, SEEDS_ALLOWED)]
 
 
 class Amount(Table):
-    """[presets.NAME.conditions.NAME]: seeds and steps of one condition; the preset's where it says none."""
+    """[presets.NAME.conditions.NAME]: seeds and steps of one condition; the preset's where it has none."""
 
     seeds: Seeds = ()
     steps: Steps = 0
 
 
-class Preset(Amount):
-    """[presets.NAME]: seeds and steps of every condition but those of `conditions`, which say their own.
+class Amounts(Amount):
+    """[presets.NAME.WORLD]: what a preset has otherwise in one world."""
 
-    The preset of claims has no seeds: it is of its `conditions` alone.
+    only: tuple[str, ...] = ()
+    conditions: dict[str, Amount] = {}
+
+
+class Preset(Amounts):
+    """[presets.NAME]: a named plan: seeds and steps of each condition, in each world.
+
+    Attributes:
+        only: the conditions that it has; empty for all.
+        conditions: amounts of single conditions.
+        arena: what differs in the arena; likewise `text` and `godot`.
     """
 
     seeds: Seeds
     steps: Steps
-    conditions: Mapping[str, Amount] = {}
+    arena: Amounts | None = None
+    text: Amounts | None = None
+    godot: Amounts | None = None
 
-    @field_validator("conditions")
-    @classmethod
-    def _spread(cls, conditions: Mapping[str, Amount], info: ValidationInfo) -> Mapping[str, Amount]:
-        """Fill in the preset's own seeds and steps."""
-        return {
-            name: Amount.model_construct(**{**info.data, **each.model_dump(exclude_unset=True)})
-            for name, each in conditions.items()
-        }
+    def amounts(self, conditions: Iterable[str], world: str) -> dict[str, Amount]:
+        """Return the seeds and steps of each condition that the preset has in a world."""
+        in_world: Amounts = getattr(self, world) or Amounts()
+        only = in_world.only or self.only
+        if not self.seeds:  # the preset of claims has the conditions that it lists
+            only = tuple(self.conditions)
+        amounts: dict[str, Amount] = {}
+        for name in conditions:
+            if only and name not in only:
+                continue
+            sources = (in_world.conditions.get(name), in_world, self.conditions.get(name), self)
+            seeds = next((source.seeds for source in sources if source and source.seeds), ())
+            steps = next((source.steps for source in sources if source and source.steps), 0)
+            amounts[name] = Amount.model_construct(seeds=seeds, steps=steps)
+        return amounts
 
 
 class Scale(Table):
@@ -167,7 +197,7 @@ class Study(Table):
     labels: dict[str, Annotated[str, MinLen(1)]] = {}
     colors: dict[str, Annotated[str, matching("C[0-9]|#[0-9a-fA-F]{6}", "C0 to C9 or #RRGGBB")]] = {}
     scores: dict[str, Scale] = {}
-    presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], Preset], MinLen(1)]
+    presets: Annotated[dict[PresetName, Preset], MinLen(1)]
 
     # what its file has no key for
     name: str = Field("", exclude=True)
@@ -267,10 +297,16 @@ def _read_study(path: Path) -> Study:
     parts = {levels.get(CONDITION) for levels in study.levels.values()}
     mentioned += [(("colors",), name, name) for name in study.colors if name not in parts]
     for preset, amounts in study.presets.items():
-        mentioned += [(("presets", preset, "conditions"), name, name) for name in amounts.conditions]
+        mentioned += _mentioned_conditions(("presets", preset), amounts)
+        for world in WORLDS:
+            in_world = getattr(amounts, world)
+            if in_world and world not in study.worlds and study.worlds:
+                raise file.mistake(("presets", preset), f"{world}: not one of the study's worlds", world)
+            if in_world:
+                mentioned += _mentioned_conditions(("presets", preset, world), in_world)
     for where, key, name in mentioned:
         if name not in conditions:
-            said = "baseline: " if key == "baseline" else ""
+            said = f"{key}: " if key in ("baseline", "only") else ""
             raise file.mistake(where, f"{said}{unknown_name('condition', name, conditions)}", key)
     study = study.model_copy(
         update={
@@ -286,6 +322,15 @@ def _read_study(path: Path) -> Study:
     for world in study.worlds:
         _check_runs(file, study.in_world(world))
     return study
+
+
+def _mentioned_conditions(where: Where, amounts: Amounts) -> list[tuple[Where, str, str]]:
+    """Return the places, keys and names of the conditions that a preset mentions."""
+    mentioned: list[tuple[Where, str, str]] = [
+        ((*where, "conditions"), name, name) for name in amounts.conditions
+    ]
+    mentioned += [(where, "only", name) for name in amounts.only]
+    return mentioned
 
 
 def _figure(path: Path, named: str) -> str:
@@ -369,10 +414,6 @@ def does_nothing(key: str, runs: Iterable[Run]) -> str:
 def asked_words(study: Study) -> list[str]:
     """Return a command's words for a study as it is: its name or file, world and changed fields."""
     return [study.file, *world_option(study.world, study.worlds), *setting_words(study.settings)]
-
-
-def run_command(study: Study, results: Path = Path("results")) -> str:
-    return shlex.join(["pneuma", "study", "run", *asked_words(study), *results_words(results)])
 
 
 def results_words(folder: Path) -> list[str]:

@@ -24,7 +24,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
@@ -314,27 +314,8 @@ class Store:
         names = names_in(self.studies)
         return [name.removesuffix(".json") for name in names if re.fullmatch(r"[^.].*\.json", name)]
 
-    def note_steps(self, study: str, variant: str, steps: Sequence[int]) -> None:
-        """Note the steps that a study in a world, with changed fields, was run with; none to forget it."""
-        path, noted = self._noted_path(study), self.noted_steps(study)
-        changed = {name: each for name, each in {**noted, variant: [*steps]}.items() if each}
-        if changed:
-            self.write(path, dump_checksummed(changed))
-        else:
-            self.remove(path)
-
-    def noted_studies(self) -> list[str]:
-        """Return the names of studies with a file that were run here."""
-        return [name.removesuffix(".json") for name in names_in(self.root / "last")]
-
-    def noted_steps(self, study: str) -> dict[str, list[int]]:
-        """Return the steps that each variant of a study was run with here, the last ones at the end."""
-        noted = load_checksummed(self._noted_path(study)) or {}
-        noted.pop("schema", None)
-        listed = {name: each if isinstance(each, list) else [each] for name, each in noted.items()}
-        return {name: each for name, each in listed.items() if all(type(steps) is int for steps in each)}
-
-    def _noted_path(self, study: str) -> Path:
+    def last_path(self, study: str) -> Path:
+        """Return where the last queries of a study are noted (`last_queries.py`)."""
         return self.root / "last" / f"{study}.json"
 
     def published_path(self, name: str) -> Path:

@@ -10,7 +10,7 @@ from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.claims.verdicts import Verdict, judge
 from pneuma.config import Run, as_fields
 from pneuma.study.identity import config_id, run_id
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.plan import Query, make_plan
 from pneuma.study.published import encode_published
 from pneuma.study.row_builder import stored_row
 from pneuma.study.spec import load_study
@@ -96,7 +96,9 @@ def save_runs(
     study = load_study(str(folder / "mine.toml"), world)
     ids = []
     for condition, values in shares.items():
-        selection = Selection("quick", tuple(range(len(values))), steps, conditions=(condition,))
+        selection = Query(
+            preset="quick", seeds=tuple(range(len(values))), steps=steps, conditions=(condition,)
+        )
         for i, (cell, share) in enumerate(zip(make_plan(study, selection).cells, values, strict=True)):
             own = returns[i] if returns else None
             save_run(store, cell.run, share, own, **provenance)

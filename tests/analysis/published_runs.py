@@ -9,6 +9,7 @@ from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
+from pneuma.study.plan import Query
 from pneuma.study.published import encode_published
 from pneuma.study.store import Store
 
@@ -60,4 +61,4 @@ def publish(data: StudyData, store: Store, *curves: str) -> Path:
 def republished(data: StudyData, folder: Path, *curves: str) -> StudyData:
     """Return a study as it is read from its published table in a folder that holds nothing else."""
     publish(data, clone := Store(folder / "clone"), *curves)
-    return open_study(RunIndex(clone, shipped=False), data.study.name)
+    return open_study(RunIndex(clone, shipped=False), Query(study=data.study.name))

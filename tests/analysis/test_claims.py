@@ -13,7 +13,7 @@ import pytest
 from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.claims.fixed_runs import with_claims
 from pneuma.errors import UserError
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 
 from .claim_files import CLAIMS, changed, write_files
@@ -145,5 +145,5 @@ def test_the_preset_claims_is_the_runs_that_shipped_claims_are_judged_by() -> No
                 cells = fixed.setdefault((claim.study, claim.steps), set())
                 cells |= {(name, seed) for seed in claim.seeds_of(name)}
     for (study, steps), cells in fixed.items():
-        plan = make_plan(with_claims(load_study(study, world), steps), Selection("claims", steps=steps))
+        plan = make_plan(with_claims(load_study(study, world), steps), Query(preset="claims", steps=steps))
         assert {(cell.condition, cell.seed) for cell in plan.cells} == cells

@@ -9,7 +9,7 @@ import pytest
 
 from pneuma.analysis.claims.fixed_runs import with_claims
 from pneuma.errors import UserError
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import Amount, Study, load_study
 
 from .claim_files import write_files
@@ -86,7 +86,7 @@ def test_where_claims_fix_several_budgets_one_is_chosen(tmp_path: Path) -> None:
 
 def test_a_plan_has_the_conditions_of_claims_alone(tmp_path: Path) -> None:
     claims = CLAIMS[: CLAIMS.index("[claims.of-another]")].replace('b = ["low", "middle"]', 'b = "low"')
-    plan = make_plan(with_claims(_study(tmp_path, claims)), Selection("claims"))
+    plan = make_plan(with_claims(_study(tmp_path, claims)), Query(preset="claims"))
     assert [(cell.condition, cell.seed) for cell in plan.cells] == [
         ("low", 0), ("high", 0), ("low", 1), ("high", 1), ("low", 7), ("high", 2), ("high", 3),
     ]  # fmt: skip

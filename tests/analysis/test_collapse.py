@@ -15,6 +15,7 @@ from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.imports.tensorboard import import_tensorboard
 from pneuma.study import series
+from pneuma.study.plan import Query
 from pneuma.study.store import Store
 
 from ..hand_made import BUDGET, healthy, learning, one_action, save_collapse, study_of, write_events
@@ -159,7 +160,7 @@ def test_logs_are_judged_by_their_entropy_alone(tmp_path: Path) -> None:
     points = [("train/entropy_loss", 100 * k, -value) for k, value in enumerate(entropies, start=1)]
     write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
     import_tensorboard([tmp_path / "logs"], store)
-    data = open_study(RunIndex(store), "logs")
+    data = open_study(RunIndex(store), Query(study="logs"))
     found = diagnose(data.rows[0])
     assert (found.collapsed, found.onset_step, found.onset_update) == (True, 6000, None)
     assert data.budget == BUDGET

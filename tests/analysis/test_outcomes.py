@@ -16,6 +16,7 @@ from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.imports.tensorboard import import_tensorboard
+from pneuma.study.plan import Query
 from pneuma.study.store import Store
 
 from .. import hand_made
@@ -185,7 +186,7 @@ def test_runs_that_end_at_unlike_steps_count_at_their_own_ends_and_that_is_said(
         points = [("rollout/ep_rew_mean", step, float(step + seed)) for step in (10, end)]
         write_events(tmp_path / "logs" / f"a_{seed}" / "events.out.tfevents.1.host", points)
     import_tensorboard([tmp_path / "logs"], store)
-    data = open_study(RunIndex(store), "logs")
+    data = open_study(RunIndex(store), Query(study="logs"))
     found = outcome_values(data, "a", "final-return")
     np.testing.assert_allclose(found, [1000, 1001, 982, 403], atol=1)  # in steps of 2
     assert data.ends == "Runs end at 400 to 1,000 steps, and each counts at its own end."

@@ -22,6 +22,7 @@ from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.errors import UserError
+from pneuma.study.plan import Query
 from pneuma.study.published import Published, encode_published
 from pneuma.study.row_builder import _rounded, stored_row
 from pneuma.study.series import GRID_POINTS
@@ -134,7 +135,7 @@ def test_a_folder_on_a_read_only_disk_can_be_read(store: Store, monkeypatch: pyt
     monkeypatch.setattr(builtins, "open", read_only)
     for name in ("replace", "link", "mkdir", "unlink"):
         monkeypatch.setattr(os, name, refuse)
-    data = open_study(RunIndex(store, shipped=False), "mine")
+    data = open_study(RunIndex(store, shipped=False), Query(study="mine"))
     assert len(data.rows) == 4 and np.isfinite(outcome(data.rows[0], "final-return"))
     assert written and not (store.run_folder(RUN) / ROW_FILE).exists()
 
@@ -197,7 +198,7 @@ def test_one_flipped_bit_anywhere_or_a_cut_is_noticed(store: Store) -> None:
             Published(path, wrong)
         path.write_bytes(wrong)
         index = RunIndex(store, shipped=False)
-        assert len(open_study(index, "mine").runs) == 4  # all of them are here
+        assert len(open_study(index, Query(study="mine")).runs) == 4  # all of them are here
         (problem,) = index.problems
         assert problem.startswith(f"{path}: cannot be read (damaged); take it from version control again")
 
@@ -229,7 +230,7 @@ def test_a_published_row_that_contradicts_the_run_is_told_by_name_and_the_run_wi
     index = RunIndex(store, shipped=False)
     told: list[str] = []
     hand_made.save_listing(store, CELLS)
-    data = open_study(index, "mine", say=told.append)
+    data = open_study(index, Query(study="mine"), say=told.append)
     path = store.published_path("elsewhere")
     assert told[1:] == [f"Note: {path}: its run {RUN} has other numbers here; those here are used."]
     assert not any(run.published for run in data.rows)

@@ -18,7 +18,7 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 from pneuma.imports.tensorboard import import_tensorboard
 from pneuma.study.execute import prepare
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.plan import Query, make_plan
 from pneuma.study.published import encode_published
 from pneuma.study.quantities import TRAINING_QUANTITIES
 from pneuma.study.spec import load_study
@@ -50,7 +50,7 @@ def imported(store: Store) -> StudyData:
             points += [("rollout/ep_rew_mean", 100 * k, k / 4), ("train/entropy_loss", 100 * k, -k / 8)]
         write_events(logs / name / "events.out.tfevents.1.host", [*points, ("time/fps", end, float(number))])
     import_tensorboard([logs], store)
-    return open_study(RunIndex(store, shipped=False), "logs")
+    return open_study(RunIndex(store, shipped=False), Query(study="logs"))
 
 
 @pytest.fixture(params=["runs", "logs", "published runs", "published logs", "partly runs", "partly logs"])
@@ -64,7 +64,7 @@ def data(request: pytest.FixtureRequest, store: Store, tmp_path: Path) -> StudyD
         for run in data.rows[1:]:
             shutil.rmtree(store.run_folder(run.run_id))
         store.save_run(data.rows[2].run_id, Status("crashed", 100), {})
-        data = open_study(RunIndex(store, shipped=False), data.study.name)
+        data = open_study(RunIndex(store, shipped=False), Query(study=data.study.name))
         assert [run.published for run in data.rows] == [False, True, True]
     return data
 
@@ -104,7 +104,7 @@ def test_logs_give_what_was_logged(store: Store, tmp_path: Path) -> None:
     points += [("train/entropy_loss", 100, -0.125), ("charts/SPS", 150, 9.0), ("own", 1000, 2.0)]
     write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
     import_tensorboard([tmp_path / "logs"], store)
-    data = open_study(RunIndex(store), "logs")
+    data = open_study(RunIndex(store), Query(study="logs"))
     (a,) = data.rows
     at = {int(step): place for place, step in enumerate(data.grid)}
     curve = data.curve(a, "return")
@@ -120,15 +120,15 @@ def test_logs_give_what_was_logged(store: Store, tmp_path: Path) -> None:
 # --- What is left out -----------------------------------------------------------------------------
 
 
-def test_only_finished_runs_count_and_it_is_said_how_many_do_not(store: Store) -> None:
+def test_only_finished_runs_count_and_the_others_are_counted(store: Store) -> None:
     trained(store)
     store.save_run(A1, Status("crashed"), {})
     save_listing(store, {**CELLS, ("a", 1): A1})
-    told: list[str] = []
-    assert len(open_study(RunIndex(store, shipped=False), "mine", say=told.append).runs) == 3
-    assert told[-1] == "Note: 1 of 4 runs are not finished or damaged, and left out."
-    with pytest.raises(UserError, match="no finished run of study mine is in"):
-        open_study(RunIndex(store, shipped=False), "mine", Selection(seeds=(1,), conditions=("a",)))
+    lines: list[str] = []
+    assert len(open_study(RunIndex(store, shipped=False), Query(study="mine"), say=lines.append).runs) == 3
+    assert lines == ["mine: 3 of 4 runs."]
+    with pytest.raises(UserError, match="study mine has no finished run in"):
+        open_study(RunIndex(store, shipped=False), Query(study="mine", seeds=(1,), conditions=("a",)))
 
 
 @pytest.mark.parametrize("name", ["../../out", ".hidden", "a/b", "other"])
@@ -142,7 +142,7 @@ def test_untrusted_a_table_that_lists_a_study_by_another_name_than_its_own_is_no
         about = {"study": "table", "listing": listing}
         store.write(store.published_path("table"), encode_published([row], about))
         with pytest.raises(UserError, match="unknown study 'table'"):
-            open_study(RunIndex(store, shipped=False), "table")
+            open_study(RunIndex(store, shipped=False), Query(study="table"))
 
 
 def test_every_listed_study_that_comes_with_pneuma_can_be_opened(store: Store) -> None:
@@ -154,11 +154,13 @@ def test_every_listed_study_that_comes_with_pneuma_can_be_opened(store: Store) -
 def test_tables_that_come_with_pneuma_are_read_beside_runs_of_ones_own(store: Store) -> None:
     trained(store)
     index = RunIndex(store)
-    theirs = open_study(index, "activation", Selection(conditions=("tanh",), seeds=(100, 101)), "godot")
+    theirs = open_study(
+        index, Query(study="activation", world="godot", conditions=("tanh",), seeds=(100, 101))
+    )
     assert [run.published for run in theirs.rows] == [True, True]
     ids = [run.run_id for run in theirs.rows]
     save_listing(store, {("tanh", 0): ids[0], ("tanh", 1): ids[1], ("ours", 0): A0}, name="both")
-    data = open_study(RunIndex(store), "both")
+    data = open_study(RunIndex(store), Query(study="both"))
     assert {run.run_id: run.published for run in data.rows} == {ids[0]: True, ids[1]: True, A0: False}
     assert {*ids} <= {*index.frame.index} and not {*ids} & {*RunIndex(store, shipped=False).frame.index}
 
@@ -185,25 +187,19 @@ def test_a_results_folder_alone_has_a_study_of_ones_own_and_a_changed_module_is_
     module, study, store = Path("of_mine_alone.py"), Path("mine.toml"), Store("results")
     module.write_text("import gymnasium\n")
     study.write_text(OWN)
-    plan = make_plan(load_study("mine"), Selection())
+    plan = make_plan(load_study("mine"), Query(study="mine"))
     prepare(plan, store)
     save_finished(store, plan.cells[0].run)
     study.unlink()
-    assert len(open_study(RunIndex(store), "mine").runs) == 1
+    assert len(open_study(RunIndex(store), Query(study="mine")).runs) == 1
     module.write_text("import gymnasium  # as before\n")
-    told = r"are: 1 run of another version of of_mine_alone \(--any-version\)\.$"
-    with pytest.raises(UserError, match=told):
-        open_study(RunIndex(store), "mine")
-    both = Selection(any_version=True)
-    data = open_study(RunIndex(store), "mine", both)
-    assert [*data.runs["seed"]] == [0] and data.basename() == "study-mine-any-version"
-    new = make_plan(load_study("mine", kept=store.studies), Selection(seeds=(1,))).cells[0].run
+    lines: list[str] = []
+    assert len(open_study(RunIndex(store), Query(study="mine"), say=lines.append).runs) == 1
+    assert lines[-1].endswith(": 1 of 2 runs (1 by another version).")
+    new = make_plan(load_study("mine", kept=store.studies), Query(seeds=(0,))).cells[0].run
     save_finished(store, new)
-    said: list[str] = []
-    assert len(open_study(RunIndex(store), "mine", say=said.append).runs) == 1
-    assert "1 run of another version of of_mine_alone (--any-version)" in said[0]
-    assert [*open_study(RunIndex(store), "mine", both, say=said.append).runs["seed"]] == [0, 1]
-    assert said[1] == "mine: 2 runs of 256 steps (as last run here), 1 of another version."
+    open_study(RunIndex(store), Query(study="mine"), say=lines.append)
+    assert lines[-1].endswith(": 1 of 2 runs.")
     module.unlink()
-    with pytest.raises(UserError, match="of_mine_alone is not found, by which its runs are known; run"):
-        open_study(RunIndex(store), "mine")
+    with pytest.raises(UserError, match="of_mine_alone: not found, so the runs of mine are not known"):
+        open_study(RunIndex(store), Query(study="mine"))

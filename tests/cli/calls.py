@@ -13,6 +13,9 @@ from pneuma.cli import main
 from pneuma.config import Run, as_fields
 from pneuma.engines.policy import POLICY_FILE, Policy
 from pneuma.study.identity import config_id, run_id
+from pneuma.study.last_queries import note_query
+from pneuma.study.plan import Query, make_plan
+from pneuma.study.spec import load_study
 from pneuma.study.store import Status, Store, run_document
 
 from ..hand_made import save_run
@@ -101,3 +104,13 @@ def save_policy(store: Store, run: Run, policy: Policy, name: str = "") -> str:
     files = {"run.json": run_document(run, name), POLICY_FILE: policy.to_bytes()}
     store.save_run(name, Status("done", run.steps), files)
     return name
+
+
+def finish_study(
+    store: Store, study: str = "activation", world: str | None = None, noted: bool = True, **query: Any
+) -> list[str]:
+    """Store the runs of a query as done, as the study's own `study run` leaves them; return their ids."""
+    plan = make_plan(load_study(study, world), Query(study=study, world=world, **query))
+    if noted:
+        note_query(store, plan)
+    return [save_finished(store, cell.run) for cell in plan.cells]

@@ -3,84 +3,63 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from pneuma.study.executors import local
+from pneuma.study.last_queries import last_query
 from pneuma.study.locks import run_lock
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store, run_identity
 
-from .calls import TINY, call, described, refused, save_finished
-
-
-def _finish(store: Store, study: str, **selection: Any) -> dict[str, list[str]]:
-    """Store some runs of a study as its own `study run` leaves them; return their ids by condition."""
-    plan = make_plan(load_study(study), Selection(**selection))
-    noted = store.noted_steps(study).get(plan.study.variant, [])
-    store.note_steps(study, plan.study.variant, [*noted, plan.steps])
-    found: dict[str, list[str]] = {}
-    for cell in plan.cells:
-        found.setdefault(cell.condition, []).append(save_finished(store, cell.run))
-    return found
+from .calls import TINY, call, described, finish_study, refused
 
 
 def test_a_study_is_removed_but_for_runs_that_another_one_has_too(store: Store) -> None:
     """tanh in the study of activations is Table 6.2, as one of the clip ranges is."""
-    activation = _finish(store, "activation", seeds=(0, 1), steps=1024)
-    clip = _finish(store, "clip-range", seeds=(0,), steps=1024, conditions=("0.1", "0.2"))
-    assert activation["tanh"][0] == clip["0.1"][0]
+    activation = finish_study(store, seeds=(0, 1), steps=1024)  # tanh, ReLU, LeakyReLU, and again
+    clip = finish_study(store, "clip-range", seeds=(0,), steps=1024, conditions=("0.1", "0.2"))
+    assert activation[0] == clip[0]
     words = ("study", "delete", "activation", "--results", store.root)
     assert "--yes is needed where nobody can be asked" in refused(*words)
     code, out, err = call(*words, "--yes")
-    kept = "Note: kept, as clip-range in the arena has them too: 2 runs."
-    assert (code, err, out.splitlines()[:2]) == (0, err, [kept, f"Removed 4 runs from {store.root}."])
-    assert {*store.runs()} == {*activation["tanh"], *clip["0.2"]}
+    kept = "Note: kept, as clip-range in the arena has them too: 1 run."
+    assert (code, err, out.splitlines()[:2]) == (0, err, [kept, f"Removed 5 runs from {store.root}."])
+    assert {*store.runs()} == {*clip}
 
 
 @pytest.mark.usefixtures("unshipped")
 def test_two_studies_of_the_same_runs_are_removed_one_after_the_other(
     store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """While both were run here, the runs of either are the other's too; of other steps they are not."""
+    """While both were run here, the runs of either are the other's too."""
     monkeypatch.chdir(tmp_path)
     assert call("study", "new", "mine", "--from", "activation").code == 0
     for study in ("activation", "mine"):
-        _finish(store, study, seeds=(0,), steps=1024, conditions=("tanh",))
-    (longer,) = _finish(store, "activation", seeds=(0,), steps=2048, conditions=("tanh",))["tanh"]
-    words = ("study", "delete", "activation", "--steps", "1024", "--yes", "--results", store.root)
+        finish_study(store, study, seeds=(0,), steps=1024, conditions=("tanh",))
+    words = ("study", "delete", "activation", "--yes", "--results", store.root)
     code, out, _ = call(*words)
     assert (code, out) == (0, "Note: kept, as mine in the arena has them too: 1 run.\nNothing was removed.\n")
     removed = described("study", "delete", "mine", "--yes", "--json", "--results", store.root)["removed"]
-    assert len(removed) == 1 and store.runs() == [longer]
-    assert store.noted_steps("mine") == {} and [*store.noted_steps("activation").values()] == [[2048]]
+    assert (len(removed), store.runs()) == (0, [])
 
 
 @pytest.mark.usefixtures("unshipped")
-def test_only_runs_of_the_steps_that_are_asked_for_are_removed(store: Store) -> None:
-    short = _finish(store, "activation", seeds=(0,), steps=1024, conditions=("tanh",))
-    _finish(store, "activation", seeds=(0,), steps=2048, conditions=("tanh",))
+def test_only_runs_of_the_cells_that_are_asked_for_are_removed(store: Store) -> None:
+    short = finish_study(store, seeds=(0,), steps=1024, conditions=("tanh",))
+    long = finish_study(store, seeds=(0,), steps=2048, conditions=("tanh",))
     words = ("study", "delete", "activation", "--yes", "--json", "--results", store.root)
-    assert described(*words, "--steps", "1024")["removed"] == short["tanh"]
-    assert len(store.runs()) == 1
-
-
-@pytest.mark.usefixtures("unshipped")
-def test_what_was_run_with_a_field_at_its_value_is_told_with_that_field(store: Store) -> None:
-    for settings in ({}, {"gamma": 0.99}):
-        _finish(store, "activation", seeds=(0,), steps=1024, conditions=("tanh",), settings=settings)
-    code, out, _ = call("study", "delete", "activation", "--yes", "--results", store.root)
-    told = "Note: kept, as activation in the arena with gamma = 0.99 has them too: 1 run."
-    assert (code, out.splitlines()[0]) == (0, told)
+    assert described(*words, "--steps", "1024")["removed"] == short
+    assert store.runs() == long and last_query(store, "activation", "arena") is not None
+    assert described(*words)["removed"] == long
+    assert last_query(store, "activation", "arena") is None
 
 
 def test_a_study_without_a_file_goes_with_the_last_of_its_runs(store: Store) -> None:
-    ids = _finish(store, "activation", seeds=(0, 1), steps=1024, conditions=("tanh",))["tanh"]
+    ids = finish_study(store, noted=False, seeds=(0, 1), steps=1024, conditions=("tanh",))
     runs = [{"run_id": run_id, "condition": "tanh", "seed": seed} for seed, run_id in enumerate(ids)]
     store.save_listing("logs", {"title": "Logs", "baseline": "tanh", "runs": runs})
-    store.note_steps("activation", "arena", [])
     words = ("study", "delete", "logs", "--yes", "--json", "--results", store.root)
     assert described(*words, "--seeds", "0,")["removed"] == ids[:1]
     assert store.listings() == ["logs"] and described(*words)["removed"] == ids[1:]
@@ -88,7 +67,9 @@ def test_a_study_without_a_file_goes_with_the_last_of_its_runs(store: Store) -> 
 
 
 def test_a_run_is_removed_by_its_id_unless_it_trains(store: Store) -> None:
-    (cell,) = make_plan(load_study("activation"), Selection("quick", (0,), conditions=("tanh",))).cells
+    (cell,) = make_plan(
+        load_study("activation"), Query(preset="quick", seeds=(0,), conditions=("tanh",))
+    ).cells
     run_id = cell.run_id
     store.plan_run(run_id, run_identity(cell.run))
     words = ("run", "delete", run_id, "--yes", "--results", store.root)

@@ -13,7 +13,7 @@ from pneuma.figures.curves import curves_page, profile_page
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.summary import summary_page
 from pneuma.study.identity import config_id, run_id
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
@@ -48,7 +48,7 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "two.toml"
     path.write_text(TOML)
     store = Store(tmp_path / "results")
-    plan = make_plan(load_study(str(path)), Selection())
+    plan = make_plan(load_study(str(path)), Query())
     for cell in plan.cells:
         step, random = cell.run.steps, {"random_return": 20.0, "random_spread": 5.0}
         evaluated = {"step": step, "return": RETURNED[cell.condition] + cell.seed, **random}

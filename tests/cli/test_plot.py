@@ -10,17 +10,18 @@ import pytest
 from pneuma import __version__
 from pneuma.config import make_run
 from pneuma.study.identity import config_id
-from pneuma.study.plan import Plan, Selection, make_plan
+from pneuma.study.last_queries import note_query
+from pneuma.study.plan import Plan, Query, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
-from .calls import call, refused, save_finished
+from .calls import call, save_finished
 
 
 @pytest.fixture
 def plan() -> Plan:
     """Of the activation study, with a changed field."""
-    picked = Selection(conditions=("tanh", "relu"), seeds=(0, 1), steps=1024, settings={"gamma": 0.5})
+    picked = Query(conditions=("tanh", "relu"), seeds=(0, 1), steps=1024, settings={"gamma": 0.5})
     return make_plan(load_study("activation", "text"), picked)
 
 
@@ -48,6 +49,7 @@ def test_a_figure_tells_its_runs_and_a_command_that_draws_the_same_bytes(
         (path,) = (tmp_path / out).glob("*.png")
         return path
 
+    note_query(store, plan)
     for cell in plan.cells:
         save_finished(store, cell.run)
     asked = ("--world", "text", "--set", "gamma=0.5", "--results", str(store.root))
@@ -72,6 +74,7 @@ def test_the_command_of_a_figure_names_the_seeds_that_it_shows(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     asked = ("study", "plot", "activation", "--world", "text", "--set", "gamma=0.5")
+    note_query(store, plan)
     for cell in plan.cells:
         save_finished(store, cell.run)
     assert call(*asked, "--results", store.root, "--out", "first.png").code == 0
@@ -81,13 +84,3 @@ def test_the_command_of_a_figure_names_the_seeds_that_it_shows(
     assert "--seeds 0..1" in " ".join(again)
     assert call(*again, "--out", "again.png").code == 0
     assert Path("again.png").read_bytes() == Path("first.png").read_bytes()
-
-
-@pytest.mark.usefixtures("unshipped")
-def test_what_was_run_with_changed_fields_alone_is_drawn_by_its_name(plan: Plan, store: Store) -> None:
-    for cell in plan.cells:
-        save_finished(store, cell.run)
-    store.note_steps("activation", plan.study.variant, [1024])
-    again = f"pneuma study plot activation --world text --set=gamma=0.5 --results {store.root}"
-    told = refused("study", "plot", "--results", store.root)
-    assert told == f"studies were run with changed fields alone; name one: {again}"

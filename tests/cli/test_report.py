@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from pneuma.analysis.claims.words import WORDS
-from pneuma.figures.report_data import gather_report
 from pneuma.presets import WORLDS
 from pneuma.study import shipped, spec
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.last_queries import note_query
+from pneuma.study.plan import Query, make_plan
 from pneuma.study.store import Store
 
 from .calls import described, save_finished
@@ -74,8 +74,9 @@ def test_without_any_run_studies_say_how_to_get_them_and_verdicts_are_those_of_s
 def test_a_study_with_runs_has_figures_conditions_runs_and_provenance(
     store: Store, make: Callable[..., Any]
 ) -> None:
-    plan = make_plan(spec.load_study("activation"), Selection(conditions=TWO, seeds=(0, 1), steps=BUDGET))
+    plan = make_plan(spec.load_study("activation"), Query(conditions=TWO, seeds=(0, 1), steps=BUDGET))
     machine: dict[str, Any] = {"packages": {"torch": "2.13.0"}, "cpu": "<b>fast</b>"}
+    note_query(store, plan)
     for cell in plan.cells:
         save_finished(store, cell.run, started=cell.run_id, **machine)
     page = make("activation")
@@ -90,16 +91,3 @@ def test_a_study_with_runs_has_figures_conditions_runs_and_provenance(
     assert "What produced the runs: all by the same" in words  # though each started at a time of its own
     assert "torch 2.13.0" in words and "<b>fast</b>" in words
     assert [each.text for each in page.all("h2")] == ["Verdicts", "Activation function"]
-
-
-def test_what_was_run_with_changed_fields_alone_has_no_part_and_takes_no_others_place(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    described("study", "new", "mine", "--from", "activation", "--json")
-    plan = make_plan(spec.load_study("mine"), Selection(seeds=(0,), steps=BUDGET, settings={"gamma": 0.5}))
-    for cell in plan.cells:
-        save_finished(store, cell.run)
-    store.note_steps("mine", plan.study.variant, [BUDGET])
-    studies = {each["study"] for each in gather_report(store, [], lambda note: None)["studies"]}
-    assert "mine" not in studies and {*shipped.list_studies()} <= studies

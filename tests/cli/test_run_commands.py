@@ -7,11 +7,12 @@ from pathlib import Path
 import pytest
 
 from pneuma.config import Run, make_run
-from pneuma.study.plan import Plan, Selection, make_plan
+from pneuma.study.last_queries import note_query
+from pneuma.study.plan import Plan, Query, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 
-from .calls import described, printed, save_finished
+from .calls import described, finish_study, printed, save_finished
 
 PACKAGES = {"pneuma": "0.1.0", "torch": "2.13.0"}
 MACHINE = {"wall_seconds": 12.5, "python": "3.11", "packages": PACKAGES, "cpu": "A processor"}
@@ -20,7 +21,7 @@ MACHINE = {"wall_seconds": 12.5, "python": "3.11", "packages": PACKAGES, "cpu": 
 @pytest.fixture
 def plan() -> Plan:
     """Of the activation study, ReLU, which no other study has, and leaky ReLU, one seed."""
-    picked = Selection(seeds=(7,), steps=640, conditions=("relu", "leaky-relu"))
+    picked = Query(seeds=(7,), steps=640, conditions=("relu", "leaky-relu"))
     return make_plan(load_study("activation", "text"), picked)
 
 
@@ -30,7 +31,7 @@ def store(plan: Plan, store: Store, monkeypatch: pytest.MonkeyPatch, unshipped: 
     monkeypatch.setenv("PNEUMA_RESULTS", str(store.root))
     for cell in plan.cells:
         save_finished(store, cell.run, **MACHINE)
-    store.note_steps("activation", "text", [640])
+    note_query(store, plan)
     return store
 
 
@@ -54,8 +55,9 @@ def test_list_tells_every_run_once_with_the_studies_that_ask_for_it(
     assert documents[alone] == {"status": "done", "step": 256, "seed": 3, "studies": []}
     assert documents[leaky]["status"] == "damaged"
     assert "No run is stored" in printed("run", "list", "--results", tmp_path / "none")
-    (run_id,) = [save_finished(store, make_run({**vars(plan.cells[0].run), "gamma": 0.5, "steps": 256}))]
-    store.note_steps("activation", "text --set=gamma=0.5", [256])
+    (run_id,) = finish_study(
+        store, world="text", conditions=("relu",), seeds=(7,), steps=256, settings={"gamma": 0.5}
+    )
     (own,) = (row for row in described("run", "list", "--json")["runs"] if row["run_id"] == run_id)
     assert [(each["condition"], each["settings"]) for each in own["studies"]] == [("relu", {"gamma": 0.5})]
     assert "activation/relu with gamma = 0.5\n" in printed("run", "list")

@@ -1,4 +1,4 @@
-"""A study is a question: which stored and published runs answer it, and what is said of the others."""
+"""One query, one plan, exactly its cells: which runs a command shows."""
 
 from __future__ import annotations
 
@@ -8,165 +8,148 @@ from typing import Any
 import pytest
 
 from pneuma.analysis.run_index import RunIndex
-from pneuma.analysis.runs import choose_runs, find_study
+from pneuma.analysis.runs import find_study
 from pneuma.api import open_data
-from pneuma.errors import UserError
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.last_queries import last_query
+from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
 from pneuma.values import read_value, setting_words
 
-from .calls import Called, call, described, refused, save_finished
+from .calls import Called, call, described, finish_study, refused
+
+PAIR = ("tanh", "relu")
 
 
-def _finish(
-    store: Store, study: str = "activation", world: str | None = None, noted: bool = True, **selection: Any
-) -> list[str]:
-    """Store some runs of a study as done, trained by its own `study run` or another's; return their ids."""
-    plan = make_plan(load_study(study, world), Selection(**{"conditions": ("tanh", "relu"), **selection}))
-    if noted:
-        before = store.noted_steps(plan.study.name).get(plan.study.variant, [])
-        store.note_steps(plan.study.name, plan.study.variant, [*before, plan.steps])
-    return [save_finished(store, cell.run) for cell in plan.cells]
-
-
-def _ask(store: Store, name: str, world: str | None = None, **selection: Any) -> tuple[list[str], str]:
-    """Return the ids of the runs that answer a question, and the sentence on what is shown."""
-    index, picked = RunIndex(store), Selection(**selection)
-    data = choose_runs(index, find_study(index, name, picked, world), picked)
+def show(store: Store, name: str, world: str | None = None, **query: Any) -> tuple[list[str], str]:
+    """Return the ids of the runs of a query, and the line on what is shown."""
+    data = find_study(RunIndex(store), Query(world=world, **query).named(name))
     return [*data.runs["run_id"]], data.text(Path("here"))
 
 
-# --- Budgets, fields and worlds --------------------------------------------------------------------
+# --- Which plan is meant ---------------------------------------------------------------------------
+
+
+def test_where_nothing_was_run_the_published_preset_is_shown(store: Store) -> None:
+    """Tables 300 to 329 of the page: 30 runs of tanh, and 30 of ReLU though 60 are published."""
+    code, out, err = call("study", "compare", "activation", *PAIR, "--results", store.root)
+    assert code == 0 and "30 and 30" in out
+    assert err == "activation in the arena, preset paper, tanh and relu alone: 60 of 60 runs (published).\n"
 
 
 @pytest.mark.usefixtures("unshipped")
-def test_the_budget_that_was_last_trained_here_is_shown_and_the_others_are_told(store: Store) -> None:
-    first = _finish(store, seeds=(0, 1), steps=512)  # rounded up to 1,024: whole updates of 4 x 256
-    other = _finish(store, seeds=(0, 1, 2, 3), steps=2048)
-    shown, told = _ask(store, "activation")
-    assert shown == other
-    assert ": 8 runs of 2,048 steps (as last run here). Stored too: 4 runs of 1,024 steps (--steps" in told
-    assert _ask(store, "activation", steps=512)[0] == first
-    more = _finish(store, seeds=(2,), steps=512)
-    assert _ask(store, "activation")[0] == [*first, *more]
-    data = open_data("activation", store.root, seeds=[1, 2], conditions="tanh")
-    assert [run.run_id for run in data.rows] == [first[2], more[0]]
-    words = ("study", "status", "activation", "--results", store.root)
-    for option, value, has in (
-        ("--steps", "4096", "has runs of 1,024, 2,048 steps"),
-        ("--seeds", "7,", "has none of these; it has 0, 1, 2"),
-    ):
-        assert f"activation in the arena {has}" in refused(*words, option, value)
+def test_what_was_run_last_is_shown_exactly_and_other_presets_are_counted(store: Store) -> None:
+    first = finish_study(store, seeds=(0, 1), steps=512, conditions=PAIR)  # rounded up to 1,024
+    last = finish_study(store, seeds=(1, 2), steps=2048, conditions=PAIR)
+    quick = finish_study(store, noted=False)
+    shown, text = show(store, "activation")
+    assert shown == last
+    assert text == (
+        "activation in the arena, preset quick, tanh and relu alone, seeds 1..2, 2,048 steps: 4 of 4 runs."
+    )
+    assert show(store, "activation", steps=512, seeds=(0, 1))[0] == first
+    assert show(store, "activation@quick") == (
+        quick,
+        "activation in the arena, preset quick: 9 of 9 runs.",
+    )
+    assert show(store, "activation@last")[0] == last
+    assert show(store, "activation@paper")[1] == (
+        "activation in the arena, preset paper: 0 of 90 runs. Also: quick (9 runs)."
+    )
+    data = open_data("activation", store.root, seeds=[2], conditions="relu")
+    assert [run.run_id for run in data.rows] == [last[3]]
+    assert repr(data).startswith("StudyData activation in the arena, preset quick, relu alone, seeds 2, ")
 
 
 @pytest.mark.usefixtures("unshipped")
-def test_runs_of_a_searchs_trials_are_told_and_shown_by_their_seeds(store: Store) -> None:
-    tried = _finish(store, seeds=(1000, 1001), steps=1024, conditions=("tanh",))
-    runs = [{"run_id": run_id, "condition": "trial-000", "seed": seed} for seed, run_id in enumerate(tried)]
+def test_a_query_is_kept_for_each_world(store: Store) -> None:
+    arena = finish_study(store, seeds=(0,), steps=1024)
+    text = finish_study(store, world="text", seeds=(5,), steps=2048, settings={"gamma": 0.5})
+    assert show(store, "activation")[0] == arena
+    shown, line = show(store, "activation", "text")
+    assert shown == text and line.startswith("activation in the text's world with gamma = 0.5, preset quick,")
+    last = last_query(store, "activation", "text")
+    assert last is not None and (last.seeds, last.steps, dict(last.settings)) == ((5,), 2048, {"gamma": 0.5})
+    assert show(store, "activation", "godot")[0] == []
+
+
+@pytest.mark.usefixtures("unshipped")
+def test_what_another_study_or_a_search_trains_is_not_shown(store: Store) -> None:
+    """Neither the same configuration with another seed or budget, nor one that is listed as a trial."""
+    own = finish_study(store, seeds=(0, 1), steps=2048, conditions=PAIR)
+    finish_study(store, seeds=(0, 1, 2, 3), steps=1024, conditions=PAIR, noted=False)
+    tried = finish_study(store, seeds=(1000,), steps=2048, conditions=("tanh",), noted=False)
+    runs = [{"run_id": run_id, "condition": "trial-000", "seed": 1000} for run_id in tried]
     store.save_listing("search-x", {"title": "x", "baseline": "trial-000", "runs": runs})
-    assert _ask(store, "activation")[0] == tried  # there are no others
-    own = _finish(store, seeds=(0,), steps=2048)
-    assert _ask(store, "activation")[0] == own
-    assert _ask(store, "activation", seeds=(1000, 1001))[0] == tried
-    told = refused("study", "status", "activation", "--steps", "1024", "--results", store.root)
-    assert "has runs of 2,048 steps; 2 runs of a search's trials (--seeds 1000..1001)" in told
+    assert show(store, "activation")[0] == own
 
 
 @pytest.mark.usefixtures("unshipped")
-def test_a_document_and_data_tell_which_runs_they_are_of(store: Store) -> None:
-    _finish(store, seeds=(0, 3), steps=2048, settings={"gamma": 0.5})
-    words = ("study", "summary", "activation", "--set", "gamma=0.5", "--json", "--results", store.root)
-    told = {"study": "activation", "world": "arena", "steps": 2048, "seeds": [0, 3]}
-    assert call(*words).document.items() >= {**told, "settings": {"gamma": 0.5}}.items()
-    data = open_data("activation", store.root, settings={"gamma": 0.5})
-    said = "StudyData activation (arena), 2,048 steps: 4 runs of tanh (2), relu (2), leaky-relu (0)"
-    assert repr(data) == said
+def test_cells_without_a_run_are_counted_and_no_reason_to_show_others(store: Store) -> None:
+    ids = finish_study(store, seeds=(0,), steps=1024, conditions=PAIR)
+    shown, text = show(store, "activation", seeds=(0, 1), steps=1024)
+    assert shown == ids and text.endswith(", seeds 0..1, 1,024 steps: 2 of 4 runs.")
+    message = refused("study", "summary", "activation", "--seeds", "7,", "--results", store.root)
+    assert (
+        ", seeds 7, 1,024 steps: 0 of 2 runs. Train them with `pneuma study run activation --condition tanh "
+        in message
+    )
+    called = call("study", "compare", "activation", "tanh", "leaky-relu", "--results", store.root)
+    assert called.code == 2
+    assert "leaky-relu: none of its runs has finished (activation in the arena, " in called.err
 
 
 @pytest.mark.usefixtures("unshipped")
-def test_what_another_study_trains_changes_nothing_that_is_shown(store: Store) -> None:
-    """Neither a single condition of a budget of its own, nor more runs of more conditions."""
-    both = _finish(store, seeds=(0, 1), steps=2048)
-    _finish(store, seeds=(0, 1, 2), steps=512, conditions=("tanh",), noted=False)
-    _finish(store, seeds=(0, 1, 2), steps=4096, conditions=("tanh", "relu", "leaky-relu"), noted=False)
-    shown, told = _ask(store, "activation")
-    assert shown == both and "; 3 runs of 1,024 steps (--steps 1024)." in told
+def test_a_run_of_another_version_counts_where_there_is_no_other(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the fields of the cell; that of the present version is preferred."""
+    with monkeypatch.context() as patch:
+        patch.setattr("pneuma.study.identity.RULES_VERSION", 0)
+        old = finish_study(store, seeds=(0, 1), steps=1024, conditions=("tanh",))
+    assert show(store, "activation")[1].endswith(": 2 of 2 runs (2 by another version).")
+    (new,) = finish_study(store, seeds=(0,), steps=1024, conditions=("tanh",))
+    shown, text = show(store, "activation", seeds=(0, 1))
+    assert shown == [new, old[1]] and text.endswith("2 of 2 runs (1 by another version).")
+    assert show(store, "activation", settings={"gamma": 0.5})[0] == []
 
 
-@pytest.mark.usefixtures("unshipped")
-def test_a_changed_field_is_another_question(store: Store) -> None:
-    plain = _finish(store, seeds=(0,), steps=1024)
-    changed = _finish(store, seeds=(0, 1), steps=1024, settings={"learning_rate": 0.001})
-    assert _ask(store, "activation")[0] == plain
-    shown, told = _ask(store, "activation", settings={"learning_rate": 0.001})
-    assert shown == changed
-    assert told.startswith("activation in the arena with learning_rate = 0.001: 4 runs of 1,024 steps")
-    words = ("study", "status", "activation", "--set", "gamma=0.5", "--results", store.root)
-    assert "has no runs in" in (told := refused(*words))
-    assert "run `pneuma study run activation --set=gamma=0.5 --results" in told
-    assert "2 runs (--set=gamma=0.99)" in told  # all else is as asked
-
-
-@pytest.mark.usefixtures("unshipped")
-def test_a_world_without_runs_says_in_which_there_are_some(store: Store) -> None:
-    ids = _finish(store, "architecture", "text", seeds=(0,), steps=512, conditions=())
-    words = ("study", "status", "architecture", "--results", store.root)
-    assert f"{len(ids)} runs in the text's world (--world text)" in refused(*words)
-    told = described(*words, "--world", "text", "--json")
-    assert sorted(run["run_id"] for run in told["runs"]) == sorted(ids)
-    gamma = {"gamma": 0.5}
-    (_,) = _finish(store, "architecture", "text", seeds=(0,), steps=512, conditions=("mid",), settings=gamma)
-    assert "1 run in the text's world (--world text)" in refused(*words, "--set", "gamma=0.5")
+def test_own_runs_of_the_published_cells_count_first(store: Store) -> None:
+    (own,) = finish_study(store, seeds=(300,), steps=1_000_448, conditions=("tanh",))
+    shown, text = show(store, "activation@paper")
+    assert len(shown) == 90 and own in shown
+    assert text.endswith("90 of 90 runs (1 trained here, 89 published).")
 
 
 def test_steps_are_rounded_up_for_the_horizon_of_each_run(store: Store) -> None:
-    """With one slot, 2,000 steps are 2,048 with either horizon, and 1,500 are 1,536 with that of 256."""
-    study = "hyperparameters"
-    index, million = RunIndex(store), Selection(steps=1_000_000)
-    published = choose_runs(index, find_study(index, study, million), million)
-    assert {*published.runs["steps"]} == {1_000_448, 1_007_616}  # of 4 x 256 and 4 x 2,048
-    what: dict[str, Any] = {"conditions": ("table-6-2", "horizon-2048"), "settings": {"slots": 1}}
-    ids = {steps: _finish(store, study, seeds=(0,), steps=steps, **what) for steps in (1500, 2000)}
-    assert all(_ask(store, study, steps=steps, **what)[0] == ids[steps] for steps in ids)
-    with pytest.raises(UserError, match="has runs of 1,000,000, 1,536, 2,048"):
-        _ask(store, study, steps=2049, **what)
+    """Of 4 x 256 and 4 x 2,048 steps a million are 1,000,448 and 1,007,616."""
+    data = find_study(RunIndex(store), Query(study="hyperparameters", preset="paper"))
+    assert {*data.runs["steps"]} == {1_000_448, 1_007_616} and data.steps is None
 
 
-# --- Trained and published runs --------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("activation@papper", (), "unknown preset of study activation 'papper' (did you mean paper?)"),
+        ("activation@last", (), "activation@last: it was not run in"),
+        ("activation", ("--condition", "relo"), "unknown condition of study activation 'relo'"),
+        ("activation", ("--world", "mars"), "--world mars: must be one of"),
+        ("own-game", ("--world", "text"), "study own-game is not run in the world text"),
+        ("activation@quick", ("--preset", "paper"), "names the preset quick; leave out the preset paper"),
+    ],
+)
+def test_a_misspelt_query_is_refused_with_what_there_is(
+    store: Store, name: str, options: tuple[str, ...], message: str
+) -> None:
+    assert message in refused("study", "summary", name, *options, "--results", store.root)
 
 
-def _published(store: Store, **selection: Any) -> tuple[int, str]:
-    """Return how many runs of tanh and ReLU are published, and how a comparison tells them."""
-    tanh, relu = (
-        len(_ask(store, "activation", conditions=(name,), **selection)[0]) for name in ("tanh", "relu")
-    )
-    return tanh + relu, f"{tanh} and {relu}"
-
-
-def test_after_a_quick_training_the_published_runs_are_told_and_shown_by_an_option(store: Store) -> None:
-    every, fresh = (_published(store, steps=1_000_000, **one) for one in ({}, {"seeds": range(300, 310)}))
-    quick = _finish(store, seeds=(0, 1, 2), steps=50_000)
-
-    def compare(*options: str) -> tuple[str, str]:
-        words = ("study", "compare", "activation", "tanh", "relu", *options, "--results", store.root)
-        code, out, err = call(*words)
-        (told,) = err.splitlines()
-        (row,) = (line for line in out.splitlines() if line.startswith("final-share-killed"))
-        assert code == 0
-        return told, row.split("  ")[-2].strip()
-
-    told, runs = compare()
-    assert runs == "3 and 3" and _ask(store, "activation")[0] == quick
-    assert told.startswith("activation in the arena: 6 runs of 50,000 steps (as last run here). Stored too: ")
-    assert f"{every[0]} runs of 1,000,000 steps, published (--steps 1000000)" in told
-    assert compare("--steps", "1e6")[1] == every[1]
-    told, runs = compare("--seeds", "300..309")
-    assert runs == fresh[1]
-    assert f": {fresh[0]} runs of 1,000,000 steps (published; none was trained in " in told
-    _finish(store, seeds=(9000,), steps=1_000_000)
-    told = compare("--steps", "1e6")[0]
-    assert f"{every[0] + 2} runs of 1,000,000 steps ({every[0]} of them published" in told
+@pytest.mark.usefixtures("unshipped")
+def test_a_document_names_its_runs(store: Store) -> None:
+    finish_study(store, seeds=(0, 3), steps=2048, settings={"gamma": 0.5})
+    document = call("study", "summary", "activation", "--json", "--results", store.root).document
+    about = {"study": "activation", "world": "arena", "preset": "quick", "steps": 2048, "seeds": [0, 3]}
+    assert document.items() >= {**about, "settings": {"gamma": 0.5}}.items()
 
 
 # --- Conditions with changed fields ----------------------------------------------------------------
@@ -174,12 +157,12 @@ def test_after_a_quick_training_the_published_runs_are_told_and_shown_by_an_opti
 
 def test_several_values_of_a_field_make_conditions() -> None:
     study, several = load_study("activation"), {"learning_rate": [1e-4, 3e-4], "betas": [0.9, 0.9]}
-    plan = make_plan(study, Selection(seeds=(0,), steps=512, conditions=("relu",), settings=several))
+    plan = make_plan(study, Query(seeds=(0,), steps=512, conditions=("relu",), settings=several))
     assert plan.conditions == ("relu, learning_rate=1e-4", "relu, learning_rate=3e-4")
     set_ = [(cell.run.learning_rate, cell.run.betas) for cell in plan.cells]
     assert set_ == [(1e-4, (0.9, 0.9)), (3e-4, (0.9, 0.9))]
     for key, values in {"gradient_limit": "none, 0.5", "reward": "thesis, kills"}.items():
-        plan = make_plan(study, Selection(conditions=("relu",), settings={key: values}))
+        plan = make_plan(study, Query(conditions=("relu",), settings={key: values}))
         assert plan.conditions == tuple(f"relu, {key}={value}" for value in values.split(", "))
 
 
@@ -200,43 +183,31 @@ def test_several_values_of_a_field_make_conditions() -> None:
 def test_a_value_is_read_as_it_is_typed_alone_and_in_a_sweep(said: str, values: list[object]) -> None:
     key, _, text = said.partition("=")
     study, settings = load_study("activation"), {key: read_value(text)}
-    plan = make_plan(study, Selection(seeds=(0,), conditions=("tanh",), settings=settings))
+    plan = make_plan(study, Query(seeds=(0,), conditions=("tanh",), settings=settings))
     assert [getattr(cell.run, key) for cell in plan.cells] == values
     for cell in plan.cells if len(values) > 1 else ():  # its name says what it changes, and is read too
-        assert make_plan(study, Selection(seeds=(0,), conditions=(cell.condition,))).cells[0].run == cell.run
+        assert make_plan(study, Query(seeds=(0,), conditions=(cell.condition,))).cells[0].run == cell.run
 
 
 @pytest.mark.usefixtures("unshipped")
-def test_a_comparison_is_of_steps_that_both_have_and_says_what_is_the_same(store: Store) -> None:
-    long = _finish(store, seeds=(0, 1), steps=2048, conditions=("tanh", "leaky-relu"))
-    both = _finish(store, seeds=(0,), steps=1024)
-    _finish(store, seeds=(0,), steps=2048, conditions=("leaky-relu",))
-    assert _ask(store, "activation", conditions=("tanh", "relu"))[0] == both
-    assert _ask(store, "activation", conditions=("tanh", "leaky-relu"))[0] == long
-    words = ("study", "compare", "activation", "--results", store.root)
-    code, _, told = call(*words, "leaky-relu", "relu")
-    lacks = "relu: no run of 2,048 steps has finished; it has 1 run of 1,024 (--steps 1024)"
-    assert code == 2 and lacks in told
-    told = call(*words, "tanh", "leaky-relu", "--steps", "1024", "--seeds", "0,").err
-    lacks = "no run of 1,024 steps with --seeds 0 has finished; it has 2 runs of 2,048"
-    assert f"leaky-relu: {lacks} (--steps 2048 --seeds 0..1)" in told
-    same = call(*words, "tanh", "tanh, gamma=0.99", "--steps", "1024")
-    assert same.code == 0
-    assert "tanh and tanh, gamma=0.99 are the same settings, and have 1 run in common" in same.out
-    assert "No interval where an arm has fewer than 5 runs" in same.out
+def test_conditions_of_the_same_settings_are_compared_with_a_note(store: Store) -> None:
+    finish_study(store, seeds=(0,), steps=1024, conditions=("tanh",))
+    words = ("study", "compare", "activation", "tanh", "tanh, gamma=0.99", "--results", store.root)
+    called = call(*words)
+    assert called.code == 0
+    assert "tanh and tanh, gamma=0.99 are the same settings, and have 1 run in common" in called.out
+    assert "No interval where an arm has fewer than 5 runs" in called.out
 
 
 @pytest.mark.usefixtures("unshipped")
 def test_conditions_that_differ_in_the_engine_are_compared_with_a_note(store: Store) -> None:
     pair = ("tanh, engine=batched", "tanh, engine=sb3")
-    _finish(store, seeds=(0,), steps=1024, conditions=pair)
+    finish_study(store, seeds=(0,), steps=1024, conditions=pair)
     called = call("study", "compare", "activation", *pair, "--results", store.root)
     assert called.code == 0
     assert "Note: trained by different engines (batched and sb3)." in called.out
-    batched, _ = _ask(store, "activation", conditions=pair)[0]
-    assert _ask(store, "activation", conditions=("tanh",))[0] == [batched]
-    told = refused("study", "compare", "activation", "tanh", "tanh, engine=sb", "--results", store.root)
-    assert "did you mean sb3?" in told
+    message = refused("study", "compare", "activation", "tanh", "tanh, engine=sb", "--results", store.root)
+    assert "did you mean sb3?" in message
 
 
 # --- A file of one's own ---------------------------------------------------------------------------
@@ -252,10 +223,17 @@ gamma = 0.5
 [presets.quick]
 seeds = 1
 steps = 512
+[presets.long]
+seeds = "3..4"
+steps = 512
+[presets.long.godot]
+seeds = "7,"
+steps = 2_048
+only = ["b"]
 """
 READERS = {
-    "status": "", "summary": "", "collapse": "", "publish": "", "plot": "",
-    "export": "--table curves --out x.csv", "compare": "a b",
+    "summary": "", "collapse": "", "publish": "", "plot": "", "export": "--table curves --out x.csv",
+    "compare": "a b",
 }  # fmt: skip
 
 
@@ -274,23 +252,54 @@ def test_a_file_in_this_folder_is_found_by_its_name_before_and_after_it_was_run(
 
     assert "2 to-train." in typed("plan").out
     for verb in READERS:
-        code, out, told = typed(verb)
+        code, out, err = typed(verb)
         assert (code, out) == (2, ""), verb
-        train = f"run `pneuma study run {file} --results {store.root}` first"
-        assert f"has no runs in {store.root}: {train}" in told, verb
+        assert f"0 of 2 runs. Train them with `pneuma study run {file} " in err, verb
     assert not store.root.exists() and [*tmp_path.iterdir()] == [file]
-    ids = _finish(store, "own", "godot", conditions=())
+    ids = finish_study(store, "own", "godot")
     for name in ("own", "own.toml", str(file)):
-        assert [*_ask(store, name, "godot")[0]] == ids
-    assert "2 runs in the published code's world (--world godot)" in typed("status").err
+        assert show(store, name, "godot")[0] == ids
     store.save_listing("logs", {"title": "", "baseline": "", "runs": []})
     assert "'logz' (did you mean logs?)" in typed("status", "logz").err
     assert "study own is not run in the world text" in typed("status", "own", "--world", "text").err
 
 
+def test_a_preset_of_any_name_has_other_amounts_in_a_world(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own.toml").write_text(OWN)
+    monkeypatch.chdir(tmp_path)
+    cells = {
+        world: make_plan(load_study("own", world), Query(preset="long")).cells for world in ("arena", "godot")
+    }
+    assert [(cell.condition, cell.seed, cell.run.steps) for cell in cells["arena"]] == [
+        ("a", 3, 512), ("b", 3, 512), ("a", 4, 512), ("b", 4, 512)
+    ]  # fmt: skip
+    assert [(cell.condition, cell.seed, cell.run.steps) for cell in cells["godot"]] == [("b", 7, 2048)]
+    words = ("study", "plan", "own@long", "--world", "godot", "--condition", "a", "--results", store.root)
+    assert "condition a: the preset long has no runs of it" in refused(*words)
+
+
+@pytest.mark.usefixtures("unshipped")
+def test_status_is_a_table_of_presets_and_conditions(store: Store) -> None:
+    finish_study(store, seeds=(0,), steps=1024, conditions=("tanh",))
+    finish_study(store, noted=False, conditions=("relu",))
+    words = ("study", "status", "activation@quick", "--results", store.root)
+    rows = described(*words, "--json")["presets"]
+    states = [(row["preset"], row["condition"], row.get("done"), row.get("planned")) for row in rows]
+    assert states == [
+        ("quick", "tanh", None, 3),
+        ("quick", "relu", 3, None),
+        ("quick", "leaky-relu", None, 3),
+        ("standard", "all 3", None, 30),
+        ("paper", "all 3", None, 90),
+    ]
+    assert len(described(*words, "--runs", "--json")["runs"]) == 3
+
+
 @pytest.mark.usefixtures("unshipped")
 def test_a_run_whose_status_is_damaged_is_not_passed_over_in_silence(store: Store) -> None:
-    lost, *_ = _finish(store, seeds=(0, 1), steps=1024)
+    lost, *_ = finish_study(store, seeds=(0, 1), steps=1024)
     (store.run_folder(lost) / "status.json").write_text("{")
     for verb in ("status", "summary"):
         said = call("study", verb, "activation", "--results", store.root).err

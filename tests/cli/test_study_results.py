@@ -13,7 +13,7 @@ import pytest
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 
 from .calls import SETTINGS, TINY, Called, call, described, printed
@@ -105,7 +105,7 @@ def test_a_copy_of_a_shipped_study_plans_the_same_runs(
     for name in ("activation", "robustness", "betas-and-units"):
         printed("study", "new", f"my-{name}", "--from", name)
         own, shipped = load_study(f"my-{name}.toml"), load_study(name)
-        plans = [make_plan(study, Selection("quick")).cells for study in (own, shipped)]
+        plans = [make_plan(study, Query(preset="quick")).cells for study in (own, shipped)]
         assert [cell.run_id for cell in plans[0]] == [cell.run_id for cell in plans[1]]
         assert (own.title, own.section, own.about) == (f"my-{name}", "", "")
 
@@ -135,7 +135,7 @@ def test_a_selection_is_told_in_the_words_that_make_it(given: dict[str, Any], wo
     told = [*map(str, opt.words_of(asked))]
     assert " ".join(told) == f"{words} --results results".lstrip()
     app(told, standalone_mode=False)
-    assert read[0].selection == asked.selection
+    assert read[0].query("x") == asked.query("x")
 
 
 def test_a_comparison_shows_the_outcomes_of_the_claim_on_it_first() -> None:

@@ -15,6 +15,7 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import save_page
+from pneuma.study.plan import Query
 from pneuma.study.store import Store
 
 from ..hand_made import make_id, save_listing, save_run
@@ -58,7 +59,7 @@ class HandMade:
 
     @property
     def data(self) -> StudyData:
-        return open_study(RunIndex(self.store, shipped=False), "mine")
+        return open_study(RunIndex(self.store, shipped=False), Query(study="mine"))
 
     def draw(
         self, folder: Path, formats: tuple[str, ...] = ("svg",), beside: StudyData | None = None, **how: Any

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from pneuma.analysis.run_index import RunIndex
 from pneuma.config import make_run
 from pneuma.figures.origin import Origin, read_origin
 from pneuma.figures.style import save_figure
@@ -71,34 +70,6 @@ def test_every_table_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: 
 
 def _samples(origin: Origin) -> list[tuple[str, str, str]]:
     return [(one.study, one.condition, one.seeds) for one in origin.runs]
-
-
-def test_earlier_runs_of_a_world_stand_beside_those_of_its_file_if_they_have_more_conditions(
-    tmp_path: Path,
-) -> None:
-    fresh = Store(tmp_path / "fresh")
-    of_file, earlier = "The text's world", "The text's world, one environment"
-
-    def shown_with(slots: int, names: tuple[str, ...], seed: int) -> dict[str, set[str]]:
-        """Publish runs more, and return the conditions in each column of a figure."""
-        trained = Store(tmp_path / f"trained-{seed}")
-        for run in configure(load_study("activation", "text"), {"slots": slots}, names).runs.values():
-            save_run(trained, make_run({**vars(run), "steps": run.steps_per_update, "seed": seed}), 0.5)
-        rows = [stored_row(trained, name) for name in trained.runs()]
-        about = {"study": "activation", "world": "text", "settings": {"slots": slots}}
-        fresh.write(fresh.published_path(f"table-{seed}"), encode_published(rows, about))
-        index = RunIndex(fresh, stored=False, shipped=False)
-        columns = figures.thesis_columns(index, "activation", ("tanh", "relu", "leaky-relu"))
-        return {title: {*data.runs["condition"]} for title, data in columns.items()}
-
-    assert shown_with(1, ("tanh",), 0) == {}
-    assert shown_with(1, ("relu",), 1) == {earlier: {"tanh", "relu"}}
-    assert shown_with(4, ("tanh",), 300) == {earlier: {"tanh", "relu"}}
-    assert shown_with(4, ("relu",), 301) == {of_file: {"tanh", "relu"}}
-    assert shown_with(1, ("leaky-relu",), 2) == {
-        of_file: {"tanh", "relu"},
-        earlier: {"tanh", "relu", "leaky-relu"},
-    }
 
 
 def test_what_is_drawn_no_more_is_removed_and_nothing_else(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from pneuma.presets import WORLDS
 from pneuma.search.promote import Winner, find_winners, gains, winners_study
 from pneuma.search.record import Record, Task
 from pneuma.search.spec import Budget, load_search
-from pneuma.study.plan import Plan, Selection, make_plan
+from pneuma.study.plan import Plan, Query, make_plan
 from pneuma.study.shipped import shipped_names, studies_folder
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
@@ -44,7 +44,7 @@ TUNED_ALIKE = {
 def plan(winners: list[Winner], folder: Path, seeds: tuple[int, ...] = (1000, 1001)) -> Plan:
     path = folder / "promoted.toml"
     path.write_text(winners_study(winners, seeds, winners[0].searched.budget.steps))
-    return make_plan(load_study(str(path)), Selection())
+    return make_plan(load_study(str(path)), Query())
 
 
 def ids(planned: Plan, condition: str) -> tuple[str, ...]:

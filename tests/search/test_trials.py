@@ -163,7 +163,7 @@ def test_a_run_that_diverges_after_a_pause_had_its_values_there(
     """So that what a pruner decided at the pause is decided again once the run's end is known."""
     task = make_task()
     run = task.search.make_run({"learning_rate": 1e-3, "activation": "tanh"}, steps=2048)
-    cell = Cell("trial-000", 1000, run, "0" * 16)
+    cell = Cell("trial-000", 1000, run)
     monkeypatch.setattr(Store, "status", lambda *_: Status("diverged", 250))
     monkeypatch.setattr(values, "stored_row", lambda *_: _Row("diverged"))
     monkeypatch.setattr(values, "row_until", lambda *asked: _Row(end=asked[-1]))

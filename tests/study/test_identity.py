@@ -13,7 +13,7 @@ from pneuma.engines.environment import check_environment
 from pneuma.env.load_level import LEVELS
 from pneuma.study import identity
 from pneuma.study.identity import config_id, run_id
-from pneuma.study.plan import Cell, Selection, make_plan
+from pneuma.study.plan import Cell, Query, make_plan
 from pneuma.study.spec import load_study
 
 ACTIVATION_QUICK_SEED_0 = {
@@ -30,7 +30,7 @@ UNREAD = {"momentum": 0.9, "noise": 0.01, "target_kl": 0.02, "buffer_size": 64, 
 
 
 def test_the_shipped_studys_runs_keep_their_names() -> None:
-    selection = Selection(preset="quick", seeds=(0,), settings={"slots": 1})
+    selection = Query(preset="quick", seeds=(0,), settings={"slots": 1})
     cells = make_plan(load_study("activation", "text"), selection).cells
     assert {cell.condition: cell.run_id for cell in cells} == ACTIVATION_QUICK_SEED_0
 
@@ -146,7 +146,7 @@ def test_all_files_of_a_users_own_are_found_beside_the_studys_or_else_here(
     shutil.copytree(LEVELS / "thesis", there / "isle")
 
     def cells() -> list[Cell]:
-        planned = make_plan(load_study(str(there / "own.toml"), "text"), Selection()).cells
+        planned = make_plan(load_study(str(there / "own.toml"), "text"), Query()).cells
         for cell in planned:
             check_environment(cell.run)
         return list(planned)
@@ -162,7 +162,7 @@ def test_all_files_of_a_users_own_are_found_beside_the_studys_or_else_here(
     here.parent.mkdir()
     here.write_text(OWN.partition("[conditions.other]")[0] + "[presets.quick]\nseeds = 1\nsteps = 512\n")
     monkeypatch.chdir(there)
-    (found,) = make_plan(load_study(str(here), "text"), Selection()).cells
+    (found,) = make_plan(load_study(str(here), "text"), Query()).cells
     assert found.run.level == "isle"
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from pneuma.config import as_fields
 from pneuma.errors import UserError
-from pneuma.study.plan import Selection, differing_fields, make_plan
+from pneuma.study.plan import Query, differing_fields, make_plan
 from pneuma.study.spec import Study, load_study
 
 STUDY = """\
@@ -37,7 +37,7 @@ def study(tmp_path: Path) -> Study:
 
 
 def test_cells_go_seed_by_seed_in_the_studys_order(study: Study) -> None:
-    plan = make_plan(study, Selection())
+    plan = make_plan(study, Query())
     assert [(cell.seed, cell.condition) for cell in plan.cells] == [
         (0, "adam"),
         (0, "sgd"),
@@ -50,14 +50,14 @@ def test_cells_go_seed_by_seed_in_the_studys_order(study: Study) -> None:
 
 
 def test_conditions_of_one_configuration_are_named_as_equal(study: Study) -> None:
-    plan = make_plan(study, Selection())
+    plan = make_plan(study, Query())
     assert [note for note in plan.notes if "identical settings" in note and "adam, also-adam" in note]
     first, _, third = plan.cells[:3]
     assert first.run_id == third.run_id
 
 
 def test_what_differs_between_conditions_is_told(study: Study) -> None:
-    plan = make_plan(study, Selection(conditions=("adam", "sgd")))
+    plan = make_plan(study, Query(conditions=("adam", "sgd")))
     differing = differing_fields({cell.condition: as_fields(cell.run) for cell in plan.cells})
     # Adam reads betas (0.9, 0.9) and epsilon 1e-5; SGD momentum 0 and dampening 0
     assert differing == {
@@ -75,7 +75,7 @@ def test_an_optimizer_that_the_only_possible_engine_lacks_is_refused(tmp_path: P
     path.write_text(STUDY.replace('"sgd"\n', '"upgd"\n') + '[run]\nenv = "Pendulum-v1"\n')
     study = load_study(str(path))
     with pytest.raises(UserError, match="optimizer = upgd is not allowed: the engine sb3 lacks it"):
-        make_plan(study, Selection())
+        make_plan(study, Query())
 
 
 # --- Presets of single conditions ------------------------------------------------------------------
@@ -84,11 +84,11 @@ def test_an_optimizer_that_the_only_possible_engine_lacks_is_refused(tmp_path: P
 def test_a_preset_may_say_less_for_one_condition(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(f"{STUDY}[presets.quick.conditions.sgd]\nseeds = [1]\nsteps = 1_024\n")
-    plan = make_plan(load_study(str(path)), Selection(conditions=("adam", "sgd")))
+    plan = make_plan(load_study(str(path)), Query(conditions=("adam", "sgd")))
     assert [(cell.condition, cell.seed, cell.run.steps) for cell in plan.cells] == [
         ("adam", 0, 50_176), ("adam", 1, 50_176), ("sgd", 1, 1024),
     ]  # fmt: skip
-    plan = make_plan(load_study(str(path)), Selection(seeds=(5,), steps=512, conditions=("adam", "sgd")))
+    plan = make_plan(load_study(str(path)), Query(seeds=(5,), steps=512, conditions=("adam", "sgd")))
     assert [(cell.condition, cell.seed, cell.run.steps) for cell in plan.cells] == [
         ("adam", 5, 512), ("sgd", 5, 512),
     ]  # fmt: skip

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.plan import Query, make_plan
 from pneuma.study.progress import ProgressDisplay
 from pneuma.study.spec import load_study
 from pneuma.study.store import Store
@@ -15,7 +15,7 @@ from pneuma.study.store import Store
 
 def test_no_name_reaches_the_terminal_raw(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """A condition's name may be an escape sequence that sets the window's title."""
-    plan = make_plan(load_study("activation"), Selection(seeds=(0,), conditions=("tanh",)))
+    plan = make_plan(load_study("activation"), Query(seeds=(0,), conditions=("tanh",)))
     cell = replace(plan.cells[0], condition="\x1b]0;a\x07")
     plan = replace(plan, cells=(cell,))
     with ProgressDisplay({cell.run_id: cell.run}, Store(tmp_path), quiet=False) as display:
@@ -25,7 +25,7 @@ def test_no_name_reaches_the_terminal_raw(capsys: pytest.CaptureFixture[str], tm
 
 def test_runs_that_pause_have_not_ended(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """As in the rounds of a search; by hand: of 6,144 steps, 960 are 16 %, and 3,712 are 60 %."""
-    plan = make_plan(load_study("activation"), Selection(seeds=(0, 1), steps=3072, conditions=("tanh",)))
+    plan = make_plan(load_study("activation"), Query(seeds=(0, 1), steps=3072, conditions=("tanh",)))
     first, second = plan.cells
     until = {first.run_id: 640, second.run_id: 1280}
     todo = {cell.run_id: cell.run for cell in plan.cells}

@@ -12,7 +12,7 @@ from pneuma.config import Run, make_run
 from pneuma.engines.sb3_learners import LEARNERS, arguments_of
 from pneuma.errors import UserError
 from pneuma.sb3_names import NAMES, own_fields
-from pneuma.study.plan import Selection, make_plan
+from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 
 HEAD = 'title = "Zoo"\n[run]\nenv = "CartPole-v1"\n'
@@ -36,7 +36,7 @@ def study(path: Path, run: str = CARTPOLE) -> Path:
 
 
 def runs(path: Path, **settings: Any) -> dict[str, Run]:
-    plan = make_plan(load_study(str(path)), Selection(settings=settings))
+    plan = make_plan(load_study(str(path)), Query(settings=settings))
     return {cell.condition: cell.run for cell in plan.cells}
 
 

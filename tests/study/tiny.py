@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pneuma.study.plan import Plan, Selection, make_plan
+from pneuma.study.plan import Plan, Query, make_plan
 from pneuma.study.spec import load_study
 
 TINY_RUN = """\
@@ -30,4 +30,4 @@ steps = 256
 def tiny_plan(folder: Path, **selection: Any) -> Plan:
     path = folder / "tiny.toml"
     path.write_text(TINY)
-    return make_plan(load_study(str(path)), Selection(**selection))
+    return make_plan(load_study(str(path)), Query(**selection))
