@@ -213,6 +213,7 @@ class StudyData:
 
         study = self.study
         tables = {key: of(getattr(study, key)) for key in ("conditions", "labels", "levels")}
+        tables["labels"] |= {name: label for name, label in study.labels.items() if name in names.values()}
         tables["colors"] = {names.get(name, name): colour for name, colour in study.colors.items()}
         baseline = names.get(study.baseline, next(iter(names.values())))
         runs = self.runs[self.runs["condition"].isin(names)]

@@ -170,6 +170,8 @@ class Scale(Table):
     def _not_flat(self) -> Scale:
         if self.random == self.expert:
             raise wrong(f"random and expert are both {self.random:g}: a scale needs two numbers", "expert")
+        if self.expert < self.random:
+            raise wrong(f"expert ({self.expert:g}) must be above random ({self.random:g})", "expert")
         return self
 
 
@@ -293,9 +295,10 @@ def _read_study(path: Path) -> Study:
         raise file.mistake((), "a study needs at least one condition", "conditions")
     baseline = study.baseline or next(iter(conditions))
     mentioned: list[tuple[Where, str, str]] = [((), "baseline", baseline)]
-    mentioned += [(("labels",), name, name) for name in study.labels]
-    parts = {levels.get(CONDITION) for levels in study.levels.values()}
-    mentioned += [(("colors",), name, name) for name in study.colors if name not in parts]
+    parts = {name for values in study.factors.values() for name in values}
+    parts |= {levels.get(CONDITION) for levels in study.levels.values()}
+    for key in ("labels", "colors"):
+        mentioned += [((key,), name, name) for name in getattr(study, key) if name not in parts]
     for preset, amounts in study.presets.items():
         mentioned += _mentioned_conditions(("presets", preset), amounts)
         for world in WORLDS:
@@ -359,6 +362,7 @@ def _crossed(file: TomlFile, study: Study) -> Study:
         raise file.mistake((), message, "factors")
     crossed: dict[str, dict[str, Any]] = {}
     levels: dict[str, dict[str, str]] = {}
+    labels, colors = dict(study.labels), dict(study.colors)
     baseline = study.baseline
     for names in product(*factors.values()):
         joined = ", ".join(names)
@@ -372,8 +376,19 @@ def _crossed(file: TomlFile, study: Study) -> Study:
                 raise file.mistake(("factors",), message, factor)
             crossed[joined] |= factors[factor][name]
             levels[joined][factor] = name.removeprefix(f"{factor}=")
+            if name in study.labels:
+                labels[joined] = study.labels.get(joined, ", ".join(labels.get(part, part) for part in names))
+            if name in study.colors:
+                colors[joined] = study.colors.get(joined, study.colors[name])
         baseline = joined if baseline in names else baseline
-    return study.model_copy(update={"conditions": crossed, "levels": levels, "baseline": baseline})
+    changed = {
+        "conditions": crossed,
+        "levels": levels,
+        "labels": labels,
+        "colors": colors,
+        "baseline": baseline,
+    }
+    return study.model_copy(update=changed)
 
 
 def _check_runs(file: TomlFile, study: Study) -> None:

@@ -12,6 +12,7 @@ from pneuma.config import as_fields
 from pneuma.figures.curves import curves_page, profile_page
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.summary import summary_page
+from pneuma.figures.words import styles_of
 from pneuma.study.identity import config_id, run_id
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
@@ -137,7 +138,7 @@ def test_a_profile_is_of_the_runs_of_all_environments(study: Path) -> None:
         "0 and 1 are 0 and 100 in CartPole-v1, −500 and −100 in Acrobot-v1."
         in profile_page(open_data(study), by_environment(open_data(study))).caption[0]
     )
-    told = call("study", "plot", "activation", "--figure", "profile", "--seeds", "100")
+    told = call("study", "plot", "activation", "--figure", "profile")
     assert told.code == 2
     assert "--figure profile: is over several environments; activation has one" in told.err
 
@@ -145,6 +146,23 @@ def test_a_profile_is_of_the_runs_of_all_environments(study: Path) -> None:
 def test_a_scale_of_nothing_is_refused(study: Path) -> None:
     study.write_text(TOML.replace("expert = 100", "expert = 0"))
     assert "random and expert are both 0: a scale needs two numbers" in refused("study", "summary", study)
+    study.write_text(TOML.replace("expert = 100", "expert = -5"))
+    assert "expert (-5) must be above random (0)" in refused("study", "summary", study)
+
+
+def test_factors_values_have_labels_and_colours(study: Path) -> None:
+    """Each combination has those of its parts, unless it has its own."""
+    table = '[labels]\nppo = "PPO"\n[colors]\nppo = "C3"\n"arms, ppo" = "C4"\n[presets.quick]'
+    study.write_text(TOML.replace("[presets.quick]", table))
+    data = open_data(study)
+    assert data.study.labels["pole, ppo"] == "pole, PPO"
+    colours = {name: look["color"] for name, look in styles_of(data).items()}
+    assert (colours["pole, ppo"], colours["arms, ppo"]) == ("C3", "C4")
+    pole, arms = by_environment(data).values()
+    assert [styles_of(part)["ppo"]["color"] for part in (pole, arms)] == ["C3", "C4"]
+    assert pole.study.labels["ppo"] == "PPO"
+    study.write_text(TOML.replace("[presets.quick]", '[colors]\nsac = "C3"\n[presets.quick]'))
+    assert "unknown condition 'sac'" in refused("study", "summary", study)
 
 
 def test_how_many_seeds_find_a_difference(study: Path) -> None:
