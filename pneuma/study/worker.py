@@ -1,11 +1,12 @@
-"""A worker process: trains one group of runs of a job and writes them to the store.
+"""A worker process: trains one group of runs and writes them to the store.
 
-    python -m pneuma.study.worker JOB.json INDEX [--parent PID] [--last-try] [--only RUN_ID …]
+    python -m pneuma.study.worker [--parent PID] [--last-try]
 
-With `--only` it trains these runs alone, and with `--last-try` it stores a crash. Events go out as lines of
-JSON: `step` at the start and now and then, `note` for users, `status` for those who watch, `busy` if another
-process has a run, `end` for every run. With a parent, standard input stays open: after a line `stop` the
-worker goes on to a checkpoint and ends. When it closes, because the parent has ended, it ends at once.
+The first line of its standard input is the `Job`, as JSON. With `--last-try` it stores a crash. Events go out
+as lines of JSON: `step` at the start and now and then, `note` for users, `status` for those who watch, `busy`
+if another process has a run, `end` for every run. With a parent, standard input stays open: after a line
+`stop` the worker goes on to a checkpoint and ends. When it closes, because the parent has ended, it ends at
+once.
 """
 
 from __future__ import annotations
@@ -24,7 +25,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any, TextIO
 
 from pneuma.config import Run
@@ -34,7 +34,7 @@ from pneuma.engines.records import CheckpointError
 from pneuma.errors import OwnCodeError, RunWarning, UserError
 from pneuma.files import to_json
 from pneuma.study.checkpoints import RunCheckpoints, table_files
-from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig, read_job
+from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig, Job
 from pneuma.study.identity import run_id
 from pneuma.study.live import open_log
 from pneuma.study.locks import LOCK_FILE
@@ -48,20 +48,17 @@ REPORT_SECONDS = 0.25
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m pneuma.study.worker")
-    parser.add_argument("job", type=Path)
-    parser.add_argument("index", type=int)
     parser.add_argument("--parent", type=int)
     parser.add_argument("--last-try", action="store_true")
-    parser.add_argument("--only", nargs="+", default=(), metavar="RUN_ID")
-    asked, stop = parser.parse_args(), threading.Event()
-    if asked.parent:
-        die_with(asked.parent)
+    options = parser.parse_args()
+    if options.parent:
+        die_with(options.parent)
+    job, stop = Job.from_json(sys.stdin.readline()), threading.Event()
+    if options.parent:
         threading.Thread(target=_listen, args=(sys.stdin, stop), daemon=True).start()
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what libraries print is no event
-    job = read_job(asked.job)
-    runs = {name: run for name, run in job.runs(asked.index).items() if name in asked.only or not asked.only}
-    return Worker(job.store, Reporter(events), stop, job.how, asked.last_try).train(runs)
+    return Worker(job.store, Reporter(events), stop, job.how, options.last_try).train(job.runs)
 
 
 class Reporter:

@@ -6,6 +6,7 @@ import json
 import signal
 import subprocess
 import sys
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import pytest
 from pneuma.config import Run, make_run
 from pneuma.engines.policy import POLICY_FILE
 from pneuma.study.executors import local
-from pneuma.study.executors.base import Event, ExecutorConfig
+from pneuma.study.executors.base import Event, ExecutorConfig, Job
 from pneuma.study.executors.local import Interrupts
 from pneuma.study.identity import run_id
 from pneuma.study.store import Store
@@ -74,12 +75,28 @@ def test_runs_that_a_dying_worker_had_not_come_to_keep_their_second_try(
     assert error == b"the worker process ended with code 3\nwhy\n"
 
 
+def test_a_group_is_handed_to_its_worker_without_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The temporary folder may be emptied while a study trains, and a kill would leave files there."""
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(scratch))
+    no_worker(tmp_path, monkeypatch, f"ls -A {scratch} > {tmp_path}/files\nhead -n 1 > {tmp_path}/job")
+    train(TWO, tmp_path)
+    assert (tmp_path / "files").read_text() == ""
+    job = Job.from_json((tmp_path / "job").read_text())
+    assert job.runs.items() <= TWO.items() and job.store.root == tmp_path / "results"
+
+
 # --- What workers compute with ------------------------------------------------------------------------
 
 HOSTILE = {
     "JAX_ENABLE_X64": "1", "JAX_DEFAULT_PRNG_IMPL": "rbg", "JAX_DISABLE_JIT": "1",
     "XLA_FLAGS": "--xla_nonsense=1", "NUMBA_DISABLE_JIT": "1", "OMP_NUM_THREADS": "4", "MKL_CBWR": "AVX",
     "OPENBLAS_CORETYPE": "Haswell", "TORCH_ALLOW_TF32_CUBLAS_OVERRIDE": "1", "PYTHONHASHSEED": "7",
+    "DNNL_MAX_CPU_ISA": "SSE41", "ONEDNN_DEFAULT_FPMATH_MODE": "BF16", "ATEN_CPU_CAPABILITY": "default",
+    "NOT_YET_INVENTED": "1",
 }  # fmt: skip
 """What a shell may set, by which the same run would come to other numbers."""
 
@@ -89,9 +106,12 @@ def test_a_worker_has_no_variables_that_change_numbers(
 ) -> None:
     for name, value in HOSTILE.items():
         monkeypatch.setenv(name, value)
+    monkeypatch.setenv("PNEUMA_PASS", "ROM_FOLDER,OTHER")
+    monkeypatch.setenv("ROM_FOLDER", "/roms")
     no_worker(tmp_path, monkeypatch, f"env > {tmp_path}/has\nexit 1")
     train({run_id(RUN): RUN}, tmp_path)
     has = dict(line.partition("=")[::2] for line in (tmp_path / "has").read_text().splitlines())
+    assert has["ROM_FOLDER"] == "/roms"
     known = {"JAX_DEFAULT_MATMUL_PRECISION": "highest", "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
     assert {name: value for name, value in has.items() if name in {*HOSTILE, *known}} == {
         **known, "XLA_FLAGS": local.XLA_FLAGS

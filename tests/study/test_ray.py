@@ -14,9 +14,12 @@ from pathlib import Path
 
 import pytest
 
+from pneuma.config import make_run
 from pneuma.errors import UserError
 from pneuma.study.executors import ray
+from pneuma.study.executors.base import LOCAL_CONFIG, Job
 from pneuma.study.executors.local import worker_environment
+from pneuma.study.store import Store
 
 from .begun import begin, end_begun, outcome, wait_until, write_study
 
@@ -81,7 +84,8 @@ def checkpoint_folders(folder: Path) -> set[Path]:
 
 def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="does not see /shared/results: all must share that folder"):
-        ray.train_here("/shared/results/.shared-1/job.json", 0, ray.versions(), str(tmp_path))
+        job = Job({"a0" * 8: make_run({})}, Store("/shared/results"), LOCAL_CONFIG)
+        ray.train_here(job.to_json(), ray.versions(), str(tmp_path))
 
 
 # --- Lost nodes: the other one last, because the tests before need both --------------------------------

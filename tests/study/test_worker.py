@@ -19,7 +19,7 @@ from pneuma.engines.loop import OnUpdate, Progress, Result
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import METRIC_COLUMNS, Checkpoint, Records, Row
 from pneuma.study import worker
-from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig, write_job
+from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig, Job
 from pneuma.study.executors.local import worker_environment
 from pneuma.study.identity import run_id
 from pneuma.study.rows import decode_row
@@ -109,9 +109,9 @@ def test_a_worker_leaves_within_seconds_when_its_parent_does(tmp_path: Path) -> 
     run = make_run(
         {"env": "pneuma/Mailman-v0", "engine": "tabular", "algorithm": "q-learning", "steps": 10**9}
     )
-    job = write_job(tmp_path / "job.json", [{run_id(run): run}], Store(tmp_path), LOCAL_CONFIG)
+    job = Job({run_id(run): run}, Store(tmp_path), LOCAL_CONFIG)
     process = subprocess.Popen(
-        [sys.executable, "-m", "pneuma.study.worker", str(job.path), "0", "--parent", str(os.getpid())],
+        [sys.executable, "-m", "pneuma.study.worker", "--parent", str(os.getpid())],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -119,6 +119,8 @@ def test_a_worker_leaves_within_seconds_when_its_parent_does(tmp_path: Path) -> 
     )
     try:
         assert process.stdin is not None and process.stdout is not None
+        process.stdin.write(job.to_json().encode() + b"\n")
+        process.stdin.flush()
         assert any(json.loads(line).get("step", 0) > 0 for line in process.stdout)  # it is training
         process.stdin.close()
         assert process.wait(timeout=10) != 0

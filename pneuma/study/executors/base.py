@@ -1,8 +1,6 @@
 """The interface of executors, which train groups of runs somewhere and store the results in one store.
 
-study's plan → groups of runs → a job, a file of JSON → executor → workers, each of a group → store
-
-    {"results": "…", "how": {…}, "groups": [{"RUN_ID": {FIELDS}, …}, …]}
+study's plan → groups of runs → executor → workers, each with the `Job` of a group → store
 
 Executors are modules, named in `EXECUTORS` and imported only when needed, as each has its own requirements:
 
@@ -31,15 +29,13 @@ All of them guarantee:
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from pneuma.config import Run, as_fields, make_run
-from pneuma.files import create_whole
 from pneuma.study.store import Status, Store
 
 Event = Mapping[str, Any]
@@ -77,29 +73,24 @@ LOCAL_CONFIG = ExecutorConfig()
 
 @dataclass(frozen=True)
 class Job:
-    """A job as it is read; `groups` have the fields of runs, by their ids."""
+    """A group of runs to train, by their ids. Workers and nodes get it as a line of JSON, never as a file."""
 
-    path: Path
+    runs: Mapping[str, Run]
     store: Store
     how: ExecutorConfig
-    groups: Sequence[Mapping[str, Mapping[str, Any]]]
 
-    def runs(self, index: int) -> dict[str, Run]:
-        """Return the runs of a group, by id."""
-        return {name: make_run(fields) for name, fields in self.groups[index].items()}
+    def to_json(self) -> str:
+        how = asdict(self.how)
+        for key in ("logs", "until"):  # of this group's runs alone
+            how[key] = {name: value for name, value in how[key].items() if name in self.runs}
+        fields = {name: as_fields(run) for name, run in self.runs.items()}
+        return json.dumps({"results": str(self.store.root.resolve()), "how": how, "runs": fields})
 
-
-def write_job(path: Path, groups: Sequence[Mapping[str, Run]], store: Store, how: ExecutorConfig) -> Job:
-    fields = [{name: as_fields(run) for name, run in group.items()} for group in groups]
-    document = {"results": str(store.root.resolve()), "how": asdict(how), "groups": fields}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    create_whole(path, json.dumps(document).encode())
-    return Job(path, store, how, fields)
-
-
-def read_job(path: Path) -> Job:
-    document = json.loads(path.read_bytes())
-    return Job(path, Store(document["results"]), ExecutorConfig(**document["how"]), document["groups"])
+    @classmethod
+    def from_json(cls, text: str) -> Job:
+        job = json.loads(text)
+        runs = {name: make_run(fields) for name, fields in job["runs"].items()}
+        return cls(runs, Store(job["results"]), ExecutorConfig(**job["how"]))
 
 
 def end_event(name: str, status: Status) -> Event:

@@ -31,7 +31,7 @@ from typing import Any
 from pneuma.config import Run
 from pneuma.errors import UserError, print_aside
 from pneuma.files import parse_json
-from pneuma.study.executors.base import Event, ExecutorConfig, Job, OnEvent, end_event, write_job
+from pneuma.study.executors.base import Event, ExecutorConfig, Job, OnEvent, end_event
 from pneuma.study.locks import is_held
 from pneuma.study.provenance import SOURCE, available_cores, machine
 from pneuma.study.store import Status, Store
@@ -43,15 +43,17 @@ the wait for events where the kernel gives it to a thread of a mathematical libr
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PATIENCE = 5.0
 """Seconds after a SIGTERM in which runs may go on to a checkpoint."""
-_NUMERIC = (
-    "JAX_", "XLA_", "TF_", "NUMBA_", "NPY_", "TORCH_", "PYTORCH_", "OMP_", "GOMP_", "KMP_", "OPENBLAS_",
-    "MKL_", "CUBLAS_", "CUDNN_", "NVIDIA_TF32_",
+PASSED_VARIABLES = (
+    "PATH", "HOME", "USER", "LOGNAME", "SHELL", "LANG", "TZ", "TMPDIR", "VIRTUAL_ENV", "CONDA_PREFIX",
+    "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "PYTHONDONTWRITEBYTECODE", "PYTHONPYCACHEPREFIX",
+    "DISPLAY", "WAYLAND_DISPLAY", "XAUTHORITY", "MUJOCO_GL", "PYOPENGL_PLATFORM",
+    "CUDA_VISIBLE_DEVICES", "CUDA_DEVICE_ORDER", "NVIDIA_VISIBLE_DEVICES", "JAX_PLATFORMS",
+    "XLA_PYTHON_CLIENT_MEM_FRACTION", "XLA_PYTHON_CLIENT_ALLOCATOR", "NUMBA_CACHE_DIR",
 )  # fmt: skip
-"""What variables begin with that may change numbers: a worker has none of the shell's."""
-_HARMLESS = (
-    "JAX_PLATFORMS", "NUMBA_CACHE_DIR", "XLA_PYTHON_CLIENT_MEM_FRACTION", "XLA_PYTHON_CLIENT_ALLOCATOR",
-)  # fmt: skip
-"""Of these, those that choose a device, its memory, or a folder."""
+"""The shell's variables that workers get: they name folders and devices, and change no numbers."""
+PASSED_PREFIXES = ("LC_", "XDG_", "SDL_", "PNEUMA_")
+ALSO_PASSED = "PNEUMA_PASS"
+"""A variable with the names of others that a user's own code reads, separated by commas."""
 XLA_FLAGS = (
     "--xla_cpu_multi_thread_eigen=false --xla_gpu_deterministic_ops=true "
     "intra_op_parallelism_threads=1"  # the last: it reads no flag after a word without dashes
@@ -67,9 +69,8 @@ def run_groups(
     groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
 ) -> None:
     """Train each group of runs in a process of its own; see `base`."""
-    with Interrupts() as interrupts, tempfile.TemporaryDirectory() as folder:
-        job = write_job(Path(folder) / "job.json", [*groups], store, how)
-        Supervisor(job, range(len(job.groups)), how.workers, on_event, interrupts).work()
+    with Interrupts() as interrupts:
+        Supervisor(groups, store, how, on_event, interrupts).work()
         if interrupts.count:
             raise KeyboardInterrupt
 
@@ -121,25 +122,29 @@ def say_stopping() -> None:
 
 @dataclass
 class _Task:
-    """Runs of a group of the job, by id, the number of the attempt, and whether another process has them."""
+    """Runs of a group, by id, the number of the attempt, and whether another process has them."""
 
-    index: int
     group: Mapping[str, Run]
     tries: int = 1
     busy: bool = False
 
 
 class Supervisor:
-    """Keeps workers busy until all of some groups of a job have ended.
+    """Keeps `how.workers` workers busy until all runs of some groups have ended.
 
     After the first of `interrupts` every run goes on to a checkpoint; after the second all end at once.
     """
 
     def __init__(
-        self, job: Job, indices: Iterable[int], workers: int, on_event: OnEvent, interrupts: Interrupts
+        self,
+        groups: Iterable[Mapping[str, Run]],
+        store: Store,
+        how: ExecutorConfig,
+        on_event: OnEvent,
+        interrupts: Interrupts,
     ) -> None:
-        self._tasks = [_Task(index, job.runs(index)) for index in indices]
-        self._job, self._store, self._workers_at_once, self._on_event = job, job.store, workers, on_event
+        self._tasks = [_Task(group) for group in groups]
+        self._store, self._how, self._on_event = store, how, on_event
         self._interrupts, self._heeded = interrupts, 0
         self._selector = selectors.DefaultSelector()
 
@@ -172,13 +177,14 @@ class Supervisor:
 
     def _start_pending(self) -> None:
         for task in [*self._tasks]:
-            if len(self._workers()) >= self._workers_at_once:
+            if len(self._workers()) >= self._how.workers:
                 return
             if task.busy and is_held(self._store.run_folder(next(iter(task.group)))):
                 continue  # a worker would cost half a second to find that out
             self._tasks.remove(task)
-            worker = _Worker(task, self._job)
+            worker = _Worker(task)
             self._selector.register(worker.events, selectors.EVENT_READ, worker)
+            worker.tell(Job(task.group, self._store, self._how).to_json())
 
     def _read(self, worker: _Worker) -> None:
         """Read one event line of a worker, or notice that it has ended."""
@@ -210,15 +216,15 @@ class Supervisor:
         for name, run in task.group.items():
             event, alone = worker.outcome.get(name), {name: run}  # alone, to affect no other run
             if event and event["event"] == "busy":
-                self._tasks += [] if stopped else [_Task(task.index, alone, task.tries, busy=True)]
+                self._tasks += [] if stopped else [_Task(alone, task.tries, busy=True)]
             elif event and event["status"] != "crashed":
                 continue
             elif stopped:
                 self._on_event(event or end_event(name, Status("stopped")))
             elif not event and name != silent[0]:  # groups are trained in order: it had not begun
-                self._tasks.append(_Task(task.index, alone, task.tries))
+                self._tasks.append(_Task(alone, task.tries))
             elif task.tries < TRIES and not (event and event.get("final")):
-                self._tasks.append(_Task(task.index, alone, task.tries + 1))
+                self._tasks.append(_Task(alone, task.tries + 1))
                 why = f"crashed ({event['reason']})" if event else _reason(code)
                 self._note(name, f"{why}; tried once more")
             elif event:
@@ -262,13 +268,13 @@ class _Worker(subprocess.Popen[bytes]):
         events: its lines.
     """
 
-    def __init__(self, task: _Task, job: Job) -> None:
+    def __init__(self, task: _Task) -> None:
         self.task = task
         self.outcome: dict[str, Event] = {}
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the process is buried)
-        last_try = ["--last-try"] * (task.tries == TRIES)
-        command = [sys.executable, "-P", "-m", "pneuma.study.worker", str(job.path), str(task.index)]
-        command += ["--parent", str(os.getpid()), *last_try, "--only", *task.group]
+        command = [sys.executable, "-P", "-m", "pneuma.study.worker", "--parent", str(os.getpid())]
+        if task.tries == TRIES:
+            command.append("--last-try")
         # Inherited by the worker: a shutdown or a queue sends SIGTERM to all processes, and workers learn of
         # it from their parent.
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
@@ -288,8 +294,10 @@ class _Worker(subprocess.Popen[bytes]):
         self._orders, self.events = self.stdin, self.stdout
 
     def tell(self, line: str) -> None:
+        data = line.encode() + b"\n"
         with suppress(BrokenPipeError):  # it has ended; reading from it will show that
-            self._orders.write(line.encode() + b"\n")
+            while data:  # a signal may come in between
+                data = data[self._orders.write(data) :]
 
     def wait_and_read_stderr(self) -> tuple[int, bytes]:
         code = self.wait()
@@ -303,7 +311,8 @@ class _Worker(subprocess.Popen[bytes]):
 def worker_environment() -> dict[str, str]:
     """Return environment variables for a child process that computes alike anywhere, on one thread.
 
-    It imports this code. None of the shell's variables that could change numbers reaches it.
+    It imports this code. Of the shell's variables it gets those that are known to change no numbers, and
+    those that the user names.
     """
     path = os.pathsep.join(filter(None, [str(SOURCE), os.environ.get("PYTHONPATH", "")]))
     added = {
@@ -316,12 +325,12 @@ def worker_environment() -> dict[str, str]:
         "PYTHONHASHSEED": "0",  # a user's own code may iterate over sets
         "PYTHONPATH": path,
     }
-    kept = {
-        name: value
-        for name, value in os.environ.items()
-        if name in _HARMLESS or not name.startswith(_NUMERIC)
-    }
-    return {**kept, **dict.fromkeys(_ONE_THREAD, "1"), **added}
+    names = {*PASSED_VARIABLES, *os.environ.get(ALSO_PASSED, "").split(",")}
+    passed = {}
+    for name, value in os.environ.items():
+        if name in names or name.startswith(PASSED_PREFIXES):
+            passed[name] = value
+    return {**passed, **dict.fromkeys(_ONE_THREAD, "1"), **added}
 
 
 def prepare_node() -> None:

@@ -1,6 +1,6 @@
 """The Ray executor: groups of runs are tasks of a Ray cluster, on a results folder that all nodes share.
 
-    groups → job.json → Ray → `train_here` on a node: workers, supervised as on this machine → results folder
+    groups → Ray → `train_here` on a node: workers, supervised as on this machine → results folder
     this command ← the state of runs in the results folder
 
 Pneuma's code is sent to the nodes with the task. The packages that it computes with must be installed there
@@ -15,15 +15,14 @@ import socket
 import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import chdir, suppress
+from dataclasses import replace
 from functools import cache
 from importlib.util import find_spec
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from pneuma.config import Run
 from pneuma.errors import UserError, install_extra
-from pneuma.study.executors.base import ExecutorConfig, OnEvent, end_event, read_job, write_job
+from pneuma.study.executors.base import ExecutorConfig, Job, OnEvent, end_event
 from pneuma.study.executors.local import Interrupts, Supervisor, prepare_node, say_stopping
 from pneuma.study.provenance import CARRIED_CODE, SOURCE, available_cores, code, machine
 from pneuma.study.store import Status, Store
@@ -54,26 +53,26 @@ def run_groups(
 ) -> None:
     """Train each group of runs on a node; see `base`. Raises UserError if one cannot train them."""
     store.root.mkdir(parents=True, exist_ok=True)
-    waiting, shared = [*enumerate(groups)], TemporaryDirectory(dir=store.root, prefix=".shared-")
-    left = {name for _, group in waiting for name in group}
-    with Interrupts() as interrupts, shared as folder:
+    waiting = [*groups]
+    left = {name for group in waiting for name in group}
+    with Interrupts() as interrupts:
         join(how.address)  # within `Interrupts`: Ctrl-C would break the start of Ray
         if interrupts.count:
             raise KeyboardInterrupt
         import ray
 
-        job = write_job(Path(folder).resolve() / "job.json", [group for _, group in waiting], store, how)
         told = versions(), os.getcwd()
         start = ray.remote(num_cpus=1, max_calls=1, max_retries=1)(train_here).remote
-        tasks: dict[Any, tuple[int, Mapping[str, Run]]] = {}
+        tasks: dict[Any, Mapping[str, Run]] = {}
         may_restart = how.address is None
 
         def live() -> dict[str, str]:
             """Return the runs of tasks that have not ended, with where they are, and keep those tasks."""
             nonlocal may_restart
             while waiting and len(tasks) < how.workers:
-                index, group = waiting.pop(0)
-                tasks[start(str(job.path), index, *told)] = index, group
+                group = waiting.pop(0)
+                job = Job(group, store, replace(how, workers=1))
+                tasks[start(job.to_json(), *told)] = group
             ended = ray.wait([*tasks], num_returns=len(tasks), timeout=0)[0] if tasks else []
             if may_restart and any(map(_lost_with_cluster, ended)):
                 may_restart, ended = False, []
@@ -87,8 +86,8 @@ def run_groups(
                 _stop([*tasks], interrupts)
                 raise KeyboardInterrupt
             return {
-                **{name: "job is waiting" for _, group in waiting for name in group},
-                **{name: "job is in the cluster" for _, group in tasks.values() for name in group},
+                **{name: "job is waiting" for group in waiting for name in group},
+                **{name: "job is in the cluster" for group in tasks.values() for name in group},
             }
 
         try:
@@ -212,8 +211,8 @@ def join(address: str | None) -> None:
 # --- On a node ----------------------------------------------------------------------------------------
 
 
-def train_here(path: str, index: int, wanted: Mapping[str, str], folder: str) -> None:
-    """Train a group of a job on the node that Ray calls this on, if it has the `wanted` versions.
+def train_here(text: str, wanted: Mapping[str, str], folder: str) -> None:
+    """Train a job, as JSON, on the node that Ray calls this on, if it has the `wanted` versions.
 
     Users' rewards and levels are read from `folder`, the command's current one.
     """
@@ -221,15 +220,18 @@ def train_here(path: str, index: int, wanted: Mapping[str, str], folder: str) ->
     lacking = [f"{name} {version}" for name, version in wanted.items() if installed.get(name) != version]
     if lacking:
         raise UserError(f"--executor ray: the node {node} lacks {', '.join(lacking)}")
-    if not Path(path).exists():
-        results = Path(path).parent.parent
-        raise UserError(f"--executor ray: the node {node} does not see {results}: all must share that folder")
+    job = Job.from_json(text)
+    folders = [job.store.run_folder(name) for name in job.runs]
+    if not all((run / "status.json").exists() for run in folders):  # the command has noted all runs there
+        raise UserError(
+            f"--executor ray: the node {node} does not see {job.store.root}: all must share that folder"
+        )
     die_with(os.getppid())  # Ray's own process here
     with suppress(OSError):
         os.chdir(folder)
     prepare_node()
     with Interrupts([signal.SIGINT]) as interrupts:  # as `ray.cancel` does
-        Supervisor(read_job(Path(path)), [index], 1, lambda event: None, interrupts).work()
+        Supervisor([job.runs], job.store, job.how, lambda event: None, interrupts).work()
 
 
 def versions() -> dict[str, str]:
