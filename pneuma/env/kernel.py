@@ -54,29 +54,33 @@ def _run_worlds(handle: Any, actions: Any, work: int) -> int:
             events, until it is reset.
         work: `RESET`; or `STEP`, `RECORD` what the step paid, or both.
     """
-    s = open_state(handle)
-    taken = array_at(actions, (s.players.shape[0], s.players.shape[1]))
+    state = open_state(handle)
+    players = state.players.shape[1]
+    step_actions = array_at(actions, (state.players.shape[0], players))
     ended = 0
-    for w in range(s.worlds.shape[0]):
+    for world_index in range(state.worlds.shape[0]):
+        world = state.worlds[world_index]
         if work & STEP:
-            for p in range(s.players.shape[1]):
-                s.events[w, p] = s.no_events[0]
-                s.slots[w, p].ending = RUNNING
-            if s.worlds[w].ending != RUNNING:
+            for player_index in range(players):
+                state.events[world_index, player_index] = state.no_events[0]
+                state.slots[world_index, player_index].ending = RUNNING
+            if world.ending != RUNNING:
                 continue
-            ended += step_world(s, w, taken)
-        elif work == RESET and s.begins[w] != GO_ON:
-            begin_episode(s, w, s.begins[w])
+            ended += step_world(state, world_index, step_actions)
+        elif work == RESET and state.begins[world_index] != GO_ON:
+            begin_episode(state, world_index, state.begins[world_index])
         if work != RECORD:
-            tell = work & STEP or s.worlds[w].ending == RUNNING
-            for p in range(s.players.shape[1]):
-                observe_player(s, w, p, tell)
+            notes_distance = work & STEP or world.ending == RUNNING
+            for player_index in range(players):
+                observe_player(state, world_index, player_index, notes_distance)
         if work & STEP:
-            for p in range(s.players.shape[1]):
-                if s.events[w, p].present > 0:
-                    write_reward(s.players[w, p], s.player_stats[p], s.events[w, p])
-            if s.settings[0].shared_reward:
-                share_reward(s.events[w])
+            for player_index in range(players):
+                event = state.events[world_index, player_index]
+                if event.present > 0:
+                    player = state.players[world_index, player_index]
+                    write_reward(player, state.player_stats[player_index], event)
+            if state.settings[0].shared_reward:
+                share_reward(state.events[world_index])
         if work & RECORD:
-            record_step(s, w, taken)
+            record_step(state, world_index, step_actions)
     return ended

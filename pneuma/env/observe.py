@@ -14,204 +14,246 @@ from pneuma.env.state import Array, State
 
 
 @inlined_early
-def observe_player(s: State, w: int, p: int, tell: bool) -> None:
+def observe_player(state: State, world_index: int, player_index: int, notes_distance: bool) -> None:
     """Write a player's observation and action mask; `layouts.py` has the layouts.
 
-    `tell` says whether to write the nearest monster's distance to the events, which an ended world does not
-    do.
+    `notes_distance` says whether to write the nearest monster's distance to the events, which an ended world
+    does not do.
     """
-    count = _order_monsters(s, w, p, tell)
-    out = s.observations[w, p]
-    at = _write_player(s, w, p, out)
-    for i in range(count):
-        at = _write_monster(s, w, p, i, out, at)
-    if s.settings[0].rays > 0:
-        at = _write_rays(s, w, p, out, at)
-    for rest in range(at, len(out)):
-        out[rest] = 0.0
-    _mask_actions(s, w, p)
+    perceived = _order_monsters(state, world_index, player_index, notes_distance)
+    numbers = state.observations[world_index, player_index]
+    column = _write_player(state, world_index, player_index, numbers)
+    for rank in range(perceived):
+        column = _write_monster(state, world_index, player_index, rank, numbers, column)
+    if state.settings[0].rays > 0:
+        column = _write_rays(state, world_index, player_index, numbers, column)
+    for empty_column in range(column, len(numbers)):
+        numbers[empty_column] = 0.0
+    _mask_actions(state, world_index, player_index)
 
 
 @inlined
-def _order_monsters(s: State, w: int, p: int, tell: bool) -> int:
+def _order_monsters(state: State, world_index: int, player_index: int, notes_distance: bool) -> int:
     """List in `scratch` the monsters that a player perceives, with distances; return their number.
 
     The nearest come first, ties by index, without the dead. In fixed order the same monsters are listed by
     index, and the dead fill the remaining rows, infinitely far away.
     """
-    player = s.players[w, p]
-    fixed = s.settings[0].fixed_order
+    player = state.players[world_index, player_index]
+    fixed_order = state.settings[0].fixed_order
     nearest = math.inf
-    count: Any = np.int64(0)
-    for m in range(s.monsters.shape[1]):
-        monster = s.monsters[w, m]
-        length = math.inf
+    listed: Any = np.int64(0)
+    for monster_index in range(state.monsters.shape[1]):
+        monster = state.monsters[world_index, monster_index]
+        distance = math.inf
         if monster.hp > 0.0:
             x = monster.x - player.x
             y = monster.y - player.y
-            length = math.sqrt(x * x + y * y)
-            nearest = min(nearest, length)
-        if fixed or length < math.inf:
-            _insert(s.scratch, count, m, length, False)
-            count += 1
-    if tell:
-        s.events[w, p].distance = nearest
-    count = min(count, s.settings[0].perceived)
-    if fixed:
-        for i in range(count):
-            _insert(s.scratch, i, s.scratch[i].order, s.scratch[i].distance, True)
-    return count
+            distance = math.sqrt(x * x + y * y)
+            nearest = min(nearest, distance)
+        if fixed_order or distance < math.inf:
+            _insert_by_distance(state.scratch, listed, monster_index, distance)
+            listed += 1
+    if notes_distance:
+        state.events[world_index, player_index].distance = nearest
+    listed = min(listed, state.settings[0].perceived)
+    if fixed_order:
+        for rank in range(listed):
+            _insert_by_index(state.scratch, rank, state.scratch[rank].order, state.scratch[rank].distance)
+    return listed
 
 
 @inlined
-def _insert(scratch: Array, count: int, order: int, distance: float, by_index: bool) -> None:
-    """Insert into the first `count` of `scratch`, nearest first, behind equals; or by index.
+def _insert_by_distance(scratch: Array, listed: int, monster_index: int, distance: float) -> None:
+    """Insert into the first `listed` of `scratch`, nearest first, behind equals.
 
     An insertion sort: for 14 items it is several times faster than numpy.argsort.
     """
-    i = count
-    while i > 0 and (scratch[i - 1].order > order if by_index else scratch[i - 1].distance > distance):
-        scratch[i].order = scratch[i - 1].order
-        scratch[i].distance = scratch[i - 1].distance
-        i -= 1
-    scratch[i].order = order
-    scratch[i].distance = distance
+    rank = listed
+    while rank > 0 and scratch[rank - 1].distance > distance:
+        scratch[rank].order = scratch[rank - 1].order
+        scratch[rank].distance = scratch[rank - 1].distance
+        rank -= 1
+    scratch[rank].order = monster_index
+    scratch[rank].distance = distance
 
 
 @inlined
-def _write_player(s: State, w: int, p: int, out: Array) -> int:
+def _insert_by_index(scratch: Array, listed: int, monster_index: int, distance: float) -> None:
+    """Do the same in the order of indices."""
+    rank = listed
+    while rank > 0 and scratch[rank - 1].order > monster_index:
+        scratch[rank].order = scratch[rank - 1].order
+        scratch[rank].distance = scratch[rank - 1].distance
+        rank -= 1
+    scratch[rank].order = monster_index
+    scratch[rank].distance = distance
+
+
+@inlined
+def _write_player(state: State, world_index: int, player_index: int, numbers: Array) -> int:
     """Write what a player observes of itself; return how many numbers that is."""
-    settings = s.settings[0]
-    player = s.players[w, p]
-    hp = player.hp * s.player_stats[p].hp_scale
-    out[0] = (player.x - settings.middle_x) * settings.scale_x
-    out[1] = (player.y - settings.middle_y) * settings.scale_y
+    settings = state.settings[0]
+    player = state.players[world_index, player_index]
+    player_stats = state.player_stats[player_index]
+    hp = player.hp * player_stats.hp_scale
+    numbers[0] = (player.x - settings.middle_x) * settings.scale_x
+    numbers[1] = (player.y - settings.middle_y) * settings.scale_y
     if settings.layout != LAYOUT_PYGAME:
-        out[2] = hp
-        out[3] = player.xp * settings.xp_scale
-        at = 4
+        numbers[2] = hp
+        numbers[3] = player.xp * settings.xp_scale
+        column = 4
     else:
-        out[2] = (player.facing == rules.RIGHT) - (player.facing == rules.LEFT)
-        out[3] = (player.facing == rules.DOWN) - (player.facing == rules.UP)
-        out[4] = hp
-        out[5] = player.energy * s.player_stats[p].energy_scale
-        at = 6
+        numbers[2] = (player.facing == rules.RIGHT) - (player.facing == rules.LEFT)
+        numbers[3] = (player.facing == rules.DOWN) - (player.facing == rules.UP)
+        numbers[4] = hp
+        numbers[5] = player.energy * player_stats.energy_scale
+        column = 6
     if settings.observe_facing:
         for facing in range(4):
-            out[at + facing] = player.facing == facing
-        at += 4
-    return at
+            numbers[column + facing] = player.facing == facing
+        column += 4
+    return column
 
 
 @inlined
-def _write_monster(s: State, w: int, p: int, i: int, out: Array, at: int) -> int:
-    """Write the `i`-th monster of `scratch` from place `at` on; return where the next one begins.
+def _write_monster(
+    state: State, world_index: int, player_index: int, rank: int, numbers: Array, column: int
+) -> int:
+    """Write a monster, by its rank in `scratch`, from a column on; return where the next one begins.
 
     The row of a dead monster is zero: its HP are, and the rest is because it is infinitely far away. In the
     published code's layout it stays where it died.
     """
-    settings = s.settings[0]
-    player = s.players[w, p]
-    monster = s.monsters[w, s.scratch[i].order]
-    kind = s.monster_stats[s.worlds[w].level, s.scratch[i].order]
-    hp = monster.hp * kind.hp_scale
+    settings = state.settings[0]
+    monster_index = state.scratch[rank].order
+    player = state.players[world_index, player_index]
+    monster = state.monsters[world_index, monster_index]
+    monster_stats = state.monster_stats[state.worlds[world_index].level, monster_index]
+    hp = monster.hp * monster_stats.hp_scale
     x = monster.x - player.x
     y = monster.y - player.y
     if settings.layout == LAYOUT_GODOT:
-        length = math.sqrt(x * x + y * y)
-        inverse = 1.0 / length if length > 0.0 else 0.0
-        out[at] = (monster.x - settings.middle_x) * settings.scale_x
-        out[at + 1] = (monster.y - settings.middle_y) * settings.scale_y
-        out[at + 2] = hp
-        out[at + 3] = (player.x - monster.x) * inverse
-        out[at + 4] = (player.y - monster.y) * inverse
-        return at + 5
-    length = s.scratch[i].distance
-    inverse = 1.0 / length if length > 0.0 else 0.0
-    alive = length < math.inf
-    out[at] = length * kind.distance_scale if alive else 0.0
-    out[at + 1] = x * inverse
-    out[at + 2] = y * inverse
-    out[at + 3] = hp
+        inverse = _inverse(math.sqrt(x * x + y * y))
+        numbers[column] = (monster.x - settings.middle_x) * settings.scale_x
+        numbers[column + 1] = (monster.y - settings.middle_y) * settings.scale_y
+        numbers[column + 2] = hp
+        numbers[column + 3] = (player.x - monster.x) * inverse
+        numbers[column + 4] = (player.y - monster.y) * inverse
+        return column + 5
+    distance = state.scratch[rank].distance
+    inverse = _inverse(distance)
+    numbers[column] = 0.0
+    if distance < math.inf:
+        numbers[column] = distance * monster_stats.distance_scale
+    numbers[column + 1] = x * inverse
+    numbers[column + 2] = y * inverse
+    numbers[column + 3] = hp
     if settings.layout == LAYOUT_THESIS:
-        return at + 4
-    out[at + 4] = kind.xp * kind.xp_scale if alive else 0.0
-    return at + 5
+        return column + 4
+    numbers[column + 4] = 0.0
+    if distance < math.inf:
+        numbers[column + 4] = monster_stats.xp * monster_stats.xp_scale
+    return column + 5
+
+
+@inlined
+def _inverse(distance: float) -> float:
+    """Return one over a distance; 0 if that is 0."""
+    if distance > 0.0:
+        return 1.0 / distance
+    return 0.0
 
 
 @kernel
-def _write_rays(s: State, w: int, p: int, out: Array, at: int) -> int:
-    """Write what each ray of a player meets first, from place `at` on; return where the last one ends.
+def _write_rays(state: State, world_index: int, player_index: int, numbers: Array, column: int) -> int:
+    """Write what each ray of a player meets first, from a column on; return where the last one ends.
 
     At equal distances the first thing counts: monsters by index, then players, then terrain.
     """
-    settings = s.settings[0]
-    player = s.players[w, p]
-    monsters = s.monsters.shape[1]
+    settings = state.settings[0]
+    player = state.players[world_index, player_index]
+    level = state.worlds[world_index].level
+    monsters = state.monsters.shape[1]
     for ray in range(settings.rays):
-        dx, dy = settings.ray_x[ray], settings.ray_y[ray]
-        distance = math.inf
-        met = 0
-        for body in range(monsters + s.players.shape[1]):
-            if body != monsters + p and rules.is_alive(s, w, body):
-                near = _distance_to_body(s, w, body, player.x, player.y, dx, dy)
-                if near < distance:
-                    distance = near
-                    met = 2 + s.monster_stats[s.worlds[w].level, body].sight if body < monsters else 1
-        near = _distance_to_terrain(s, w, player.x, player.y, dx, dy)
-        if near < distance:
-            distance = near
-            met = 0
-        out[at] = distance * settings.ray_scale
-        for thing in range(2 + settings.sights):
-            out[at + 1 + thing] = thing == met
-        at += 3 + settings.sights
-    return at
+        dx = settings.ray_x[ray]
+        dy = settings.ray_y[ray]
+        nearest = math.inf
+        sight = 0  # terrain
+        for body_index in range(monsters + state.players.shape[1]):
+            if body_index != monsters + player_index and rules.is_alive(state, world_index, body_index):
+                distance = _distance_to_body(state, world_index, body_index, player.x, player.y, dx, dy)
+                if distance < nearest:
+                    nearest = distance
+                    sight = 1  # another player
+                    if body_index < monsters:
+                        sight = 2 + state.monster_stats[level, body_index].sight
+        distance = _distance_to_terrain(state, world_index, player.x, player.y, dx, dy)
+        if distance < nearest:
+            nearest = distance
+            sight = 0
+        numbers[column] = nearest * settings.ray_scale
+        for possible_sight in range(2 + settings.sights):
+            numbers[column + 1 + possible_sight] = possible_sight == sight
+        column += 3 + settings.sights
+    return column
 
 
 @inlined
-def _distance_to_body(s: State, w: int, body: int, x: float, y: float, dx: float, dy: float) -> float:
+def _distance_to_body(
+    state: State, world_index: int, body_index: int, x: float, y: float, dx: float, dy: float
+) -> float:
     """Return the distance at which a ray enters a body; a ray that only touches it passes by."""
-    middle_x, middle_y, half_width, half_height = rules.box(s, w, body)
+    middle_x, middle_y, half_width, half_height = rules.box(state, world_index, body_index)
     enters_x, leaves_x = _between(middle_x - half_width - x, middle_x + half_width - x, dx)
     enters_y, leaves_y = _between(middle_y - half_height - y, middle_y + half_height - y, dy)
     enters = max(enters_x, enters_y, 0.0)
-    return enters if enters < min(leaves_x, leaves_y) else math.inf
+    if enters < min(leaves_x, leaves_y):
+        return enters
+    return math.inf
 
 
 @inlined
-def _between(low: float, high: float, way: float) -> tuple[float, float]:
-    """Return when a point, from 0 with velocity `way`, enters and leaves the space between two lines."""
-    if way > 0.0:
-        return low / way, high / way
-    if way < 0.0:
-        return high / way, low / way
-    return (-math.inf, math.inf) if low < 0.0 < high else (math.inf, -math.inf)
+def _between(low: float, high: float, velocity: float) -> tuple[float, float]:
+    """Return when a point, which starts from 0, enters and leaves the space between two lines."""
+    if velocity > 0.0:
+        return low / velocity, high / velocity
+    if velocity < 0.0:
+        return high / velocity, low / velocity
+    if low < 0.0 < high:
+        return -math.inf, math.inf
+    return math.inf, -math.inf
 
 
 @inlined
-def _distance_to_terrain(s: State, w: int, x: float, y: float, dx: float, dy: float) -> float:
+def _distance_to_terrain(state: State, world_index: int, x: float, y: float, dx: float, dy: float) -> float:
     """Return the distance at which a ray meets a tile that stops players.
 
     It passes a corner only between two open tiles.
     """
-    settings = s.settings[0]
-    level = s.worlds[w].level
+    settings = state.settings[0]
+    level = state.worlds[world_index].level
     stops = settings.player_stops
     column = math.floor((x - settings.left) / settings.tile)
     row = math.floor((y - settings.top) / settings.tile)
-    step_x = 1 if dx > 0.0 else -1
-    step_y = 1 if dy > 0.0 else -1
+    step_x = -1
+    if dx > 0.0:
+        step_x = 1
+    step_y = -1
+    if dy > 0.0:
+        step_y = 1
     distance = 0.0
-    while not rules.blocked(s.terrain, level, column, row, stops):
-        line_x = settings.left + (column + (dx > 0.0)) * settings.tile
-        line_y = settings.top + (row + (dy > 0.0)) * settings.tile
-        to_x = (line_x - x) / dx if dx != 0.0 else math.inf
-        to_y = (line_y - y) / dy if dy != 0.0 else math.inf
+    while not rules.blocked(state.terrain, level, column, row, stops):
+        to_x = math.inf
+        if dx != 0.0:
+            to_x = (settings.left + (column + (dx > 0.0)) * settings.tile - x) / dx
+        to_y = math.inf
+        if dy != 0.0:
+            to_y = (settings.top + (row + (dy > 0.0)) * settings.tile - y) / dy
         distance = max(min(to_x, to_y), 0.0)
         if to_x == to_y and (
-            rules.blocked(s.terrain, level, column + step_x, row, stops)
-            or rules.blocked(s.terrain, level, column, row + step_y, stops)
+            rules.blocked(state.terrain, level, column + step_x, row, stops)
+            or rules.blocked(state.terrain, level, column, row + step_y, stops)
         ):
             break
         column += step_x * (to_x <= to_y)
@@ -220,31 +262,33 @@ def _distance_to_terrain(s: State, w: int, x: float, y: float, dx: float, dy: fl
 
 
 @inlined
-def _mask_actions(s: State, w: int, p: int) -> None:
+def _mask_actions(state: State, world_index: int, player_index: int) -> None:
     """Write which actions would have an effect in the next step.
 
     While an attack lasts through the whole step no action does anything; then only attack counts as allowed.
     Also without effect are walking against a wall that the player already faces, and a spell without enough
     energy.
     """
-    player = s.players[w, p]
-    stats = s.player_stats[p]
-    free = player.busy < s.settings[0].ticks
-    for a in range(4):
-        s.masks[w, p, a] = free
-    s.masks[w, p, player.facing] = free and _may_walk(s, w, p)
-    s.masks[w, p, rules.ATTACK] = 1
-    if s.settings[0].magic:
+    player = state.players[world_index, player_index]
+    player_stats = state.player_stats[player_index]
+    ticks = state.settings[0].ticks
+    mask = state.masks[world_index, player_index]
+    is_free = player.busy < ticks
+    for facing in range(4):
+        mask[facing] = is_free
+    mask[player.facing] = is_free and _may_walk(state, world_index, player_index)
+    mask[rules.ATTACK] = 1
+    if state.settings[0].magic:
         energy = player.energy
-        for _ in range(s.settings[0].ticks - 1):  # a spell may begin up to the step's last tick
-            energy = min(energy + stats.energy_gain, stats.energy)
-        s.masks[w, p, rules.FLAME] = free and energy >= stats.flame_cost
-        s.masks[w, p, rules.HEAL] = free and energy >= stats.heal_cost
+        for _ in range(ticks - 1):  # a spell may begin up to the step's last tick
+            energy = min(energy + player_stats.energy_gain, player_stats.energy)
+        mask[rules.FLAME] = is_free and energy >= player_stats.flame_cost
+        mask[rules.HEAL] = is_free and energy >= player_stats.heal_cost
 
 
 @inlined
-def _may_walk(s: State, w: int, p: int) -> bool:
+def _may_walk(state: State, world_index: int, player_index: int) -> bool:
     """Return whether terrain lets a player walk on for a tick; bodies are ignored, as they may move."""
-    player = s.players[w, p]
-    x, y = rules.ahead(s, w, p, False)
+    player = state.players[world_index, player_index]
+    x, y = rules.ahead(state, world_index, player_index, False)
     return x != player.x or y != player.y

@@ -48,16 +48,13 @@ def present(events: np.ndarray) -> np.ndarray:
 
 
 def custom_rewards(
-    function: RewardFunction, name: str, events: np.ndarray, players: np.ndarray, stats: np.ndarray
+    function: RewardFunction, name: str, events: np.ndarray, players: np.ndarray, player_stats: np.ndarray
 ) -> np.ndarray:
     """Call a user's reward and check its result: (N, P) numbers, finite for living players."""
     try:
-        rewards = np.asarray(function(events, players, stats), np.float64)
+        rewards = np.asarray(function(events, players, player_stats), np.float64)
     except (Exception, SystemExit) as error:  # whatever a user's function does
-        said = f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
-        frames = traceback.extract_tb(error.__traceback__)[1:2]  # the function's own, unless it is compiled
-        where = [f"{frame.filename}, line {frame.lineno}: " for frame in frames]
-        raise OwnCodeError(f"reward {name!r}: {''.join(where)}{said}") from error
+        raise OwnCodeError(f"reward {name!r}: {_place(error)}{_description(error)}") from error
     if rewards.shape != events.shape:
         raise _refusal(function, name, f"returned shape {rewards.shape}, where {events.shape} was asked for")
     rewards = np.where(present(events), rewards, 0.0)
@@ -69,26 +66,45 @@ def custom_rewards(
     return rewards
 
 
+def _description(error: BaseException) -> str:
+    """Return the kind of an error and its message, if it has one, in one line."""
+    message = " ".join(str(error).split())
+    if message:
+        return f"{type(error).__name__}: {message}"
+    return type(error).__name__
+
+
+def _place(error: BaseException) -> str:
+    """Return file and line of the user's function in which an error was raised; empty if it is compiled."""
+    frames = traceback.extract_tb(error.__traceback__)
+    if len(frames) < 2:
+        return ""
+    return f"{frames[1].filename}, line {frames[1].lineno}: "
+
+
 def _refusal(function: RewardFunction, name: str, problem: str) -> UserError:
     code = getattr(function, "__code__", None)
-    where = f"{code.co_filename}, line {code.co_firstlineno}: " if code else ""
-    return UserError(f"reward {name!r}: {where}{problem}")
+    if code is None:
+        return UserError(f"reward {name!r}: {problem}")
+    return UserError(f"reward {name!r}: {code.co_filename}, line {code.co_firstlineno}: {problem}")
 
 
 # --- The named formulas (compiled) -----------------------------------------------------------------
 
 
 @inlined
-def write_reward(player: Array, stats: Array, event: Array) -> None:
+def write_reward(player: Array, player_stats: Array, event: Array) -> None:
     """Write a player's reward by its formula."""
-    if stats.reward == THESIS:
-        event.reward = player.xp - player.hp / stats.hp
-    elif stats.reward == PYGAME:
-        event.reward = player.xp + player.hp / stats.hp
-    elif stats.reward == KILLS:
-        event.reward = event.xp_gained - event.hp_lost / stats.hp
-    elif stats.reward == SIGMOID:
+    formula = player_stats.reward
+    if formula == THESIS:
+        event.reward = player.xp - player.hp / player_stats.hp
+    elif formula == PYGAME:
+        event.reward = player.xp + player.hp / player_stats.hp
+    elif formula == KILLS:
+        event.reward = event.xp_gained - event.hp_lost / player_stats.hp
+    elif formula == SIGMOID:
         event.reward = event.xp_gained + _closeness(event.distance)
+    # Godot's has been kept event by event by the rules; a user's own is computed outside.
     # Godot's has been kept event by event by the rules; a user's own is computed outside.
 
 
@@ -96,11 +112,11 @@ def write_reward(player: Array, stats: Array, event: Array) -> None:
 def share_reward(events: Array) -> None:
     """Give each player who was there the mean of all players' rewards."""
     total = 0.0
-    for p in range(len(events)):
-        total += events[p].reward
-    for p in range(len(events)):
-        if events[p].present > 0:
-            events[p].reward = total / len(events)
+    for player_index in range(len(events)):
+        total += events[player_index].reward
+    for player_index in range(len(events)):
+        if events[player_index].present > 0:
+            events[player_index].reward = total / len(events)
 
 
 @inlined
@@ -108,5 +124,5 @@ def _closeness(distance: float) -> float:
     """Return an algebraic sigmoid of the distance: 1 at a monster, 1/2 in the middle, 0 far away."""
     if distance == math.inf:
         return 0.0
-    z = (SIGMOID_MIDDLE - distance) / SIGMOID_WIDTH
-    return 0.5 + 0.5 * z / math.sqrt(1.0 + z * z)
+    nearness = (SIGMOID_MIDDLE - distance) / SIGMOID_WIDTH
+    return 0.5 + 0.5 * nearness / math.sqrt(1.0 + nearness * nearness)
