@@ -260,6 +260,9 @@ def write_file(out: Path, data: bytes) -> None:
 def read_formats(asked: Sequence[str] | None, out: Path | None) -> tuple[str, ...]:
     """Return the formats of figures; that of a file which `--out` names."""
     if out is None or not names_figure(out):
+        if out and out.suffix[1:].isalpha() and not out.is_dir():
+            known = ", ".join(f".{form}" for form in FIGURE_FORMATS)
+            raise UserError(f"--out {out}: a figure's file ends in {known}; a folder's name has no ending")
         return tuple(asked or ("png", "svg"))
     if asked:
         raise UserError(f"--format: --out {out} has its format by its name")

@@ -126,14 +126,6 @@ class Column:
     labels: Mapping[str, str] = field(default_factory=dict)
     ends: bool = True
 
-    def __post_init__(self) -> None:
-        """Refuse a band that was asked for and could not be drawn, as runs are too few."""
-        least = BANDS[checked_band(self.band or NO_BAND)].least_runs
-        for name, runs in self.data.runs["condition"].value_counts().items():
-            if runs < least:
-                few = f"{name} has {counted(runs, 'run')}, and it needs {least}; try --band runs"
-                raise UserError(f"--band {self.band}: {few}")
-
     @cached_property
     def bands(self) -> list[str]:
         """What is drawn around centres: in a deviation of means there is their interval."""
@@ -174,7 +166,8 @@ class Column:
         names = [name for name in self.data.conditions if self.data.of_condition(name)]
         longest = max(len(word) for name in names for word in name.split())
         few = len(names) <= MOST_AT_ENDS and longest <= LONGEST_AT_END
-        return self.ends and few and not self.beside
+        # over other axes lines end apart, and a name would lie on another line
+        return self.ends and few and not self.beside and self.x == STEPS
 
     def panel(self, name: str) -> Panel:
         of, label = QUANTITIES[name], QUANTITIES[name].label
@@ -362,14 +355,30 @@ def _has_gaps(curve: Curve) -> bool:
     return not curve.stops and len(whole) > 0 and len(whole) < len(curve.runs) - whole[0]
 
 
+def _without_band(column: Column) -> list[str]:
+    """Return which conditions have too few runs for a band that was asked for."""
+    if column.band is None:
+        return []
+    least = BANDS[checked_band(column.band)].least_runs
+    counts = column.data.runs["condition"].value_counts()
+    few = [f"{name} ({counted(runs, 'run')})" for name, runs in counts.items() if runs < least]
+    if not few:
+        return []
+    return [f"The band {column.band} needs {counted(least, 'run')}, and is not drawn for {', '.join(few)}."]
+
+
 def _caption(column: Column) -> list[str]:
     data, names = column.data, {*column.curves}
     every = [*chain.from_iterable(column.curves.values())]
     notes = ["×: a run diverged, and its curve ends there."] * any(curve.stops for curve in every)
     notes += ["Faint, without an interval: some run has no value there."] * any(map(_has_gaps, every))
     if any(curve.log for curve in every):
-        of = f"{CENTER_WORDS[column.center]}s and bands are of logarithms, without values of 0."
+        of = f"{CENTER_WORDS[column.center]}s and bands are of logarithms, without values of 0 or below."
         notes.append(f"On logarithmic axes {of}")
+    for name, curves in column.curves.items():
+        if column.log and not any(curve.log for curve in curves):
+            notes.append(f"{QUANTITIES[name].title}: no value is above 0, so the axis is linear.")
+    notes += _without_band(column)
     blank: dict[str, int] = {}
     for curve in every:
         if count := int(curve.values.isna().all().sum()):

@@ -296,7 +296,7 @@ def _read_study(path: Path) -> Study:
     baseline = study.baseline or next(iter(conditions))
     mentioned: list[tuple[Where, str, str]] = [((), "baseline", baseline)]
     parts = {name for values in study.factors.values() for name in values}
-    parts |= {levels.get(CONDITION) for levels in study.levels.values()}
+    parts |= {levels.get(CONDITION, "") for levels in study.levels.values()}
     for key in ("labels", "colors"):
         mentioned += [((key,), name, name) for name in getattr(study, key) if name not in parts]
     for preset, amounts in study.presets.items():

@@ -88,6 +88,8 @@ def test_a_figure_has_a_panel_for_each_environment(study: Path) -> None:
     panels = [part.startswith('id="axes_') for part in (study.parent / "two.svg").read_text().split("<g ")]
     assert sum(panels) == 2
     assert call("study", "plot", study, "--out", "two.svg", "--format", "png").code == 2
+    assert "a figure's file ends in .png, .svg, .pdf" in refused("study", "plot", study, "--out", "two.jpg")
+    assert not Path("two.jpg").exists()
     code, _, told = call("study", "plot", study, "--quantity", "success")
     assert (code, told.count("\n")) == (2, 2)  # what is shown, and the mistake
     assert "'success'; known are" in told and "evaluated_return, return" in told

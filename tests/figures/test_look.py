@@ -37,7 +37,8 @@ def test_a_figure_says_its_centre_and_what_it_lies_over(tmp_path: Path, drawn: l
         study.add("tanh", seed)
     (path,) = study.draw(tmp_path, center="iqm", x="wall-clock")
     assert path.stem == "mine-iqm-over-wall-clock"
-    assert legend(drawn[0])[:2] == [
+    assert legend(drawn[0])[:3] == [
+        "tanh (5)",  # at the end of its line it would lie on another one
         "interquartile mean of (n) runs",
         "95 % interval of the interquartile mean",
     ]
@@ -54,6 +55,7 @@ def test_a_log_axis_of_zeros_is_none_and_a_condition_of_zeros_is_named(
         study.add("none", seed, evaluations=(0.0,) * 4)
     zeros.draw(tmp_path, quantities="share_killed", log=True)
     assert drawn[0].axes[0].get_yscale() == "linear" and "none (2)" in words(drawn[0])
+    assert "Monsters killed in evaluation: no value is above 0, so the axis is linear." in words(drawn[0])
     assert "logarithm" not in words(drawn[0])
     study.draw(tmp_path, quantities="share_killed", log=True)
     assert drawn[1].axes[0].get_yscale() == "log" and "2 of none" in words(drawn[1])
