@@ -106,7 +106,7 @@ def _show(
     yield "In brackets: where the difference lies. All of a world's hold together, with"
     yield f"{100 - 100 * claim_list.head.alpha:g} % probability. docs/claims.md explains the four words."
     yield "Kills are the mean of the last five evaluations, returns of the last 5 % of training."
-    yield from _registration(claim_list, by_claim, worlds)
+    yield "A margin (±, or × of a factor) is the smallest difference that counts."
     yield f"Stated in {claim_list.path.name}, SHA-256 {claim_list.digest[:16]}…, judged by rules {RULES}."
 
 
@@ -117,26 +117,6 @@ def _cell(world: str, verdict: Verdict) -> Iterator[str]:
     for text in lines(verdict) or [""]:
         yield f"    {head:{2 * NAME_WIDTH}}{text}".rstrip()
         head = ""
-
-
-def _registration(
-    claim_list: ClaimList, by_claim: Mapping[str, Mapping[str, Verdict]], worlds: Mapping[str, str]
-) -> Iterator[str]:
-    """Yield which verdicts test nothing, because their runs or numbers were not fixed before."""
-    from pneuma.analysis.claims.history import changed_since
-
-    seen, changed = [], []
-    for judged in by_claim.values():
-        for world, verdict in judged.items():
-            claim = verdict.claim
-            if claim.seen:
-                seen.append(f"{claim.row} ({worlds[world]})")
-            elif keys := changed_since(claim_list, claim.name, verdict.commits):
-                changed.append(f"{claim.name} ({worlds[world]}): {', '.join(keys)}")
-    if seen:
-        yield from _indented(f"By runs known before, so described and not tested: {', '.join(seen)}.", 0)
-    for text in changed:
-        yield from _indented(f"Not as it was at the commit that trained its runs: {text}.", 0)
 
 
 def _indented(text: str, spaces: int) -> list[str]:
@@ -156,6 +136,9 @@ def _document(verdict: Verdict) -> dict[str, Any]:
         **_row(verdict.deciding[0]),
         "word": word(verdict),
         "verdict": verdict.verdict,
+        "registered_verdict": verdict.registered_verdict,
+        "label": verdict.label,
+        "changed": verdict.changed,
         "reason": verdict.reason,
         "run_ids": verdict.run_ids,
         **{key: getattr(verdict.claim, key) for key in claim_keys},
@@ -178,6 +161,7 @@ def _row(row: ClaimContrast) -> dict[str, Any]:
         "b": b,
         "alpha": row.alpha,
         "margin": row.margin,
+        "registered_margin": row.registered_margin,
         "effect": contrast.effect,
         "mean_a": mean_a,
         "mean_b": mean_b,
@@ -186,6 +170,7 @@ def _row(row: ClaimContrast) -> dict[str, Any]:
         "simultaneous_low": contrast.simultaneous.low,
         "simultaneous_high": contrast.simultaneous.high,
         "verdict": row.verdict,
+        "registered_verdict": row.registered_verdict,
         "reason": contrast.reason,
         "seeds_a": seeds_a,
         "seeds_b": seeds_b,

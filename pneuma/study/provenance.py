@@ -167,6 +167,17 @@ def file_at(path: Path, commit: str, line: str) -> str | None:
     return None
 
 
+def line_at(path: Path, commit: str, beginning: str, folder: str) -> str:
+    """Return the first line with a text in a folder of the checkout of a file, at a commit; may be empty."""
+    if not re.fullmatch("[0-9a-f]{40}", commit):
+        return ""
+    words = ["git", "grep", "-hF", beginning, commit, "--", f":/{folder}"]
+    with suppress(OSError, subprocess.CalledProcessError):
+        lines = subprocess.check_output(words, text=True, stderr=subprocess.DEVNULL, cwd=path.parent)
+        return lines.partition("\n")[0]
+    return ""
+
+
 def project(study: Path) -> dict[str, str]:
     """Return a user's study file by its name, and the commit of the repository that it is in, if any."""
     commit = _git(study.parent, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*", own=False)

@@ -1,4 +1,4 @@
-"""A claim of other arms, seeds or outcomes than at the commit that trained its runs is told by `verify`."""
+"""What of a claim was otherwise when its runs were trained, and how each verdict is labelled by it."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.analysis.claims.claim_list import load_claims
-from pneuma.analysis.claims.history import ABSENT, changed_since
+from pneuma.analysis.claims.claim_list import RULES, load_claims
+from pneuma.analysis.claims.history import THE_CLAIM, changed_since
 from pneuma.study.store import Store
 
-from ..cli.calls import printed
+from ..cli.calls import described, printed
 from .claim_files import CLAIMS, HIGH, LOW, save_runs, write_files
 
 
-def commit(folder: Path) -> str:
-    """Commit all files of a folder; return the commit."""
+def commit(folder: Path, rules: int = RULES) -> str:
+    """Commit all files of a folder, and a judge with some rules; return the commit."""
+    (folder / "pneuma").mkdir(exist_ok=True)
+    (folder / "pneuma" / "judge.py").write_text(f"RULES = {rules}\n")
     for words in (["init"], ["add", "."], ["commit", "-m", "list"]):
         own = ["-c", "user.name=a", "-c", "user.email=a@b"]
         subprocess.run(["git", "-C", str(folder), *own, *words], check=True, capture_output=True)
@@ -27,34 +29,61 @@ def commit(folder: Path) -> str:
 @pytest.mark.parametrize(
     ("old", "new", "keys"),
     [
-        ("margin = 0.04", 'margin = 0.4\nnote = "other words"', []),
-        ('a = "high"', 'a = ["high"]', []),
-        ("seeds = 8", "seeds = { high = 8, low = 8 }", []),
-        ('a = "high"', 'a = "middle"', ["a"]),
-        ("seeds = 8", "seeds = 7", ["seeds"]),  # of the defaults
-        ("[defaults]", "[list]\nseeds_from = 5\n[defaults]", ["seeds_from"]),
-        ('"final-share-killed"', '["final-share-killed", "final-return"]', ["outcome"]),
-        ("[claims.better]", "[claims.another]", [ABSENT]),
+        ("[claims.better]", '[claims.better]\nnote = "other words"', ()),
+        ('a = "high"', 'a = ["high"]', ()),
+        ("seeds = 8", "seeds = { high = 8, low = 8 }", ()),
+        ("margin = 0.04", "margin = 0.4\nregistered_margin = 0.04", ()),  # set anew, and said so
+        ("margin = 0.04", "margin = 0.4", ("margin",)),
+        ("[defaults]", "[margins]\nfinal-share-killed = 0.1\n[defaults]", ()),  # the claim has its own
+        ('a = "high"', 'a = "middle"', ("a", "seeds")),
+        ("seeds = 8", "seeds = 7", ("seeds",)),  # of the defaults
+        ("[defaults]", "[list]\nseeds_from = 5\n[defaults]", ("seeds",)),
+        ('"final-share-killed"', '["final-share-killed", "final-return"]', ("outcome", "value", "margin")),
+        ('"greater"', '"less"', ("direction",)),
+        ('"greater"', '"greater"\nneed = "all"', ("need",)),
+        ("[claims.better]", "[claims.another]", (THE_CLAIM,)),
     ],
 )
-def test_what_decides_which_numbers_are_compared_counts(
-    tmp_path: Path, old: str, new: str, keys: list[str]
-) -> None:
+def test_all_that_decides_a_verdict_counts(tmp_path: Path, old: str, new: str, keys: tuple[str, ...]) -> None:
     write_files(tmp_path)
     then = commit(tmp_path)
     assert CLAIMS.count(old) == 1
     claims = load_claims(write_files(tmp_path, CLAIMS.replace(old, new)))
-    (name,) = claims.claims
-    assert changed_since(claims, name, [then, "0" * 40, "None", "--help"]) == keys
+    (claim,) = claims.claims.values()
+    assert changed_since(claims, claim, "text", [then, "0" * 40, "None", "--help"]) == keys
+    assert changed_since(claims, claim, "text", ["0" * 40]) is None
 
 
-def test_verify_tells_it(tmp_path: Path) -> None:
-    path, results = write_files(tmp_path, CLAIMS.replace("seeds = 8", "seeds = 9")), tmp_path / "results"
+def test_other_rules_of_the_judge_are_a_change(tmp_path: Path) -> None:
+    claims = load_claims(write_files(tmp_path))
+    then = commit(tmp_path, RULES - 1)
+    assert changed_since(claims, claims.claims["better"], "text", [then]) == ("rules",)
+
+
+@pytest.mark.parametrize(
+    ("changes", "label", "changed"),
+    [
+        ([], "preregistered", []),
+        ([("seeds = 8", "seeds = 7")], "preregistered", ["seeds"]),
+        ([('"greater"', '"different"')], "descriptive", ["direction"]),
+        ([("margin = 0.04", "margin = 0.04\nseen = true")], "descriptive", []),
+        (
+            [("[defaults]", '[list]\nknown_below = 1\nknown_from = "list 3"\n[defaults]')],
+            "same runs as list 3", [],
+        ),
+    ],
+)  # fmt: skip
+def test_a_verdict_has_a_label(
+    tmp_path: Path, changes: list[tuple[str, str]], label: str, changed: list[str]
+) -> None:
+    path, results = write_files(tmp_path), tmp_path / "results"
     save_runs(Store(results), tmp_path, {"high": HIGH, "low": LOW}, commit=commit(tmp_path))
-    told = "Not as it was at the commit that trained its runs: better (text): seeds."
+    text = CLAIMS
+    for old, new in changes:
+        text = text.replace(old, new)
+    write_files(tmp_path, text)
     words = ["study", "verify", "--claims", path, "--results", results]
-    assert told not in printed(*words)
-    write_files(tmp_path)
-    assert told in printed(*words)
-    write_files(tmp_path, CLAIMS.replace("margin = 0.04", "margin = 0.04\nseen = true"))
-    assert told not in printed(*words)  # that they were known before is said already
+    (verdict,) = described(*words, "--json")["claims"]
+    assert (verdict["label"], verdict["changed"]) == (label, changed)
+    line = f"{label}; changed since the first run: {', '.join(changed)}" if changed else label
+    assert line in [text.strip() for text in printed(*words).splitlines()]

@@ -12,9 +12,13 @@ import pytest
 
 from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.claims.fixed_runs import with_claims
+from pneuma.analysis.run_index import RunIndex
 from pneuma.errors import UserError
+from pneuma.presets import WORLDS
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
+from pneuma.study.store import Store
+from tools import monster_worth
 
 from .claim_files import CLAIMS, changed, write_files
 
@@ -124,6 +128,14 @@ def test_what_matches_nothing_is_refused(tmp_path: Path, wrong: str, changes: li
 
 
 # --- The shipped claims ----------------------------------------------------------------------------
+
+
+def test_margins_of_returns_are_what_a_monster_is_worth() -> None:
+    index = RunIndex(Store(monster_worth.NOWHERE))
+    for world in WORLDS:
+        rows = monster_worth.compared_by_return(SHIPPED, index, world)
+        margin = SHIPPED.claims["betas-better"].list_margins["final-return"][world]
+        assert f"{monster_worth.monster_worth(rows):.2g}" == f"{margin:.2g}", world
 
 
 def test_no_shipped_claim_compares_what_is_the_same() -> None:

@@ -11,6 +11,7 @@ from scipy import stats
 
 from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.claims.verdicts import Verdict
+from pneuma.analysis.claims.words import lines
 from pneuma.study.store import Store
 
 from .claim_files import (
@@ -197,6 +198,24 @@ def test_a_number_refutes_from_its_other_side_alone(store: Store, tmp_path: Path
         for value in (0.7, 0.735, 0.77)
     }
     assert told == {0.7: "supported", 0.735: "inconclusive", 0.77: "refuted"}
+
+
+def test_where_a_margin_was_set_anew_both_verdicts_are_told(store: Store, tmp_path: Path) -> None:
+    """Arms differ by 0.001, give or take 0.026."""
+    save_runs(store, tmp_path, {"high": NEAR, "low": LOW})
+    anew = changed(("margin = 0.04", "margin = 0.04\nregistered_margin = 0.01"))
+    one = judge_one(store, tmp_path, anew)
+    assert (one.verdict, one.registered_verdict) == ("refuted", "inconclusive")
+    assert "by the registered margins: undecided" in lines(one)
+    alike = judge_one(store, tmp_path)
+    assert (alike.verdict, alike.registered_verdict) == ("refuted", "refuted")
+    assert not any("registered" in line and "margin" in line for line in lines(alike))
+
+
+def test_arms_of_unlike_size_are_told(store: Store, tmp_path: Path) -> None:
+    save_runs(store, tmp_path, {"high": HIGH[:4], "low": LOW})
+    one = judge_one(store, tmp_path, changed(("seeds = 8", "seeds = { high = 4, low = 8 }")))
+    assert one.verdict == "supported" and "4 against 8 runs" in lines(one)
 
 
 def test_what_is_never_reached_counts_as_the_runs_budget(store: Store, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from tools.verdicts import SMALL, draw_verdicts
 from .hand_made_verdicts import claim, comparison, judged
 
 Pair = tuple[float, float]
+# a number, and by how much it differs from another, add up as printed
 KILLS = "kills 85 against 83 %: +2 points (−1 to 5)"
 MEANS = (0.85, 0.83), (-0.012, 0.052)
 RETURN, LESS = {"outcome": "final-return"}, {"outcome": "final-return", "direction": "less"}

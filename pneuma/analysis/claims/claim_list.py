@@ -3,6 +3,7 @@
     [list]                      title, what was learned before, alpha, the first seed
     [defaults]                  seeds, steps, worlds, outcome and kind of a claim that has none
     [margins]                   by outcome, of claims that state none
+    [registered_margins]        those of before the runs, where margins were set anew
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
 
 studies/claims.toml → ClaimList → its runs (`fixed_runs.py`) → `verdicts.py`. The file's checksum and the
@@ -97,13 +98,15 @@ class ListHead(Table):
     learned: Text = ""
     alpha: Annotated[Positive, Field(lt=1)] = 0.05
     seeds_from: Seed = 0
+    known_below: Seed = 0
+    known_from: Text = ""
 
 
 class Claim(Table):
     """A sentence of the thesis, or a statement of one's own, as a test; docs/claims.md explains its keys.
 
     Each condition of a is compared with each of b, or the first with the first and so on if they are paired;
-    for a range, all of a together with all of b. `list_margins` are the list's own.
+    for a range, all of a together with all of b. `list_margins` and `list_registered` are the list's own.
     """
 
     name: str
@@ -131,8 +134,10 @@ class Claim(Table):
     kind: Kind = "mean"
     direction: Direction
     margin: ByOutcome = None
+    registered_margin: ByOutcome = None
     note: Text = ""
     list_margins: Mapping[str, Any] = {}
+    list_registered: Mapping[str, Any] = {}
 
     @property
     def compared(self) -> tuple[str, ...]:
@@ -183,7 +188,7 @@ class Claim(Table):
         return values < threshold if self.above is None else values > threshold
 
     def _threshold(self, outcome: str) -> float:
-        return float(_of(self.below if self.above is None else self.above, outcome) or 0)
+        return float(pick_number(self.below if self.above is None else self.above, outcome) or 0)
 
     def claimed(self, outcome: str) -> str:
         """Return the direction that is claimed of an outcome: `better` is greater, or less, by its kind."""
@@ -194,14 +199,22 @@ class Claim(Table):
 
     def margin_of(self, world: str, outcome: str) -> float | None:
         """Return the smallest difference that counts, or None: the claim's own, or the list's."""
-        own = _of(self.margin, outcome, world)
-        if own is not None:
-            return own
-        return _of(self.list_margins.get("incidence" if self.is_incidence else outcome), world)
+        return self._margin(self.margin, self.list_margins, world, outcome)
+
+    def registered_margin_of(self, world: str, outcome: str) -> float | None:
+        """Return the margin that was stated before the runs, if margins were set anew; else the margin."""
+        registered = self._margin(self.registered_margin, self.list_registered, world, outcome)
+        return self.margin_of(world, outcome) if registered is None else registered
+
+    def _margin(self, own: ByOutcome, of_list: Mapping[str, Any], world: str, outcome: str) -> float | None:
+        margin = pick_number(own, outcome, world)
+        if margin is None:
+            margin = pick_number(of_list.get("incidence" if self.is_incidence else outcome), world)
+        return margin
 
     def value_of(self, world: str, outcome: str) -> float | None:
         """Return the constant that arms are compared with, or None."""
-        return _of(self.value, outcome, world)
+        return pick_number(self.value, outcome, world)
 
     @model_validator(mode="after")
     def _fits_together(self) -> Claim:
@@ -229,7 +242,7 @@ class Claim(Table):
                     raise wrong(f"{key}: {name} is listed twice", key)
 
     def _check_outcomes(self) -> None:
-        for key in ("margin", "value", "above", "below"):
+        for key in ("margin", "registered_margin", "value", "above", "below"):
             numbers = getattr(self, key)
             for name in numbers if isinstance(numbers, dict) else ():
                 if name not in self.outcome:
@@ -237,8 +250,8 @@ class Claim(Table):
         for name in self.outcome:
             if self.direction in ("better", "worse") and (self.is_incidence or not find_outcome(name).better):
                 raise wrong(f"direction = {self.direction}: of {name} neither is better; say which way")
-            if self.is_incidence and _of(self.below if self.above is None else self.above, name) is None:
-                key = "below" if self.above is None else "above"
+            key = "below" if self.above is None else "above"
+            if self.is_incidence and pick_number(getattr(self, key), name) is None:
                 raise wrong(f"the key '{key}' has no number for {name}", key)
             for world in self.worlds:
                 self._check_numbers(world, name)
@@ -255,7 +268,7 @@ class Claim(Table):
             raise wrong(f"margin = {margin} is not allowed: below 1, as it is a share of runs", "margin")
 
 
-def _of(number: Any, *names: str) -> float | None:
+def pick_number(number: Any, *names: str) -> float | None:
     """Return a number that may be stated by outcome and world; None if there is none for these."""
     for name in names:
         number = number.get(name) if isinstance(number, Mapping) else number
@@ -268,6 +281,7 @@ class ClaimsFile(Table):
     list: ListHead = ListHead()
     defaults: dict[Annotated[str, OneOf(DEFAULTS)], Any] = {}
     margins: dict[OutcomeOrEvent, ByWorld] = {}
+    registered_margins: dict[OutcomeOrEvent, ByWorld] = {}
     claims: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
 
 
@@ -328,7 +342,8 @@ def _read_claim(file: TomlFile, name: str, contents: ClaimsFile, studies: dict[s
     keys |= contents.claims[name]
     study = _study_of(file, name, str(keys.get("study", "")), studies)
     keys.setdefault("worlds", study.worlds)
-    claim = read_model(Claim, file, where, keys, {"name": name, "list_margins": contents.margins})
+    of_list = {"list_margins": contents.margins, "list_registered": contents.registered_margins}
+    claim = read_model(Claim, file, where, keys, {"name": name, **of_list})
     for key, conditions in (("a", claim.a), ("b", claim.b), ("beside", claim.beside)):
         for condition in conditions:
             if condition not in study.conditions:

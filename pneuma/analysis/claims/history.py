@@ -1,78 +1,111 @@
-"""Whether a claim fixes what it fixed when its runs were trained, by the history of its file.
+"""Whether a claim is what it was when its runs were trained, by the history of its file.
 
-    ClaimList, and the commits of each claim's runs → names of the keys that changed since
+    ClaimList, and the commits of each claim's runs → names of what changed since
 
-Only what decides which numbers are compared counts: arms, seeds, steps, outcomes. Words and margins do not.
-The file is known by its title, wherever it was. Nothing can be said of a file outside a git checkout, nor of
-a commit that the checkout does not have.
+Everything that decides a verdict counts: arms, seeds, steps, outcomes, direction, value, need, margins (the
+registered ones, if margins were set anew), and the version of the judge's rules. Words do not. The file is
+found by its title, wherever it was. Nothing is known of a file outside a git checkout, nor of a commit that
+the checkout does not have, or at which there was no such list yet.
 """
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pneuma.analysis.claims.claim_list import ClaimList
-from pneuma.study.provenance import file_at
+from pneuma.analysis.claims.claim_list import RULES, Claim, ClaimList, pick_number
+from pneuma.study.provenance import file_at, line_at
 
-FIXED = (
-    "study", "a", "b", "paired", "seeds", "seeds_from", "steps", "outcome", "kind", "above", "below",
-)  # fmt: skip
-ABSENT = "the claim itself"
+THE_CLAIM, RULES_KEY = "the claim itself", "rules"
+HOW_MANY = ("seeds", "steps", "margin", RULES_KEY)
+"""Changes that leave what is compared as it was."""
+_PLAIN = ("study", "paired", "kind", "above", "below", "need", "direction")
 
 
-def changed_since(claims: ClaimList, name: str, commits: Iterable[str]) -> list[str]:
-    """Return the keys of a claim that its file had otherwise at a commit; `ABSENT` if there was no claim."""
-    found: dict[str, None] = {}
+def changed_since(
+    claims: ClaimList, claim: Claim, world: str, commits: Iterable[str]
+) -> tuple[str, ...] | None:
+    """Return what of a claim was otherwise at commits; None if no commit has its list.
+
+    `THE_CLAIM` stands for a claim that the list did not have yet.
+    """
     text = claims.path.read_text(encoding="utf-8")
     title = next((line for line in text.splitlines() if line.startswith("title = ")), "[defaults]")
+    now = _deciding_keys(text, claim.name, world)
+    changed: list[str] | None = None
     for commit in commits:
-        if (then := _fixed_at(claims.path, commit, title)) is not None:
-            now = _fixed_in(text)[name]
-            if name not in then:
-                found[ABSENT] = None
-            else:
-                found |= dict.fromkeys(key for key in FIXED if _differ(now[key], then[name][key]))
-    return [*found]
-
-
-def _differ(now: Any, then: Any) -> bool:
-    """Return whether values differ; seeds and steps do in conditions that both have."""
-    if isinstance(now, dict) and isinstance(then, dict):
-        return any(now[name] != then[name] for name in {*now} & {*then})
-    return bool(now != then)
-
-
-@cache
-def _fixed_at(path: Path, commit: str, title: str) -> Mapping[str, Mapping[str, Any]] | None:
-    text = file_at(path, commit, title)
-    return None if text is None else _fixed_in(text)
+        text_then = _text_at(claims.path, commit, title)
+        if text_then is None:
+            continue
+        then = _deciding_keys(text_then, claim.name, world)
+        if then is None or now is None:
+            differences = [THE_CLAIM]
+        else:
+            differences = [key for key in now if now[key] != then[key]]
+        if _rules_at(claims.path, commit) != RULES:
+            differences.append(RULES_KEY)
+        changed = list(dict.fromkeys([*(changed or []), *differences]))
+    return None if changed is None else tuple(changed)
 
 
 @cache
-def _fixed_in(text: str) -> Mapping[str, Mapping[str, Any]]:
-    """Return what each claim of a file fixes, as it is written there; nothing of a file that is no TOML."""
+def _text_at(path: Path, commit: str, title: str) -> str | None:
+    return file_at(path, commit, title)
+
+
+@cache
+def _rules_at(path: Path, commit: str) -> int | None:
+    """Return the version of the judge's rules at a commit; None if it had none."""
+    version = re.search(r"^RULES = (\d+)", line_at(path, commit, "RULES = ", "pneuma"))
+    return int(version[1]) if version else None
+
+
+@cache
+def _deciding_keys(text: str, name: str, world: str) -> Mapping[str, Any] | None:
+    """Return what decides the verdict on a claim of a file in a world; None if the file has no such claim."""
     try:
-        said = tomllib.loads(text)
-        usual, claims = said.get("defaults", {}), said.get("claims", {})
-        first = {"seeds_from": said.get("list", {}).get("seeds_from", 0)}
-        return {
-            name: _listed({**first, **usual, **claims.get(own.get("like"), {}), **own})
-            for name, own in claims.items()
-        }
-    except (tomllib.TOMLDecodeError, AttributeError, TypeError):
-        return {}
+        contents = tomllib.loads(text)
+        own = contents["claims"][name]
+        keys = {**contents.get("defaults", {}), **contents["claims"].get(own.get("like"), {}), **own}
+    except (tomllib.TOMLDecodeError, KeyError, AttributeError, TypeError):
+        return None
+    deciding: dict[str, Any] = {key: keys.get(key) for key in _PLAIN}
+    deciding["need"] = keys.get("need", "one")
+    deciding["paired"] = bool(keys.get("paired") and keys.get("b"))
+    for key in ("a", "b", "outcome"):
+        value = keys.get(key, [])
+        deciding[key] = [value] if isinstance(value, str) else value
+    outcomes = deciding["outcome"]
+    deciding["value"] = {outcome: pick_number(keys.get("value"), outcome, world) for outcome in outcomes}
+    deciding["margin"] = _margins(contents, keys, outcomes, world)
+    first = keys.get("seeds_from", contents.get("list", {}).get("seeds_from", 0))
+    seeds = {}
+    for condition in (*deciding["a"], *deciding["b"]):
+        given = keys.get("seeds")
+        count = given.get(condition) if isinstance(given, dict) else given
+        seeds[condition] = list(range(first, first + count)) if isinstance(count, int) else count
+    deciding["seeds"], deciding["steps"] = seeds, keys.get("steps")
+    return deciding
 
 
-def _listed(claim: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys that count; "x" is ["x"]; seeds and steps are by condition of a and b."""
-    values = {key: claim.get(key) for key in FIXED}
-    values = {key: [value] if isinstance(value, str) else value for key, value in values.items()}
-    for key in ("seeds", "steps"):
-        of = values[key]
-        arms = [*(values["a"] or ()), *(values["b"] or ())]
-        values[key] = {name: of.get(name) if isinstance(of, dict) else of for name in arms}
-    return values
+def _margins(
+    contents: Mapping[str, Any], keys: Mapping[str, Any], outcomes: Iterable[str], world: str
+) -> dict[str, float | None]:
+    """Return the margin of each outcome that was registered before the runs."""
+    tables = (
+        keys.get("registered_margin"), contents.get("registered_margins"),
+        keys.get("margin"), contents.get("margins"),
+    )  # fmt: skip
+    margins: dict[str, float | None] = {}
+    for outcome in outcomes:
+        of_list = "incidence" if keys.get("kind") == "incidence" else outcome
+        numbers = [
+            pick_number(tables[0], outcome, world), pick_number((tables[1] or {}).get(of_list), world),
+            pick_number(tables[2], outcome, world), pick_number((tables[3] or {}).get(of_list), world),
+        ]  # fmt: skip
+        margins[outcome] = next((number for number in numbers if number is not None), None)
+    return margins

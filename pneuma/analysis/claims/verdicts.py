@@ -19,6 +19,7 @@ import numpy as np
 from pneuma.analysis.claims.claim_list import Claim, ClaimList
 from pneuma.analysis.claims.contrasts import Contrast, compare_arms
 from pneuma.analysis.claims.fixed_runs import TRAIN_WITH, Arm, ClaimRuns, find_claim_runs
+from pneuma.analysis.claims.history import HOW_MANY, changed_since
 from pneuma.analysis.intervals import Interval
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.run_index import RunIndex
@@ -34,6 +35,8 @@ RARE = 0.1
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but too small to count"
 """The reason if a claim is refuted although its interval lies wholly on the claimed side of 0."""
 
+PREREGISTERED, DESCRIPTIVE = "preregistered", "descriptive"
+
 Wanted = Callable[[Claim, str], bool]
 """Whether a claim is to be judged in a world."""
 
@@ -48,6 +51,7 @@ class ClaimContrast:
         contrast: what the runs show; its reason is not empty if nothing can be concluded.
         runs: the ids of the runs that were read, by condition.
         verdict: empty before it is judged.
+        registered_verdict: the same by the margin that was registered, where margins were set anew.
         none_learned: whether neither arm is shown to play better than the random player, so that being alike
             counts for nothing.
     """
@@ -61,11 +65,21 @@ class ClaimContrast:
     contrast: Contrast = Contrast()
     runs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     verdict: str = ""
+    registered_verdict: str = ""
     none_learned: bool = False
 
     @property
     def margin(self) -> float | None:
-        return self.claim.margin_of(self.world, self.outcome)
+        """The smallest difference that counts; None against a constant, which is itself what counts."""
+        return self.claim.margin_of(self.world, self.outcome) if self._has_margin else None
+
+    @property
+    def registered_margin(self) -> float | None:
+        return self.claim.registered_margin_of(self.world, self.outcome) if self._has_margin else None
+
+    @property
+    def _has_margin(self) -> bool:
+        return bool(self.b) or not self.value
 
     @property
     def value(self) -> float:
@@ -100,7 +114,9 @@ class Verdict:
         verdict: supported, refuted, mixed, inconclusive or untestable.
         reason: why it is untestable, what is missing, or `AS_CLAIMED_BUT_SMALL`; empty for a plain result.
         contrasts: its rows of the table.
-        commits: of the code that trained its runs.
+        registered_verdict: the verdict by the margins that were registered, where they were set anew.
+        label: whether it tests: `PREREGISTERED`, `DESCRIPTIVE`, or on which list's runs it was stated.
+        changed: what of the claim is not as it was when its runs were trained; None if that is unknown.
     """
 
     claim: Claim
@@ -108,7 +124,9 @@ class Verdict:
     verdict: str
     reason: str
     contrasts: tuple[ClaimContrast, ...] = ()
-    commits: tuple[str, ...] = ()
+    registered_verdict: str = ""
+    label: str = ""
+    changed: tuple[str, ...] | None = None
 
     @property
     def deciding(self) -> tuple[ClaimContrast, ...]:
@@ -159,14 +177,36 @@ def judge_claim(claims: ClaimList, runs: ClaimRuns) -> Verdict:
     alpha = claims.head.alpha / claims.contrasts(world)
     rows: list[ClaimContrast] = []
     verdicts: list[str] = []
+    registered: list[str] = []
     for outcome in claim.outcome:
         of_outcome = [
             _judge_contrast(ClaimContrast(claim, world, outcome, a, b, alpha), runs) for a, b in claim.pairs
         ]
         verdicts.append(all_of(row.verdict for row in of_outcome))
+        registered.append(all_of(row.registered_verdict for row in of_outcome))
         rows += of_outcome
     verdict = combine(verdicts, claim.need)
-    return Verdict(claim, world, verdict, _reason(verdict, rows), tuple(rows), runs.commits)
+    changed = changed_since(claims, claim, world, runs.commits)
+    return Verdict(
+        claim=claim,
+        world=world,
+        verdict=verdict,
+        reason=_reason(verdict, rows),
+        contrasts=tuple(rows),
+        registered_verdict=combine(registered, claim.need),
+        label=_label(claims, claim, changed),
+        changed=changed,
+    )
+
+
+def _label(claims: ClaimList, claim: Claim, changed: Sequence[str] | None) -> str:
+    """Return whether a claim was stated before its runs."""
+    if claim.seen or {*(changed or ())} - {*HOW_MANY}:
+        return DESCRIPTIVE
+    seeds = [seed for condition in claim.compared for seed in claim.seeds_of(condition)]
+    if min(seeds) < claims.head.known_below:
+        return f"same runs as {claims.head.known_from}"
+    return PREREGISTERED
 
 
 def _reason(verdict: str, rows: Sequence[ClaimContrast]) -> str:
@@ -194,21 +234,33 @@ def _judge_contrast(row: ClaimContrast, runs: ClaimRuns) -> ClaimContrast:
     row = replace(row, runs={name: tuple(run.run_id for run in runs.rows[name]) for name in row.conditions})
     reason = runs.why_incomparable(row.outcome, row.conditions)
     if reason:
-        return replace(row, verdict=UNTESTABLE, contrast=Contrast(reason=reason))
+        contrast = Contrast(reason=reason)
+        return replace(row, verdict=UNTESTABLE, registered_verdict=UNTESTABLE, contrast=contrast)
     arms = {name: runs.arm(row.outcome, name) for name in row.conditions}
-    if reason := _why_untestable(row, arms):
+    contrast, verdict = _verdict_by_margin(row, arms, row.margin)
+    _, registered_verdict = _verdict_by_margin(row, arms, row.registered_margin)
+    return replace(
+        row,
+        contrast=contrast,
+        verdict=verdict,
+        registered_verdict=registered_verdict,
+        none_learned=verdict != UNTESTABLE and _have_none_learned(row, arms),
+    )
+
+
+def _verdict_by_margin(
+    row: ClaimContrast, arms: Mapping[str, Arm], margin: float | None
+) -> tuple[Contrast, str]:
+    """Return the contrast of arms of finished runs, and the verdict on it with a margin."""
+    if reason := _why_untestable(row, arms, margin):
         sizes = [arms[name].values.size for name in (*row.a, *row.b)] + [0]
-        return replace(row, verdict=UNTESTABLE, contrast=Contrast(seeds=(sizes[0], sizes[1]), reason=reason))
+        return Contrast(seeds=(sizes[0], sizes[1]), reason=reason), UNTESTABLE
     contrast = row.compare({name: arm.values for name, arm in arms.items()})
-    # against a constant other than 0 there is no margin: the constant is the least that counts
-    margin = row.margin if row.b or not row.value else None
-    none_learned = _have_none_learned(row, arms)
-    claimed = row.claim.claimed(row.outcome)
-    verdict = decide(contrast.simultaneous, claimed, margin, alike_counts=not none_learned)
-    return replace(row, contrast=contrast, verdict=verdict, none_learned=none_learned)
+    alike_counts = not _have_none_learned(row, arms)
+    return contrast, decide(contrast.simultaneous, row.claim.claimed(row.outcome), margin, alike_counts)
 
 
-def _why_untestable(row: ClaimContrast, arms: Mapping[str, Arm]) -> str:
+def _why_untestable(row: ClaimContrast, arms: Mapping[str, Arm], margin: float | None) -> str:
     """Return why arms of finished runs decide nothing; empty if they can be compared."""
     for arm in arms.values():
         if arm.reason:
@@ -218,7 +270,7 @@ def _why_untestable(row: ClaimContrast, arms: Mapping[str, Arm]) -> str:
             return f"arm at floor: {name} is not shown to play better than the random player"
     if len(arms) < 2:
         return ""
-    return _rare_or_common(arms) if row.claim.is_incidence else _at_an_end(row, arms)
+    return _rare_or_common(arms) if row.claim.is_incidence else _at_an_end(row.outcome, arms, margin)
 
 
 def _have_none_learned(row: ClaimContrast, arms: Mapping[str, Arm]) -> bool:
@@ -241,23 +293,23 @@ def _rare_or_common(arms: Mapping[str, Arm]) -> str:
     return ""
 
 
-def _at_an_end(row: ClaimContrast, arms: Mapping[str, Arm]) -> str:
+def _at_an_end(outcome: str, arms: Mapping[str, Arm], margin: float | None) -> str:
     """Return the reason if every run of all arms is at the outcome's least or greatest value.
 
     Values within the margin of an end count as there; without a margin, the outcome's own tolerance is used.
     For outcomes that measure play, the floor is decided by the comparison with the random player.
     """
-    measured = find_outcome(row.outcome)
-    tolerance = row.margin or measured.alike
+    measured = find_outcome(outcome)
+    tolerance = margin or measured.alike
     values = np.concatenate([arm.values for arm in arms.values()])
     low, high = measured.bounds
     ends = {"floor": low, "ceiling": high}
-    if _is_of_play(row.outcome) and all(arm.learned is not None for arm in arms.values()):
+    if _is_of_play(outcome) and all(arm.learned is not None for arm in arms.values()):
         del ends["floor"]
     for end, bound in ends.items():
         if np.isfinite(bound) and (np.abs(values - bound) <= tolerance).all():
             within = f"within {tolerance:.2g} of {bound:g}"
-            return f"both arms are at the {end}: every run has a {row.outcome} {within}"
+            return f"both arms are at the {end}: every run has a {outcome} {within}"
     return ""
 
 

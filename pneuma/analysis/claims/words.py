@@ -78,6 +78,8 @@ _OUTCOME_NAMES = {
     "early-explained-variance": "variance that the critic explains at first",
 }
 """Outcomes and events in fewer words than `OUTCOMES` has."""
+MOST_MORE_DIGITS = 2
+"""Digits beyond those that an interval supports, so that two numbers and their difference add up."""
 MOST_LOG = 23.0
 """Factors above ten thousand million are shown as infinite."""
 _LOGARITHMS = ("grad-norm-growth", "log-max-grad-norm", "log-max-kl")
@@ -168,7 +170,20 @@ def lines(verdict: Verdict) -> list[str]:
     texts = [effect(row) for row in tested]
     if any(row.none_learned for row in tested):
         texts.append("none plays better than at random")
-    return [text for text in (*texts, why(verdict)) if text]
+    texts.append(why(verdict))
+    unequal = [row.contrast.seeds for row in tested if 0 < row.contrast.seeds[1] != row.contrast.seeds[0]]
+    if unequal:
+        texts.append("{} against {} runs".format(*unequal[0]))
+    if verdict.registered_verdict not in ("", verdict.verdict):
+        texts.append(f"by the registered margins: {_WORD_OF[verdict.registered_verdict]}")
+    texts.append(registration(verdict))
+    return [text for text in texts if text]
+
+
+def registration(verdict: Verdict) -> str:
+    """Return whether a claim was stated before its runs, and what has changed since."""
+    changed = ", ".join(verdict.changed or ())
+    return f"{verdict.label}; changed since the first run: {changed}" if changed else verdict.label
 
 
 def why(verdict: Verdict) -> str:
@@ -189,17 +204,17 @@ def details(verdict: Verdict) -> list[str]:
     for row in verdict.contrasts:
         parts = [row.contrast.reason]
         if row.has_effect:
-            margin = f"smallest that counts: {row.margin:g}" if row.margin else ""
-            parts = [effect(row), margin, row.contrast.reason]
+            parts = [effect(row), row.contrast.reason]
         runs = " and ".join(str(count) for count in row.contrast.seeds if count)
         texts.append(f"{' against '.join(row.names)}, {runs} runs: {'; '.join(filter(None, parts))}")
     return texts
 
 
 def effect(row: ClaimContrast) -> str:
-    """Return an effect in plain units, as 'kills 85 against 83 %: +2 points (−1 to 5)'.
+    """Return an effect in plain units, as 'kills 85 against 83 %: +2 points (−1 to 5; ±7)'.
 
-    It is the first less the second. The interval is the one that holds together with all others of the world.
+    It is the first less the second. In brackets stand the ends of the interval that holds together with all
+    others of the world, and the margin.
     """
     contrast = row.contrast
     numbers = [*contrast.means, contrast.effect, contrast.simultaneous.low, contrast.simultaneous.high]
@@ -207,11 +222,14 @@ def effect(row: ClaimContrast) -> str:
     if row.outcome in _LOGARITHMS and row.claim.kind == "mean":
         a, b, size, low, high = (_factor(number) for number in numbers)
         difference = " times as much"
+        margin = f"×{_factor(row.margin)}" if row.margin else ""
     else:
         if row.claim.is_incidence or find_outcome(row.outcome).unit == "share":
             numbers, unit, difference = [100 * number for number in numbers], " %", " points"
         a, b, size, low, high = _in_digits(numbers, whole=bool(unit))
-    interval = f" ({low} to {high})" if contrast.simultaneous.exists else ""
+        margin = _margin(100 * row.margin if unit else row.margin) if row.margin else ""
+    brackets = [f"{low} to {high}" if contrast.simultaneous.exists else "", margin]
+    interval = f" ({'; '.join(filter(None, brackets))})" if any(brackets) else ""
     name = _name(row)
     if not row.b and row.value == 0:
         return f"{name} {size.removeprefix('+')}{unit}{interval}"
@@ -224,11 +242,24 @@ def _in_digits(numbers: Sequence[float], whole: bool) -> list[str]:
     places = _places(*numbers[2:])
     if whole:
         places = max(places, 0)
-    texts = [shown(number, places) for number in numbers[:3]]
+    digits = places
+    while digits < places + MOST_MORE_DIGITS and not _adds_up(numbers, digits):
+        digits += 1
+    texts = [shown(number, digits) for number in numbers[:3]]
     if not texts[2].startswith("-") and texts[2].strip("0."):
         texts[2] = f"+{texts[2]}"
     texts += [_end(end, places) for end in numbers[3:]]
     return [text.replace("-", "−") for text in texts]
+
+
+def _adds_up(numbers: Sequence[float], places: int) -> bool:
+    """Return whether both numbers and their difference add up as they are printed."""
+    a, b, difference = (round(number, places) for number in numbers[:3])
+    return math.isclose(a - b, difference, rel_tol=0, abs_tol=10.0**-places / 2)
+
+
+def _margin(margin: float) -> str:
+    return f"±{shown(margin, decimals(margin) - 1)}"
 
 
 def _end(end: float, places: int) -> str:
