@@ -44,14 +44,12 @@ class Diagnosis:
         collapsed: whether it ever did; None if its records show none of the signs that decide.
         onset_step: agent steps at the first update or evaluation of the collapse.
         onset_update: the number of that update; None if unknown.
-        last_healthy_step: the last update, evaluation or best return before it, from which a fork can start.
         signs: those of `SIGNS` that held over most of it.
     """
 
     collapsed: bool | None
     onset_step: int | None = None
     onset_update: int | None = None
-    last_healthy_step: int | None = None
     signs: tuple[str, ...] = ()
 
 
@@ -74,18 +72,10 @@ def diagnose(run: Row) -> Diagnosis:
     fell, lost = ([part for part in parts if onset <= part[0] <= last] for parts in (falls, sunk))
     present = {sign for sign, parts in found.items() if share_held(parts, spells[0], distance or 1) > MOST}
     present |= {sign for sign, parts in ((FALL, fell), (LOSS, lost)) if parts}
-    if fell and fell[0][0] == onset:
-        sound = max(steps[steps < onset], default=0)
-    elif lost and lost[0][0] == onset:
-        points, returns = run.known_curve("return")
-        sound = points[returns[points < onset].argmax()]
-    else:
-        sound = max(onset - (distance or 1), 0)
     return Diagnosis(
         True,
         onset_step=int(onset),
         onset_update=round(onset / distance) if distance else None,
-        last_healthy_step=int(sound),
         signs=tuple(sign for sign in SIGNS if sign in present),
     )
 
@@ -97,8 +87,7 @@ def diagnoses(data: StudyData) -> pd.DataFrame:
     """
     found = [diagnose(run) for run in data.rows]
     table = pd.DataFrame([{**vars(each), "signs": ", ".join(each.signs)} for each in found])
-    steps = ("onset_step", "onset_update", "last_healthy_step")
-    table = table.astype({"collapsed": "boolean", **dict.fromkeys(steps, "Int64")})
+    table = table.astype({"collapsed": "boolean", "onset_step": "Int64", "onset_update": "Int64"})
     return pd.concat([data.runs[[*NAMING, "status"]].reset_index(drop=True), table], axis=1)
 
 

@@ -44,13 +44,13 @@ SEEN: dict[str, tuple[np.ndarray, np.ndarray, dict[str, Any], dict[str, Any]]] =
     "one action to the end": (
         one_action(61), after(learning(), 13, 0.05), {},
         {
-            "collapsed": True, "onset_step": 6100, "onset_update": 61, "last_healthy_step": 6000,
+            "collapsed": True, "onset_step": 6100, "onset_update": 61,
             "signs": ("no entropy", "one action", "dead units", "fall"),
         },
     ),
     "a fall for good, without any loss of entropy": (
         healthy(), after(learning(), 15, 0.1), {},
-        {"collapsed": True, "signs": ("fall",), "onset_step": 7500, "last_healthy_step": 7000},
+        {"collapsed": True, "signs": ("fall",), "onset_step": 7500},
     ),
     "diverged": (
         one_action(61), learning(), {"end": 8000},
@@ -108,7 +108,7 @@ def test_a_return_that_sinks_below_zero_from_above_is_a_collapse_where_xp_is_nev
     sinking = returns_of([(1, 0.0), (40, 20.0), (100, -40.0)])
     found = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=sinking)
     assert (found.collapsed, found.signs) == (True, ("return below zero",))
-    assert found.onset_step == 6300 and 4000 <= (found.last_healthy_step or 0) <= 4300
+    assert found.onset_step == 6300
     risen = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=np.abs(sinking))
     assert risen == Diagnosis(False)
     late = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=sinking + 36)  # from update 96 on
