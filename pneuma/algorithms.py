@@ -8,9 +8,6 @@ from __future__ import annotations
 
 from typing import Any
 
-MAILMAN = "pneuma/Mailman-v0"
-"""The only environment with a table of states (thesis Fig. 2.1)."""
-
 OPEN_LEARNERS = {
     "sac": "stable_baselines3:SAC",
     "td3": "stable_baselines3:TD3",
@@ -31,25 +28,20 @@ ALGORITHM_ENGINES: dict[str, tuple[str, ...]] = {
     "trpo": ("sb3",),
     "dqn": ("sb3",),
     "double-dqn": ("sb3",),
-    "q-learning": ("tabular",),
-    "double-q-learning": ("tabular",),
     **dict.fromkeys(OPEN_LEARNERS, ("sb3",)),
 }
 """The engines that train each algorithm, the usual one first."""
 
 ALGORITHMS = tuple(ALGORITHM_ENGINES)
-TABULAR = ("q-learning", "double-q-learning")
 
 _NETWORK = ("actor", "activation", "optimizer", "weight_decay", "slots", "learning_rate_schedule")
 _ACTOR_CRITIC = (*_NETWORK, "critic", "gae_lambda", "value_baseline")
 _GRADIENT = ("value_coefficient", "entropy_coefficient", "gradient_limit", "clip")
 _PPO = ("learners", "first_layer_scale", "normalize_advantage", "clip_range_schedule")
-_EXPLORATION = ("exploration", "exploration_fraction")
 _DQN = (
-    *_NETWORK, *_EXPLORATION, "minibatch", "gradient_limit", "buffer_size", "learning_starts", "train_every",
-    "gradient_steps", "target_every",
+    *_NETWORK, "exploration", "exploration_fraction", "minibatch", "gradient_limit", "buffer_size",
+    "learning_starts", "train_every", "gradient_steps", "target_every",
 )  # fmt: skip
-_TABLE = (*_EXPLORATION, "action_slip", "reward_noise")
 
 ALGORITHM_FIELDS: dict[str, tuple[str, ...]] = {
     "ppo": (*_ACTOR_CRITIC, *_GRADIENT, *_PPO, "clip_range", "minibatch", "epochs"),
@@ -57,8 +49,6 @@ ALGORITHM_FIELDS: dict[str, tuple[str, ...]] = {
     "trpo": (*_ACTOR_CRITIC, "minibatch", "epochs", "target_kl", "conjugate_steps", "line_search_steps"),
     "dqn": _DQN,
     "double-dqn": _DQN,
-    "q-learning": _TABLE,
-    "double-q-learning": _TABLE,
     **dict.fromkeys(OPEN_LEARNERS, ("slots",)),
 }
 """The fields each algorithm reads, beside those that all read and those of its optimizer."""
@@ -68,9 +58,6 @@ VALUE_BASED = tuple(name for name, fields in ALGORITHM_FIELDS.items() if "explor
 
 OF_ALGORITHMS = frozenset(key for keys in ALGORITHM_FIELDS.values() for key in keys)
 
-_TABLE_DEFAULTS: dict[str, Any] = {
-    "exploration": 0.1, "exploration_fraction": 0.0, "action_slip": 0.0, "reward_noise": 0.0,
-}  # fmt: skip
 _TWO_NETWORKS: dict[str, Any] = {"actor": (64, 64), "critic": (64, 64), "activation": "tanh"}
 _DQN_DEFAULTS: dict[str, Any] = {
     "actor": (64, 64), "activation": "relu", "optimizer": "adam", "gamma": 0.99, "learning_rate": 1e-4,
@@ -96,8 +83,6 @@ ALGORITHM_DEFAULTS: dict[str, dict[str, Any]] = {
     },
     "dqn": _DQN_DEFAULTS,
     "double-dqn": _DQN_DEFAULTS,
-    "q-learning": _TABLE_DEFAULTS,
-    "double-q-learning": _TABLE_DEFAULTS,
 }  # fmt: skip
 """What a run has where nobody sets it: the defaults of the classes of Stable-Baselines3 and sb3-contrib."""
 

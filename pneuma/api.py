@@ -20,7 +20,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pneuma.algorithms import MAILMAN
 from pneuma.config import OF_WORLDS, Run, is_gymnasium_id, make_run
 from pneuma.env.fields import ENVIRONMENTS, make_env_config, read_field
 from pneuma.errors import UserError, counted
@@ -276,8 +275,6 @@ def load_policy(
     env = read_field(Run, "env", run.get("env"))
     if is_gymnasium_id(env):
         settings = json.loads(run.get("env_kwargs") or "{}")
-    elif env == MAILMAN:
-        settings = {"slip": run.get("action_slip") or 0.0, "noise": run.get("reward_noise") or 0.0}
     else:
         settings = {key: run[key] for key in OF_WORLDS if key in run}
     return read_sound_policy(store.read_file(found, POLICY_FILE)), env, settings

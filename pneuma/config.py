@@ -22,14 +22,12 @@ from pneuma.algorithms import (
     ALGORITHM_ENGINES,
     ALGORITHM_FIELDS,
     ALGORITHMS,
-    MAILMAN,
     OF_ALGORITHMS,
     OF_OPEN_LEARNERS,
     OF_OPTIMIZERS,
     OPEN_LEARNERS,
     OPTIMIZER_DEFAULTS,
     OPTIMIZER_ENGINES,
-    TABULAR,
     VALUE_BASED,
     default_fields,
 )
@@ -41,7 +39,7 @@ from pneuma.values import OneOf, Reads, Share, matching
 RULES_VERSION = 3
 """Raised by hand when the same seed and actions give a different world; part of every run id."""
 
-ENGINE_VERSIONS = {"batched": 3, "sb3": 2, "tabular": 1}
+ENGINE_VERSIONS = {"batched": 3, "sb3": 2}
 """Raised by hand when an engine trains the same run to different numbers; part of every run id."""
 
 ENGINES = tuple(ENGINE_VERSIONS)
@@ -80,7 +78,6 @@ def _read_limit(value: object) -> float | None:
     return float(value)
 
 
-OWN_ENVIRONMENTS = (*ENVIRONMENTS, MAILMAN)
 OF_WORLDS = tuple(item.name for item in fields(EnvConfig))
 _FOREIGN = re.compile(r"(?!(?i:pneuma))([\w.-]+/)?[\w.-]+-v\d+")
 """The form of an id of other environments that are registered with Gymnasium."""
@@ -95,7 +92,7 @@ def is_gymnasium_id(env: object) -> bool:
 
 
 def _read_env(value: Any) -> str:
-    if value in OWN_ENVIRONMENTS or is_gymnasium_id(value):
+    if value in ENVIRONMENTS or is_gymnasium_id(value):
         return str(value)
     raise ValueError
 
@@ -129,14 +126,14 @@ def _read_wrapper(value: Any) -> str:
     return name + _read_arguments(arguments)
 
 
-_ENV_ALLOWED = f"one of {', '.join(OWN_ENVIRONMENTS)}, or the id of a Gymnasium environment, as CartPole-v1"
+_ENV_ALLOWED = f"one of {', '.join(ENVIRONMENTS)}, or the id of a Gymnasium environment, as CartPole-v1"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Run(EnvConfig):
     """One training: environment, learner, budget and seed. Equal runs end with equal bits."""
 
-    env: Annotated[str, Reads(_read_env, _ENV_ALLOWED, OWN_ENVIRONMENTS)] = ENVIRONMENTS[0]
+    env: Annotated[str, Reads(_read_env, _ENV_ALLOWED, ENVIRONMENTS)] = ENVIRONMENTS[0]
     env_module: Annotated[str, matching(rf"|{MODULE}", "a module that registers environments")] = ""
     """Imported before the environment is made: a module, or the path of its file."""
     env_kwargs: Annotated[str, Reads(_read_arguments, "a table of keyword arguments")] = ""
@@ -209,11 +206,6 @@ class Run(EnvConfig):
     gradient_steps: Annotated[int, Interval(ge=1, le=10_000)] | None = None
     target_every: Annotated[int, Interval(ge=1, le=10**12)] | None = None
     """Agent steps between copies to the target network; 1 is as good as no target network."""
-
-    action_slip: Share | None = None
-    """Mailman only: probability that the other action is taken instead."""
-    reward_noise: Annotated[float, Interval(ge=0, le=1e6)] | None = None
-    """Mailman only: standard deviation of normal noise on every reward."""
 
     optimizer: Annotated[str, OneOf(tuple(OPTIMIZER_DEFAULTS))] = "adam"
     betas: Annotated[tuple[Fraction, ...], Len(2, 2)] | None = None
@@ -289,10 +281,10 @@ def reads(run: Run) -> frozenset[str]:
 
 @cache
 def _read_by(env: str, algorithm: str, optimizer: str) -> frozenset[str]:
-    read = {*ALGORITHM_FIELDS[algorithm]}
-    if algorithm not in TABULAR:
-        read |= {*OF_OPEN_LEARNERS, *(OF_GYMNASIUM if is_gymnasium_id(env) else OF_WORLDS)}
-        read |= set() if algorithm in OPEN_LEARNERS else {*OPTIMIZER_DEFAULTS[optimizer]}
+    read = {*ALGORITHM_FIELDS[algorithm], *OF_OPEN_LEARNERS}
+    read |= {*(OF_GYMNASIUM if is_gymnasium_id(env) else OF_WORLDS)}
+    if algorithm not in OPEN_LEARNERS:
+        read |= {*OPTIMIZER_DEFAULTS[optimizer]}
     if algorithm in VALUE_BASED:
         read -= {*NORMALIZING}  # what is replayed was seen otherwise
     by_some = {*OF_WORLDS, *OF_GYMNASIUM, *OF_OPTIMIZERS, *OF_ALGORITHMS, *OF_OPEN_LEARNERS}
@@ -328,11 +320,6 @@ def _refuse(said: str, why: str) -> NoReturn:
 
 
 def _check_learner(run: Run) -> None:
-    if (run.algorithm in TABULAR) != (run.env == MAILMAN):
-        fitting = [name for name in ALGORITHMS if (name in TABULAR) == (run.env == MAILMAN)]
-        raise UserError(
-            f'algorithm = "{run.algorithm}" is not allowed in {run.env}: one of {", ".join(fitting)}'
-        )
     if is_open(run) and not is_gymnasium_id(run.env):
         given = next((key for key in OF_OPEN_LEARNERS if getattr(run, key)), f"algorithm = {run.algorithm}")
         raise UserError(f"{given} is not allowed in {run.env}: only in other environments of Gymnasium")
@@ -343,8 +330,6 @@ def _check_learner(run: Run) -> None:
         _refuse(f"optimizer = {run.optimizer}", f"the engine {run.engine} lacks it; {able} has it")
     if run.train_every and run.horizon % run.train_every:
         _refuse(f"train_every = {run.train_every}", f"horizon = {run.horizon} is no multiple of it")
-    if run.learning_rate > 1 and run.algorithm in TABULAR:
-        _refuse(f"learning_rate = {run.learning_rate:g}", "a table's is at most 1")
     if run.held_out_levels and not run.level.startswith("random:train:"):
         _refuse(f"held_out_levels = {run.held_out_levels}", f"{run.level} is not of random:train:")
 

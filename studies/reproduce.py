@@ -27,7 +27,7 @@ PARTS = {
     ),
     "other-networks": ("architecture",),
     "other-chapters": (
-        "tabular", "policy-gradient", "perception", "vision", "team", "algorithms", "generalisation",
+        "policy-gradient", "perception", "vision", "team", "algorithms", "generalisation",
         "simplifications", "published-logs",
     ),
     "causes": (
@@ -41,7 +41,7 @@ PARTS = {
 }  # fmt: skip
 """Of networks the runs that claims fix, the most important first; of other parts the preset `paper`."""
 WORLDS = ("arena", "text", "godot")
-CURVES = {"tabular": "return,length", "collapse": "return,entropy,dead_units,actions", "robustness": "none"}
+CURVES = {"collapse": "return,entropy,dead_units,actions", "robustness": "none"}
 """The curves that a published table keeps, where they are not the usual ones."""
 
 

@@ -88,7 +88,7 @@ def test_a_failure_stops_no_other_study(
     monkeypatch.setattr(subprocess, "run", run)
     monkeypatch.setattr(signal, "signal", lambda *_: None)
     monkeypatch.setattr(
-        "sys.argv", ["reproduce.py", "other-chapters", command, "--studies", "tabular", "published-logs"]
+        "sys.argv", ["reproduce.py", "other-chapters", command, "--studies", "team", "published-logs"]
     )
     if code is None:
         REPRODUCE["main"]()

@@ -30,7 +30,7 @@ FRAMES_PER_STEP = 4
 
 
 def draw_mailman(folder: Path) -> list[Path]:
-    """Draw Fig. 2.1: the decision process of `pneuma/Mailman-v0`, its best route in bold."""
+    """Draw Fig. 2.1: the mailman's decision process, its best route in bold."""
     with house_style():
         figure = Figure(figsize=(4.2, 2.1))
         axes = figure.add_axes((0, 0, 1, 1))

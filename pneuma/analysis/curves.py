@@ -22,7 +22,7 @@ from scipy import special
 
 from pneuma.analysis import intervals
 from pneuma.analysis.intervals import LEAST_RUNS, LEVEL
-from pneuma.analysis.outcomes import LARGEST, without_monsters
+from pneuma.analysis.outcomes import LARGEST, is_foreign
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError, unknown_name
 from pneuma.study.quantities import ACTION_QUANTITIES, EVALUATION_QUANTITIES, evaluation_column
@@ -176,7 +176,7 @@ def curve_names(data: StudyData) -> list[str]:
     training, and actions that no run takes.
     """
     trained = list(data.quantities)
-    if without_monsters(data):
+    if is_foreign(data):
         trained = [name for name in trained if not _shows_nothing(data, name)]
     if not data.evaluated:
         return trained

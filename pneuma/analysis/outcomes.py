@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.algorithms import MAILMAN
 from pneuma.analysis import measures
 from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.measures import NAN, Measure, Take, diagnosed, last_value, late_mean, peak
@@ -96,10 +95,6 @@ def unit_of_return(run: Row) -> str:
 
 def is_foreign(data: StudyData) -> bool:
     return all(is_gymnasium_id(run.fields.get("env")) for run in data.rows)
-
-
-def without_monsters(data: StudyData) -> bool:
-    return all((env := run.fields.get("env")) == MAILMAN or is_gymnasium_id(env) for run in data.rows)
 
 
 def primary(data: StudyData) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, check_file, rows_result, write_file
+from pneuma.env.fields import ENVIRONMENTS
 from pneuma.errors import UserError, counted, unknown_name
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ ABOUT = {
     "pneuma/Pneuma-v0": "the thesis's text, well posed: unit-scale observations, 1,000 steps",
     "pneuma/PneumaGodot-v0": "its published code with the quirks: raw pixels, rewarded events, XP for ever",
     "pneuma/PneumaArena-v0": "the text's rules, rewarded for XP gained less HP lost, the facing observed",
-    "pneuma/Mailman-v0": "the three states of the thesis's Fig. 2.1, for tabular methods",
 }
 """A description of each environment."""
 
@@ -37,10 +37,8 @@ def list_() -> Result:
     """List the environments and what they are."""
     import gymnasium
 
-    import pneuma
-
     rows: list[dict[str, Any]] = []
-    for name in pneuma.env.REGISTERED:
+    for name in ENVIRONMENTS:
         with closing(gymnasium.make(name).unwrapped) as env:
             seen = str(env.observation_space.shape or env.observation_space)
             actions = int(env.action_space.n)  # type: ignore[attr-defined]
@@ -128,13 +126,9 @@ def _story(worlds: Worlds) -> str:
 
 
 def _check_drawable(name: str) -> None:
-    from pneuma.algorithms import MAILMAN
     from pneuma.config import is_gymnasium_id
-    from pneuma.env import REGISTERED
 
     if is_gymnasium_id(name):
         raise UserError(f"{name} is drawn by Gymnasium: play it with pneuma.load_policy, see docs/python.md")
-    if name not in REGISTERED:
-        raise unknown_name("environment", name, REGISTERED)
-    if name == MAILMAN:
-        raise UserError(f"{name} has no picture: it is three states and two actions")
+    if name not in ENVIRONMENTS:
+        raise unknown_name("environment", name, ENVIRONMENTS)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pneuma.cli import delete
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, check_file, rows_of, write_file
-from pneuma.config import env_config, is_gymnasium_id
+from pneuma.config import env_config
 from pneuma.env.fields import ENVIRONMENTS, action_names
 from pneuma.errors import UserError
 from pneuma.study.store import Store
@@ -147,7 +147,6 @@ def export(
 
 def _exported(store: Store, run_id: str, fields: Mapping[str, Any], suffix: str) -> bytes:
     from pneuma.engines import export as exports
-    from pneuma.engines import mailman
     from pneuma.engines.policy import POLICY_FILE, read_sound_policy
 
     if POLICY_FILE not in store.checksums(run_id) or not fields:
@@ -163,4 +162,4 @@ def _exported(store: Store, run_id: str, fields: Mapping[str, Any], suffix: str)
     if settings.env in ENVIRONMENTS:
         about["observation"] = settings.observation
         return exports.to_onnx(policy, about, action_names(env_config(settings)))
-    return exports.to_onnx(policy, about, () if is_gymnasium_id(settings.env) else mailman.ACTION_NAMES)
+    return exports.to_onnx(policy, about)

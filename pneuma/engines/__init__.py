@@ -1,4 +1,4 @@
 """Engines train runs. `loop` defines the interface, and what all of them do between updates.
 
-`batched` is the default engine, `sb3` the reference, and `tabular` is for tables.
+`batched` is the default engine, `sb3` the reference.
 """

@@ -30,7 +30,6 @@ from pneuma.env.fields import ENVIRONMENTS, own_rewards
 TRAINERS = {
     "batched": "pneuma.engines.batched.training:BatchedTrainer",
     "sb3": "pneuma.engines.sb3:Sb3Trainer",
-    "tabular": "pneuma.engines.tabular:TableTrainer",
 }
 """The trainer of each of `pneuma.config.ENGINES`, imported when it trains, as most are heavy."""
 OPEN_TRAINER = "pneuma.engines.sb3_open:OpenTrainer"

@@ -5,10 +5,7 @@ what it is paid; `kernel.py` calls them, `worlds.py` owns the state, `slots.py` 
 `gym.py`, `gym_vector.py`, `pettingzoo.py` and `sb3.py` are the faces that other libraries know.
 """
 
-from pneuma.algorithms import MAILMAN
 from pneuma.env.fields import ENVIRONMENTS
-
-REGISTERED = (*ENVIRONMENTS, MAILMAN)
 
 
 def register_environments() -> None:
@@ -26,4 +23,3 @@ def register_environments() -> None:
             vector_entry_point="pneuma.env.gym_vector:PneumaVectorEnv",
             kwargs={"env_id": name},
         )
-    gymnasium.register(MAILMAN, entry_point="pneuma.engines.mailman:MailmanEnv")

@@ -33,7 +33,7 @@ from pneuma.analysis.curves import (
     study_curves,
 )
 from pneuma.analysis.intervals import LEAST_RUNS
-from pneuma.analysis.outcomes import have_one_return, is_foreign, without_monsters
+from pneuma.analysis.outcomes import have_one_return, is_foreign
 from pneuma.analysis.study_data import StudyData
 from pneuma.env.fields import ACTION_NAMES
 from pneuma.errors import UserError, counted
@@ -176,7 +176,7 @@ class Column:
             words = "as logged" if episodes == 1 else f"mean of {episodes} episodes"
             label = label.replace(" of an episode", f", {words}")
         title = of.title
-        if name.startswith("action_") and without_monsters(self.data):
+        if name.startswith("action_") and is_foreign(self.data):
             title = f"Share of action {name.removeprefix('action_')}"
         ticks: grid.Ticks = grid.shares if of.percent else grid.numbers
         if any(curve.log for curve in self.curves[name]):

@@ -122,9 +122,8 @@ def cell_results(
 def groups(todo: Mapping[str, Run], workers: int) -> list[dict[str, Run]]:
     """Divide runs among worker processes.
 
-    Compiled runs of equal shapes share a process, so that their programs are compiled or loaded once. Tabular
-    runs do too, as they take less time than a process takes to start. Groups stay small enough to keep every
-    worker busy.
+    Compiled runs of equal shapes share a process, so that their programs are compiled or loaded once. Groups
+    stay small enough to keep every worker busy.
     """
     by_shape: dict[Any, list[tuple[str, Run]]] = {}
     for name, run in todo.items():

@@ -55,7 +55,7 @@ def test_untrusted_nothing_is_written_through_a_link(
 def test_untrusted_a_file_of_anothers_is_replaced_by_force_alone(
     store: Store, tmp_path: Path, words: tuple[str, ...], ending: str
 ) -> None:
-    out, words = tmp_path / f"out{ending}", (*words, *(["tabular"] if words == ("report",) else []))
+    out, words = tmp_path / f"out{ending}", (*words, *(["activation"] if words == ("report",) else []))
     out.write_text("precious")
     code, _, err = call(*words, "--out", out, "--results", store.root)
     assert code == 2 and "--force replaces it" in err and out.read_text() == "precious"
@@ -68,7 +68,7 @@ def test_untrusted_a_file_of_anothers_is_replaced_by_force_alone(
 def test_untrusted_a_folder_that_is_a_link_to_itself_is_one_line(store: Store, tmp_path: Path) -> None:
     loop = tmp_path / "loop"
     loop.symlink_to(loop)
-    for words in (("study", "plot", "tabular"), ("search", "plot", "ppo")):
+    for words in (("study", "plot", "activation"), ("search", "plot", "ppo")):
         code, _, err = call(*words, "--out", loop, "--results", store.root)
         told = [line for line in err.splitlines() if line.startswith("pneuma: ")]
         assert code == 2 and len(told) == 1 and "Traceback" not in err, err

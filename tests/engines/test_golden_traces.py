@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from pneuma.algorithms import MAILMAN
 from pneuma.config import ENGINE_VERSIONS, make_run
 from pneuma.engines.loop import train_run
 from pneuma.presets import BASES
@@ -19,10 +18,6 @@ SMALL: dict[str, Any] = {
     **BASES["table-6-2"],
     "actor": [16], "critic": [24], "horizon": 64, "minibatch": 32, "epochs": 2, "evaluation_episodes": 4,
     "episode_steps": 40, "seed": 11,
-}  # fmt: skip
-TABLE: dict[str, Any] = {
-    "env": MAILMAN, "algorithm": "double-q-learning", "horizon": 50, "steps": 200, "learning_rate": 0.5,
-    "evaluation_episodes": 5, "gamma": 0.9, "seed": 11, "reward_noise": 1.0,
 }  # fmt: skip
 # The run of an engine's version: how many episodes end; step, length and return of some; last numbers.
 Numbers = tuple[dict[str, Any], int, dict[int, tuple[int, int, float]], dict[str, float]]
@@ -49,13 +44,6 @@ GOLDEN: dict[tuple[str, int], Numbers] = {
             "dead_units": 0.075, "action_0": 0.226562, "action_1": 0.140625, "action_4": 0.257812,
             "share_killed": 0.0178571, "return": -36.5325, "length": 40.0, "died": 0.0,
             "argmax_share_killed": 0.0, "argmax_return": -35.695, "random_share_killed": 0.0178571,
-        },
-    ),
-    ("tabular", 1): (
-        TABLE, 105, {0: (2, 2, 0.3824), 2: (5, 1, -0.5411), 39: (75, 1, -2.0567)},
-        {
-            "value_loss": 1.17148, "action_0": 0.98, "return": 0.544806, "length": 2.0, "argmax_return": 1.0,
-            "q_estimate": 0.731302, "q_true": 0.95,
         },
     ),
 }  # fmt: skip

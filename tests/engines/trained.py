@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.algorithms import MAILMAN
 from pneuma.config import Run, make_run
 from pneuma.engines.batched.rollout import Rollout
 from pneuma.engines.loop import Progress, Result, train_run
@@ -30,7 +29,6 @@ CORRIDOR: dict[str, Any] = {"env": "Corridor-v0", "env_module": "tests.engines.o
 OTHERS: dict[str, Any] = {"slots": 2, "horizon": 32, "steps": 192}
 NORMALIZED = {"normalize_observations": True, "normalize_rewards": True}
 REPLAYED = {"learning_starts": 80, "target_every": 50, "buffer_size": 150, "gamma": 0.9}
-TABLE = {"env": MAILMAN, "learning_rate": 0.5, "gamma": 0.9, "reward_noise": 0.5, "horizon": 5, "steps": 400}
 LEARNERS: dict[str, dict[str, Any]] = {
     "ppo": {"engine": "sb3", "optimizer": "rmsprop", "momentum": 0.5, "weight_decay": 0.01},
     "a2c": {"algorithm": "a2c", "optimizer": "rmsprop"},
@@ -68,8 +66,6 @@ CASES: dict[str, dict[str, Any]] = {
     "corridor dqn": {
         **CORRIDOR, **OTHERS, "algorithm": "dqn", "learning_starts": 30, "minibatch": 8, "buffer_size": 100,
     },
-    "q-learning": {**TABLE, "algorithm": "q-learning"},
-    "double-q-learning": {**TABLE, "algorithm": "double-q-learning"},
 }  # fmt: skip
 
 

@@ -12,7 +12,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env as gymnasiums_check
 from stable_baselines3.common.env_checker import check_env as sb3s_check
 
-from pneuma.env import REGISTERED
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
 from pneuma.env.pettingzoo import parallel_env
 from pneuma.env.players import Hunter
@@ -55,7 +54,7 @@ def test_hunters_clear_the_level_from_every_start_and_survive(env_id: str, playe
 # --- The checkers of Gymnasium, Stable-Baselines3 and PettingZoo ----------------------------------
 
 
-@pytest.mark.parametrize("env_id", REGISTERED)
+@pytest.mark.parametrize("env_id", ENVIRONMENTS)
 def test_gymnasiums_and_stable_baselines3s_checkers(env_id: str) -> None:
     env: Any = gymnasium.make(env_id, disable_env_checker=True).unwrapped
     if env_id in ENVIRONMENTS:

@@ -28,23 +28,19 @@ from pneuma.study.store import ROW_FILE, Store
 
 from ..cli.calls import call
 from .begun import outcome
+from .tiny import TINY_RUN
 
-STUDY = """\
+STUDY = f"""\
 title = "Read by many"
-base = "table-6-2"
 worlds = ["text"]
-[run]
-env = "pneuma/Mailman-v0"
-algorithm = "q-learning"
-horizon = 10
-{fields}
+{TINY_RUN}{{fields}}
 [conditions.slow]
-learning_rate = 0.1
+learning_rate = 0.0001
 [conditions.fast]
-learning_rate = 0.5
+learning_rate = 0.001
 [presets.quick]
 seeds = 3
-steps = 500
+steps = 256
 """
 COMMANDS = {
     "run": ("study", "run", "mine.toml", "--workers", "1", "--quiet"),

@@ -25,7 +25,7 @@ ACTIVATION_QUICK_SEED_0 = {
 
 ELSEWHERE = {"engine", "level", "characters", "reward"}
 """Fields that are hashed otherwise than by their value: by a version, by the contents of files."""
-UNREAD = {"momentum": 0.9, "noise": 0.01, "target_kl": 0.02, "buffer_size": 64, "action_slip": 0.1}
+UNREAD = {"momentum": 0.9, "noise": 0.01, "target_kl": 0.02, "buffer_size": 64}
 """Fields that PPO and Adam do not read."""
 
 

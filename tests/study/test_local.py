@@ -20,8 +20,7 @@ from pneuma.study.executors.local import Interrupts
 from pneuma.study.identity import run_id
 from pneuma.study.store import Store
 
-SETTINGS = {"env": "pneuma/Mailman-v0", "engine": "tabular", "algorithm": "q-learning", "horizon": 10}
-RUN = make_run({**SETTINGS, "steps": 500, "learning_rate": 0.5})
+RUN = make_run({"steps": 256})
 TWO = {run_id(run): run for run in (RUN, replace(RUN, seed=1))}
 
 

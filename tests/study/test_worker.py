@@ -106,9 +106,7 @@ def test_a_machine_without_tensorboard_trains_all_the_same(
 
 
 def test_a_worker_leaves_within_seconds_when_its_parent_does(tmp_path: Path) -> None:
-    run = make_run(
-        {"env": "pneuma/Mailman-v0", "engine": "tabular", "algorithm": "q-learning", "steps": 10**9}
-    )
+    run = make_run({"steps": 10**9})
     job = Job({run_id(run): run}, Store(tmp_path), LOCAL_CONFIG)
     process = subprocess.Popen(
         [sys.executable, "-m", "pneuma.study.worker", "--parent", str(os.getpid())],
