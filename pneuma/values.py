@@ -6,7 +6,7 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -173,6 +173,11 @@ def shown_seeds(seeds: Iterable[int]) -> str:
         else:
             spans.append([seed])
     return ",".join("..".join(map(str, span)) for span in spans)
+
+
+def seeds_option(seeds: Collection[int]) -> str:
+    """Return seeds as the value of an option: as `shown_seeds`, but `7,` for the seed 7 alone."""
+    return shown_seeds(seeds) + ("," if len(seeds) == 1 else "")
 
 
 def settings_name(settings: Mapping[str, Any], *more: str) -> str:

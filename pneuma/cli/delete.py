@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Annotated
 
@@ -43,20 +43,21 @@ def delete_study(name: opt.Study, picked: opt.RunFilter, yes: Yes = False) -> Re
     if study.path is None:
         if {*data.runs["run_id"]} <= here and not picked.condition and picked.seeds is None:
             index.store.remove(index.store.listing_path(study.name))
-    elif not _is_any_left(picked, study.name, study.world):
+    elif not _is_any_left(picked, study.name, study.world, here):
         forget_query(index.store, study.name, study.world)
     return result
 
 
-def _is_any_left(picked: opt.RunFilter, study: str, world: str) -> bool:
-    """Return whether a run of a study's last query is still stored."""
+def _is_any_left(picked: opt.RunFilter, study: str, world: str, removed: Collection[str]) -> bool:
+    """Return whether a run of a study's last query is stored that was not asked to be removed."""
     last = last_query(picked.store, study, world)
     if last is None:
         return False
     from pneuma.analysis.runs import plan_to_read
 
     plan = plan_to_read(picked.index, replace(last, preset=LAST))
-    return any(picked.store.status(cell.run_id, quick=True).name != "planned" for cell in plan.cells)
+    left = {cell.run_id for cell in plan.cells} - {*removed}
+    return any(picked.store.status(run_id, quick=True).name != "planned" for run_id in left)
 
 
 def delete_run(name: opt.RunId, yes: Yes = False, results: opt.Results = opt.HERE) -> Result:

@@ -11,6 +11,7 @@ from pneuma.cli import options as opt
 from pneuma.cli.output import Result, check_file, rows_result, write_file
 from pneuma.env.fields import ENVIRONMENTS
 from pneuma.errors import UserError, counted, unknown_name
+from pneuma.presets import WORLDS
 
 if TYPE_CHECKING:
     from pneuma.engines.policy import Policy
@@ -27,6 +28,7 @@ ABOUT = {
 
 CAMERAS = ("map", "follow")
 PLAYERS = ("random", "hunter")
+BEST = "best:"
 
 Environment = Annotated[str, opt.argument("ID", "An environment's id, as in `pneuma env list`.")]
 Seed = Annotated[int, opt.option("N", "Seed of the world.", min=0)]
@@ -50,7 +52,9 @@ def list_() -> Result:
 def render(
     name: Environment,
     out: Annotated[Path, opt.option("FILE", "A .png, or a .gif of an episode.")],
-    player: Annotated[str, opt.option("random|hunter|RUN_ID", "Who plays the episode.")] = "random",
+    player: Annotated[
+        str, opt.option("AGENT", "random, hunter, a run's id, or best:STUDY: a study's best run here.")
+    ] = "random",
     camera: Annotated[str | None, opt.choice(CAMERAS, "The whole map, or a player.")] = None,
     seed: Seed = 0,
     seconds: Annotated[float, opt.option("N", "Most seconds of an episode in a .gif.", min=1.0)] = 20.0,
@@ -102,7 +106,8 @@ def _load_player(player: str, name: str, results: Path, trust: bool) -> tuple[Po
     from pneuma.env.fields import REWARDS
 
     try:
-        policy, env, settings = load_policy(player, results, trust=trust)
+        run_id = _best_run(player.removeprefix(BEST), name, results) if player.startswith(BEST) else player
+        policy, env, settings = load_policy(run_id, results, trust=trust)
     except UserError as error:
         raise UserError(f"--player {player}: {error}") from None
     if env != name:
@@ -110,6 +115,15 @@ def _load_player(player: str, name: str, results: Path, trust: bool) -> tuple[Po
     paid = settings.get("reward") or ()
     settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in paid] or REWARDS[:1]
     return policy, settings
+
+
+def _best_run(study: str, env: str, results: Path) -> str:
+    """Return the best stored run of a study by its primary outcome, in the world of an environment."""
+    from pneuma.analysis.ranking import ranked_runs
+
+    worlds = [name for name, world in WORLDS.items() if world.env == env]
+    data = opt.RunFilter(world=next(iter(worlds), None), results=results).open(study)
+    return str(ranked_runs(data)["run_id"].iloc[0])
 
 
 def _story(worlds: Worlds) -> str:

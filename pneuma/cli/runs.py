@@ -25,27 +25,54 @@ from pneuma.values import shown_settings, shown_value
 
 if TYPE_CHECKING:
     from pneuma.analysis.run_index import RunIndex
+    from pneuma.analysis.study_data import StudyData
 
 app = opt.Commands("run", "Look at single runs and take them along.")
 app.command("delete", short_help="Remove a stored run.")(delete.delete_run)
 
 
 @app.command("list", short_help="List the stored runs.")
-def list_(results: opt.Results = opt.HERE) -> Result:
-    """List the stored runs: status, steps, seed, and which studies hold them."""
+def list_(
+    study: Annotated[
+        str | None, opt.option("NAME[@PRESET]", "Only the finished runs of this study, ranked by an outcome.")
+    ] = None,
+    sort: Annotated[
+        str | None, opt.option("OUTCOME", "With --study: the outcome (default: primary).")
+    ] = None,
+    world: opt.World = None,
+    results: opt.Results = opt.HERE,
+) -> Result:
+    """List the stored runs: status, steps, seed, and which studies hold them.
+
+    With --study, list the runs of one study, the best first.
+    """
     from pneuma.analysis.run_index import RunIndex
 
+    if study is not None:
+        return _ranked(opt.RunFilter(world=world, results=results).open(study), sort)
+    if sort is not None:
+        raise UserError("--sort requires --study")
     index = RunIndex(Store(results))
     labels, here = _labels(index), index.frame[index.frame["where"] == ""]
     here = here.rename(columns={"end": "step"})[["run_id", "status", "step", "seed"]]
     runs = [{**run, "studies": labels.get(run["run_id"], [])} for run in rows_of(here)]
     rows = []
     for run in runs:
-        studies = ", ".join(f"{each['study']}/{_condition(each)}" for each in run["studies"])
+        studies = ", ".join(f"{label['study']}/{_condition(label)}" for label in run["studies"])
         amount = f"{run['step']:>12,} steps", f"seed {run['seed']}"
         rows.append((run["run_id"], run["status"], *amount, studies or "of no study"))
     nothing = f"No run is stored in {results} yet."
     return Result({"runs": runs}, [Table([""] * 5, rows) if rows else nothing])
+
+
+def _ranked(data: StudyData, sort: str | None) -> Result:
+    from pneuma.analysis.outcomes import primary
+    from pneuma.analysis.ranking import ranked_runs
+
+    name = sort or primary(data)
+    runs = rows_of(ranked_runs(data, name))
+    rows = [(run["run_id"], run["condition"], f"seed {run['seed']}", f"{run['value']:.4g}") for run in runs]
+    return Result({"outcome": name, "runs": runs}, [Table(("run", "condition", "", name), rows)])
 
 
 def _labels(index: RunIndex) -> dict[str, list[dict[str, Any]]]:

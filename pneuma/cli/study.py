@@ -164,9 +164,11 @@ def status(
         say(f"Note: {problem}.")
     if runs or data.plan is None:
         return _status_of_runs(data)
-    states = _states(data.plan.preset, data)
+    query = data.plan.query
+    is_preset = not (query.seeds or query.steps or query.conditions or query.settings)
+    states = _states(data.plan.preset if is_preset else "as asked", data)
     for preset in data.study.presets:
-        if preset != data.plan.preset:
+        if not (is_preset and preset == data.plan.preset):
             other = find_study(picked.index, Query(data.study.file, data.study.world, preset))
             states += _states(preset, other)
     names = [state for state in STATES if any(state in row for row in states)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pneuma.cli import STOPPED
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, command, frame_table, say, tallied
+from pneuma.config import Run
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.study import execute, plan, spec
 from pneuma.study.executors.base import ExecutorConfig
@@ -64,13 +65,32 @@ def plan_(
         rows.append((each, f"{len(of_condition):>3} x {of_condition[0].run.steps:>11,} steps", counts))
     shown: list[str | Table] = [Table([""] * 3, rows), f"{tallied(states.values())}."]
     if todo:
-        known, at_once = [each for each in seconds.values() if each is not None], opt.Place().config().workers
-        expected = "unknown until a run of each kind has ended"
-        if len(known) == len(seconds):
-            expected = f"about {duration(max(sum(known) / at_once, *known))} with {at_once} at once"
-        shown.append(f"Time to train: {expected}.")
+        shown.append(f"Time to train: {_expected_time(chosen, todo, statuses, seconds)}.")
     notes = [f"Note: {note}." for note in planned.notes]
     return Result({"study": planned.study.name, "runs": cells}, shown, notes=notes)
+
+
+def _expected_time(
+    chosen: opt.RunFilter,
+    todo: Mapping[str, Run],
+    statuses: Mapping[str, Status],
+    seconds: Mapping[str, float | None],
+) -> str:
+    """Return how long runs take, by runs that were trained here, or else by published ones."""
+    by = ""
+    if any(expected is None for expected in seconds.values()):
+        from pneuma.analysis.estimates import published_seconds
+
+        by = " on the machine that made the published runs"
+        seconds = {
+            run_id: published_seconds(chosen.index, run, run.steps - execute.kept_step(statuses[run_id]))
+            for run_id, run in todo.items()
+        }
+    known = [expected for expected in seconds.values() if expected is not None]
+    if len(known) < len(seconds):
+        return "unknown until a run of each kind has ended"
+    workers = opt.Place().config().workers
+    return f"about {duration(max(sum(known) / workers, *known))}{by}, with {workers} at once"
 
 
 def _seeds_to_detect(data: StudyData | None, detect: float, outcome: str | None, sd: float | None) -> Result:

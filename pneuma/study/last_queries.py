@@ -17,7 +17,7 @@ from pneuma.presets import checked_world
 from pneuma.study.plan import Plan, Query
 from pneuma.study.spec import LAST
 from pneuma.study.store import Store
-from pneuma.values import read_seeds, read_settings, setting_words, shown_seeds
+from pneuma.values import read_seeds, read_settings, seeds_option, setting_words
 
 
 def note_query(store: Store, plan: Plan) -> None:
@@ -25,7 +25,7 @@ def note_query(store: Store, plan: Plan) -> None:
     query = plan.query
     noted = {
         "preset": plan.preset,
-        "seeds": None if query.seeds is None else f"{shown_seeds(query.seeds)},",
+        "seeds": None if query.seeds is None else seeds_option(query.seeds),
         "steps": query.steps,
         "conditions": [*query.conditions],
         "settings": setting_words(query.settings),

@@ -42,7 +42,7 @@ from pneuma.study.spec import (
     does_nothing,
     unread_fields,
 )
-from pneuma.values import read_value, short, shown_seeds, split_list
+from pneuma.values import read_value, seeds_option, short, split_list
 
 Swept = Mapping[str, Mapping[str, Any]]
 """The values of each field to sweep, by what the user wrote."""
@@ -173,7 +173,7 @@ def query_words(plan: Plan) -> list[str]:
     for condition in query.conditions:
         words += ["--condition", condition]
     if query.seeds is not None:
-        words += ["--seeds", f"{shown_seeds(query.seeds)},"]
+        words += ["--seeds", seeds_option(query.seeds)]
     if query.steps:
         words += ["--steps", str(query.steps)]
     return words

@@ -38,7 +38,7 @@ MISTAKES = {
     f"{RUN} --seeds 0": "--seeds 0: must be a count",
     "study run nowhere.toml": "nowhere.toml: cannot be read: No such file",
     "study export activation --out x.csv": "Missing option '--table'",
-    "study compare": "Missing argument 'NAME'",
+    "study compare": "Missing argument 'NAME[@PRESET]'",
     f"{RUN} --seeds x": "--seeds x: must be a count",
     "study plot activation --width x": "Invalid value for '--width': ",
     "study plot algorithms --world text": "pneuma study run algorithms",

@@ -46,7 +46,7 @@ def test_a_summary_as_a_thesis_prints_it(mine: list[str]) -> None:
 
 
 def test_how_far_runs_are_as_a_table(mine: list[str]) -> None:
-    rows = list(csv.DictReader(io.StringIO(printed("study", "status", *mine, "--format", "csv"))))
+    rows = list(csv.DictReader(io.StringIO(printed("study", "status", *mine, "--runs", "--format", "csv"))))
     assert [(row["condition"], row["seed"], row["status"]) for row in rows[:2]] == [
         ("high", "0", "done"), ("middle", "0", "done"),
     ]  # fmt: skip

@@ -33,11 +33,11 @@ def plan() -> Plan:
         ("plot activation --figure summary", "fig-6-5-text-gamma=0.5-summary.png"),
         (
             "plot activation --window trailing-100 --condition tanh --seeds 1",
-            "fig-6-5-text-gamma=0.5-tanh-seeds-0-trailing-100.png",
+            "fig-6-5-text-gamma=0.5-tanh-seeds-0.png",
         ),
         ("plot activation --x wall-clock --center iqm", "fig-6-5-text-gamma=0.5-iqm-over-wall-clock.png"),
         ("plot activation --steps 1024", "fig-6-5-text-gamma=0.5-steps-1024.png"),
-        ("compare activation tanh relu --plot", "fig-6-5-text-gamma=0.5-compare-tanh-relu.png"),
+        ("compare activation tanh relu --plot", "fig-6-5-text-gamma=0.5-tanh-relu-compare-tanh-relu.png"),
     ],
 )
 def test_a_figure_tells_its_runs_and_a_command_that_draws_the_same_bytes(

@@ -86,7 +86,7 @@ def test_a_study_with_runs_has_figures_conditions_runs_and_provenance(
     assert kind == "data:image/png" and base64.b64decode(data).startswith(b"\x89PNG")
     assert len(images) == 1
     assert all(f"run-{cell.run_id}" in page.anchors for cell in plan.cells)
-    assert "3 conditions, 4 runs of up to 1,024 agent steps" in words
+    assert "2 conditions, 4 runs of up to 1,024 agent steps" in words
     assert "4 runs: 4 done" in words
     assert "What produced the runs: all by the same" in words  # though each started at a time of its own
     assert "torch 2.13.0" in words and "<b>fast</b>" in words

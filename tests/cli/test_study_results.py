@@ -90,7 +90,7 @@ def test_a_crash_is_exit_code_1_and_says_where_to_look(
     (trace,) = results.glob("runs/*/error.txt")
     assert f"tanh seed 0 crashed: out of luck ({trace})" in called.out
     assert trace.read_text() == "the worker process ended with code 3\nout of luck\n"
-    status = call("study", "status", "activation", "--json", "--results", results)
+    status = call("study", "status", "activation", "--runs", "--json", "--results", results)
     assert (status.code, status.document["runs"][0]["status"]) == (0, "crashed")
 
 
