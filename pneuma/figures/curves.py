@@ -84,7 +84,9 @@ def curves_page(
         headline = ": ".join(filter(None, [data.study.title, shown]))
     runs = samples_of(*columns.values(), *dict.fromkeys(filter(None, others.values())))
     meanings = {word: artist for column in drawn.values() for word, artist in column.meanings.items()}
-    return Page(stem, panels, inches, headline, runs, meanings, notes, None if alone else [1] * len(drawn))
+    widths = None if alone else [1.0] * len(drawn)
+    spare = alone and not quantities
+    return Page(stem, panels, inches, headline, runs, meanings, notes, widths, spare)
 
 
 def _having(columns: Mapping[str, StudyData], names: Sequence[str]) -> dict[str, list[str]]:

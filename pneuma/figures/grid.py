@@ -10,6 +10,7 @@ A study's words (title, notes, labels) are in `words.py`.
 from __future__ import annotations
 
 import itertools
+import math
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -28,10 +29,10 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.text import Text
 from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 
-from pneuma.errors import UserError, plain
+from pneuma.errors import UserError, plain, print_aside
 from pneuma.figures import style
 from pneuma.figures.origin import Origin, Sample
-from pneuma.figures.style import CAPTION, GREY, INK, LINE_INCHES, TYPE_POINTS, WIDTH, Look, characters, clean
+from pneuma.figures.style import CAPTION, GREY, INK, LINE_INCHES, WIDTH, Look, characters, clean, text_points
 
 FAR = 3.0
 """The random player's level this many times above the highest point is not drawn."""
@@ -48,7 +49,9 @@ RANDOM_PLAYER = "random player"
 ROW_INCHES, LEAST_ROW_INCHES, LONGEST_INCHES = 0.28, 0.1, 7.6
 """Heights in inches: of a row, usual and least, and of all rows or panels that fit a page."""
 LEAST_PANEL_INCHES, LEAST_GAP = 0.8, 0.08
-"""Least height and width of a panel, and space between words of neighbours."""
+"""Least width of a panel, and space between words of neighbours."""
+LEAST_PANEL_HEIGHT = 1.25
+"""In inches, with title and labels; in less, the label of an axis lies on others."""
 USUAL_LOOK = Look()
 
 
@@ -132,6 +135,7 @@ class Page:
         entries: artists of the legend that are in no panel, by their words.
         caption: notes, the most important first.
         widths: of columns, relative to each other.
+        spare: whether panels after the first may be left out where there is too little height.
     """
 
     basename: str
@@ -142,6 +146,11 @@ class Page:
     entries: Mapping[str, Any] = field(default_factory=dict)
     caption: Sequence[str] = ()
     widths: Sequence[float] | None = None
+    spare: bool = False
+
+
+class TooLowError(UserError):
+    """A height that is too little for the panels of a page."""
 
 
 def in_grid(panels: Sequence[Panel], columns: int) -> list[list[Panel | None]]:
@@ -169,8 +178,26 @@ def save_page(
     with style.house_style(sheet=look.sheet):
         while page.widths and across > 1 and not _fits(_figure(_below_each_other(page, across), look)):
             across -= 1
-        shown = _below_each_other(page, across)
-        return style.save_figure(_figure(shown, look), folder, page.basename, formats, origin)
+        figure = _figure_of_some(_below_each_other(page, across), look)
+        return style.save_figure(figure, folder, page.basename, formats, origin)
+
+
+def _figure_of_some(page: Page, look: Look) -> Figure:
+    """Return the figure of a page, without the panels that may be left out and do not fit its height."""
+    panels = [panel for row in page.grid for panel in row if panel]
+    for count in range(len(panels), 0, -1):
+        rows = in_grid(panels[:count], len(page.grid[0]))
+        shown = replace(page, grid=rows, inches=page.inches * len(rows) / len(page.grid))
+        try:
+            figure = _figure(shown if count < len(panels) else page, look)
+        except TooLowError:
+            if not page.spare or len(rows) == 1:
+                raise
+            continue
+        if count < len(panels):
+            print_aside(f"Note: {count} of {len(panels)} panels fit the height; --quantity names another.")
+        return figure
+    raise AssertionError("a page has a panel")
 
 
 def _figure(page: Page, look: Look) -> Figure:
@@ -248,7 +275,8 @@ def fill(axes: Axes, panel: Panel, pitch: float, width: float) -> None:
 
 def _put_texts(figure: Figure, page: Page, entries: Mapping[str, Any], look: Look) -> None:
     """Put the headline and legend above the panels and the caption below, and set the figure's size."""
-    points, line, edge = TYPE_POINTS, LINE_INCHES, 0.07 / look.width
+    points, edge = text_points(), 0.07 / look.width
+    line = points * LINE_INCHES
     heading = textwrap.wrap(page.headline, characters(1.2 * points, look.width))
     wide = characters(points, look.width)
     labels = {"\n".join(textwrap.wrap(label, wide - 8)): artist for label, artist in entries.items()}
@@ -265,10 +293,10 @@ def _put_texts(figure: Figure, page: Page, entries: Mapping[str, Any], look: Loo
     above = line * (1.2 * len(heading) + rows) + 0.1
     below = CAPTION * line * len(below_lines) + 0.08
     height = look.height or above + page.inches + below
-    least = above + below + LEAST_PANEL_INCHES * len(page.grid)
+    least = above + below + LEAST_PANEL_HEIGHT * len(page.grid)
     if look.height and height < least:
         fix = "" if look.plain else "; --plain has no headline and caption"
-        raise UserError(f"--height {height:g}: at least {least:.1f} inches{fix}")
+        raise TooLowError(f"--height {height:g}: at least {math.ceil(10 * least) / 10:.1f} inches{fix}")
     figure.set_size_inches(look.width, height)
     engine: Any = figure.get_layout_engine()
     engine.set(rect=(0, below / height, 1, 1 - (above + below) / height))

@@ -342,7 +342,7 @@ def _name_end(axes: Axes, frame: pd.DataFrame, name: str, colour: str, end: floa
     axes.annotate(
         fill(name, LONGEST_AT_END, break_long_words=False), (step if early else 1, value), (3, 0),
         "data" if early else ("axes fraction", "data"), "offset points", color=colour,
-        fontsize=0.85 * style.TYPE_POINTS, va="center", gid=style.END, annotation_clip=False,
+        fontsize=0.85 * style.text_points(), va="center", gid=style.END, annotation_clip=False,
     )  # fmt: skip
 
 

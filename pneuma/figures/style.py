@@ -33,8 +33,8 @@ TYPE_POINTS = 8.0
 """Size of the text in points; titles are larger, ticks and captions smaller."""
 CAPTION = 0.78
 """Size of small print, relative to the text."""
-LINE_INCHES = TYPE_POINTS * 1.5 / 72
-"""Height of a line of text in inches."""
+LINE_INCHES = 1.5 / 72
+"""Height of a line of text in inches for each of its points."""
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8C3B7A", "#E69F00", "#56B4E9", "#7A5230", "#4D4D4D")
 """After Okabe and Ito, for colour-blind readers; distinct from the greys of references."""
@@ -128,7 +128,15 @@ def house_style(type_points: float = TYPE_POINTS, sheet: str = "") -> Iterator[N
                 raise UserError(
                     f"--style {sheet}: is neither a style sheet of matplotlib nor a file"
                 ) from None
+            for key, share in _RELATIVE_TYPE.items():  # what the sheet leaves follows its size of text
+                if mpl.rcParams[key] == type_points * share and key.endswith("size"):
+                    mpl.rcParams[key] = text_points() * share
         yield
+
+
+def text_points() -> float:
+    """Return the size of the text in points, which a style sheet may set."""
+    return float(mpl.rcParams["font.size"])
 
 
 # --- Conditions --------------------------------------------------------------------------------------

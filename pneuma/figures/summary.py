@@ -198,7 +198,7 @@ def _draw_runs(
     `pitch` is the height of rows in inches; `ends` are where axes of shares killed begin, and the greatest
     share in any panel.
     """
-    mark = 0.5 * style.TYPE_POINTS * pitch / ROW_INCHES
+    mark = 0.5 * style.text_points() * pitch / ROW_INCHES
     reach = float(np.ptp([*found.all_values, 0.0]))
     for place, (condition, runs) in enumerate(found.values.items()):
         colour = colours[condition]

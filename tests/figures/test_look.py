@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import matplotlib as mpl
@@ -84,6 +85,23 @@ def test_a_figure_has_the_size_and_title_that_are_asked_for(
         assert text.get_window_extent().x1 <= figure.bbox.x1
 
 
+def test_a_panel_is_left_out_where_the_height_is_too_little_for_it_unless_it_was_asked_for(
+    study: HandMade, tmp_path: Path, drawn: list[Figure], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At 3.25 by 2.4 inches two panels overlapped, and 2.2 were refused."""
+    for height, panels in ((4.0, 2), (2.4, 1), (2.2, 1)):
+        save_page(curves_page(study.data), tmp_path, PNG, look=Look(3.25, height, plain=True))
+        assert drawn[-1].get_size_inches().tolist() == [3.25, height]
+        assert len(drawn[-1].axes) == panels
+        boxes = [axes.get_tightbbox().padded(-1) for axes in drawn[-1].axes]
+        boxes.append(drawn[-1].legends[0].get_window_extent())
+        assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
+    assert "Note: 1 of 2 panels fit the height; --quantity names another." in capsys.readouterr().err
+    both = curves_page(study.data, ["return", "share_killed"])
+    with pytest.raises(UserError, match=r"--height 2.4: at least \d.\d inches"):
+        save_page(both, tmp_path, PNG, look=Look(3.25, 2.4, plain=True))
+
+
 def test_columns_of_worlds_go_below_each_other_where_they_do_not_fit(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
@@ -117,6 +135,21 @@ def test_a_style_sheet_colours_conditions(study: HandMade, tmp_path: Path) -> No
     sheet.write_text("axes.prop_cycle: cycler('color', ['112233', '445566'])\n")
     (path,) = save_page(curves_page(study.data), tmp_path, ("svg",), look=Look(sheet=str(sheet)))
     assert "stroke: #112233" in (svg := path.read_text()) and "stroke: #445566" in svg
+
+
+def test_a_style_sheets_size_of_text_is_that_of_all_texts(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    """Ticks have nine tenths of it, captions 0.78; what the sheet sets itself stays."""
+    sheet = tmp_path / "mine.mplstyle"
+    sheet.write_text("font.size: 12\naxes.labelsize: 7\n")
+    save_page(curves_page(study.data), tmp_path, PNG, look=Look(height=6, sheet=str(sheet)))
+    axes = drawn[0].axes[0]
+    assert axes._left_title.get_fontsize() == 12  # type: ignore[attr-defined]
+    assert axes.xaxis.label.get_fontsize() == 7
+    assert axes.get_xticklabels()[0].get_fontsize() == pytest.approx(0.9 * 12)
+    assert drawn[0].legends[0].get_texts()[0].get_fontsize() == 12
+    assert drawn[0].texts[-1].get_fontsize() == pytest.approx(0.78 * 12)
 
 
 @pytest.mark.parametrize(
