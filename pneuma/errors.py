@@ -29,6 +29,10 @@ class UserError(Exception):
     """A mistake in a command or a file; the message says in one line what to change."""
 
 
+class StorageError(UserError):
+    """The disk takes nothing more: no run is at fault, so that training stops and can go on later."""
+
+
 class OwnCodeError(UserError):
     """What a user's own code raised; it would again, so that nothing is tried twice."""
 

@@ -16,7 +16,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from pneuma.errors import UserError
+from pneuma.errors import StorageError, UserError
 
 SCHEMA = 1
 _CHECKSUM, _END = "sha256", b"\n}\n"
@@ -24,6 +24,7 @@ _CHECKSUM, _END = "sha256", b"\n}\n"
 MADE_BY = "made by pneuma"
 """Words in a report and in an exported policy, by which a command knows what it may replace."""
 LONGEST_REASON = 100
+_STORAGE_PROBLEMS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{32}")
 STALE_SECONDS = 600
 """Age from which no process writes a temporary file any more."""
@@ -101,16 +102,27 @@ def replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
     written = {name: folder / f".{name}.{uuid.uuid4().hex}" for name in files}
     try:
         for name, path in written.items():
-            with open(path, "xb") as file:
+            with _errors_name(folder / name), open(path, "xb") as file:
                 file.write(files[name])
-        for path in written.values():
-            with open(path, "rb") as file:
+        for name, path in written.items():
+            with _errors_name(folder / name), open(path, "rb") as file:
                 os.fsync(file.fileno())
         for name, path in written.items():
-            os.replace(path, folder / name)
+            with _errors_name(folder / name):
+                os.replace(path, folder / name)
     except BaseException:
         for path in written.values():
             path.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def _errors_name(path: Path) -> Iterator[None]:
+    """Let an OSError name a file instead of the temporary one, or of none, as where the disk is full."""
+    try:
+        yield
+    except OSError as error:
+        error.filename = str(path)
         raise
 
 
@@ -126,11 +138,27 @@ def stale_files(folder: Path) -> list[Path]:
     return stale
 
 
+def write_error(path: Path, error: OSError) -> UserError:
+    """Return the error for a file that cannot be written; a StorageError where no file could be."""
+    text = f"{error.filename or path}: cannot be written ({error.strerror or error})"
+    if is_storage_problem(error):
+        return StorageError(f"{text}; once the disk can be written, the same command continues")
+    return UserError(text)
+
+
+def is_storage_problem(error: BaseException) -> bool:
+    """Return whether the disk is to blame: it is full, over a quota, broken, or read-only."""
+    return isinstance(error, StorageError) or (
+        isinstance(error, OSError) and error.errno in _STORAGE_PROBLEMS
+    )
+
+
 def create_whole(path: Path, data: bytes) -> None:
     """Write a file that does not exist yet, whole or not at all; leave one that exists as it is."""
     written = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
     try:
-        written.write_bytes(data)
+        with _errors_name(path):
+            written.write_bytes(data)
         with suppress(FileExistsError):
             os.link(written, path)
     finally:

@@ -27,7 +27,7 @@ from pneuma.engines.records import (
     Records,
     Row,
 )
-from pneuma.errors import UserError
+from pneuma.errors import StorageError, UserError
 from pneuma.files import SCHEMA, checksum
 from pneuma.study.provenance import Attempt, finished_provenance
 from pneuma.study.store import CHECKPOINTS, Store, read_checkpoint_name
@@ -92,6 +92,8 @@ class RunCheckpoints:
         try:
             data = encode(progress.checkpoint(), history, self._name)
             self._store.write(self._folder / CHECKPOINTS / file_name(progress.step, data), data)
+        except StorageError:
+            raise
         except UserError as error:
             self._say(f"no checkpoint at step {progress.step:,}: {error}")
         self._keep_latest(LATEST_KEPT)

@@ -15,6 +15,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from pneuma.files import write_error
+
 LOCK_FILE = ".lock"
 LOOKS, LOOK_SECONDS = 5, 0.002
 """Attempts to take a lock, and seconds between them: whoever only looks holds it for a moment."""
@@ -27,10 +29,15 @@ def run_lock(folder: Path) -> Iterator[bool]:
     The operating system releases the lock when the process ends, however it ends.
 
     Raises:
-        OSError: when it cannot be created.
+        UserError: when it cannot be created.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / LOCK_FILE, "a+b", opener=_open) as file:
+    path = folder / LOCK_FILE
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = open(path, "a+b", opener=_open)  # noqa: SIM115 (it is held outside `try`)
+    except OSError as error:
+        raise write_error(path, error) from None
+    with file:
         yield _take(file.fileno())
 
 

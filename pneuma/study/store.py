@@ -36,18 +36,20 @@ from pydantic import Field, StringConstraints, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
 from pneuma.config import Run, as_fields
-from pneuma.errors import UserError
+from pneuma.errors import StorageError, UserError
 from pneuma.files import (
     SCHEMA,
     checksum,
     create_whole,
     dump_checksummed,
+    is_storage_problem,
     load_checksummed,
     names_in,
     parse_json,
     replace_files,
     stale_files,
     to_json,
+    write_error,
 )
 from pneuma.study.identity import config_id
 from pneuma.study.locks import LOCK_FILE, is_held, run_lock
@@ -219,7 +221,7 @@ class Store:
     def plan_run(self, run_id: str, identity: Identity) -> None:
         """Note that a run is to be trained, unless something of it is stored."""
         folder = self.run_folder(run_id)
-        with self._writing(folder, folder):
+        with self._writing(folder):
             create_whole(folder / "status.json", _status_document(Status("planned", identity=identity), {}))
 
     def delete_run(self, run_id: str) -> None:
@@ -229,7 +231,7 @@ class Store:
             UserError: if it is being trained, or cannot be removed.
         """
         folder = self.run_folder(run_id)
-        with self._writing(folder, folder), run_lock(folder) as is_free:
+        with self._writing(folder), run_lock(folder) as is_free:
             if not is_free:
                 raise UserError(f"run {run_id} trains now: stop its study first")
             self.remove(folder)
@@ -339,7 +341,7 @@ class Store:
 
     def _write_all(self, folder: Path, files: Mapping[str, bytes]) -> None:
         """Write files into a folder in this order. If one fails, those before it may be there."""
-        with self._writing(folder, folder / next(iter(files))):
+        with self._writing(folder):
             replace_files(folder, files)
         for path in stale_files(folder):
             self.remove(path)
@@ -361,17 +363,18 @@ class Store:
         except FileNotFoundError:
             pass  # another process has removed a part of it
         except OSError as error:
-            raise UserError(f"{path}: cannot be removed ({error.strerror or error})") from None
+            text = f"{path}: cannot be removed ({error.strerror or error})"
+            raise (StorageError(text) if is_storage_problem(error) else UserError(text)) from None
 
     @contextmanager
-    def _writing(self, folder: Path, what: Path) -> Iterator[None]:
-        """Create a folder of the results to write into; an error says that `what` cannot be written."""
+    def _writing(self, folder: Path) -> Iterator[None]:
+        """Create a folder of the results to write into; an error names the file that cannot be written."""
         self._check_within(folder)
         try:
             folder.mkdir(parents=True, exist_ok=True)
             yield
         except OSError as error:
-            raise UserError(f"{what}: cannot be written ({error.strerror or error})") from None
+            raise write_error(folder, error) from None
 
 
 def read_sound(folder: Path, name: str, expected: str | None) -> bytes | None:

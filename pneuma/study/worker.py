@@ -31,8 +31,8 @@ from pneuma.config import Run
 from pneuma.engines.loop import Progress, train_run
 from pneuma.engines.policy import POLICY_FILE
 from pneuma.engines.records import CheckpointError
-from pneuma.errors import OwnCodeError, RunWarning, UserError
-from pneuma.files import to_json
+from pneuma.errors import OwnCodeError, RunWarning, StorageError, UserError
+from pneuma.files import is_storage_problem, to_json
 from pneuma.study.checkpoints import RunCheckpoints, table_files
 from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig, Job
 from pneuma.study.identity import run_id
@@ -106,7 +106,7 @@ class Worker:
                 try:
                     self._train(name, run)
                 except Exception as error:
-                    self._end_crashed(name, run, error)
+                    self._end_failed(name, run, error)
                     code = 1
         return code
 
@@ -116,11 +116,11 @@ class Worker:
         for name, run in runs.items():
             try:
                 free = locks.enter_context(self.store.lock(name))
-            except (OSError, UserError) as error:
-                reason = str(error)
-                if isinstance(error, OSError):
-                    reason = f"{self.store.run_folder(name)}: cannot be written ({error.strerror})"
-                self.reporter.end(name, Status("crashed"), reason=reason)
+            except StorageError as error:
+                self._end_stopped(name, error)
+                continue
+            except UserError as error:
+                self.reporter.end(name, Status("crashed"), reason=str(error))
                 continue
             if not free:
                 self.reporter.send("busy", name)
@@ -187,15 +187,32 @@ class Worker:
             checkpoints.finish()
         self.reporter.end(name, status)
 
-    def _end_crashed(self, name: str, run: Run, error: Exception) -> None:
-        reason = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
+    def _end_failed(self, name: str, run: Run, error: Exception) -> None:
+        if is_storage_problem(error):
+            return self._end_stopped(name, error)
+        reason = describe(error)
         final = self.last_try or isinstance(error, OwnCodeError)
         if final:
             try:
                 self.store.save_failure(name, run, "crashed", traceback.format_exc())
+            except StorageError as unwritten:
+                return self._end_stopped(name, unwritten)
             except UserError as unwritten:
                 reason = str(unwritten)
         self.reporter.end(name, Status("crashed"), reason=reason, final=final)
+
+    def _end_stopped(self, name: str, error: Exception) -> None:
+        """Stop this run, and those after it, because the disk takes nothing more."""
+        self.stop.set()
+        self.reporter.end(name, Status("stopped"), reason=describe(error), storage=True)
+
+
+def describe(error: Exception) -> str:
+    if isinstance(error, UserError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return f"memory ran out ({error or 'MemoryError'})"
+    return f"{type(error).__name__}: {error}"
 
 
 @contextmanager

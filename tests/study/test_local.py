@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import pytest
 
 from pneuma.config import Run, make_run
 from pneuma.engines.policy import POLICY_FILE
+from pneuma.errors import StorageError
 from pneuma.study.executors import local
 from pneuma.study.executors.base import Event, ExecutorConfig, Job
 from pneuma.study.executors.local import Interrupts
@@ -58,6 +60,27 @@ def test_what_a_users_own_code_raised_is_not_trained_again(
     *notes, end = train({run_id(RUN): RUN}, tmp_path)
     assert end["reason"] == "by the corridor" and len(notes) == (0 if final else 1)
     assert len((tmp_path / "begun").read_text().splitlines()) == len(notes) + 1
+
+
+def test_after_a_full_disk_no_further_run_begins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    about = {"event": "end", "run_id": run_id(RUN), "status": "stopped", "step": 0, "trained": True}
+    line = json.dumps({**about, "reason": "row.arrow: cannot be written (No space left)", "storage": True})
+    no_worker(tmp_path, monkeypatch, f"echo x >> {tmp_path}/begun\necho '{line}'\nexit 1")
+    groups = [{name: run} for name, run in TWO.items()]
+    with pytest.raises(StorageError, match="row.arrow: cannot be written"):
+        local.run_groups(groups, Store(tmp_path / "results"), ExecutorConfig(1), lambda event: None)
+    assert (tmp_path / "begun").read_text() == "x\n"
+
+
+def test_a_worker_that_is_killed_under_a_memory_limit_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda limit: (2**31, resource.RLIM_INFINITY))
+    no_worker(tmp_path, monkeypatch, "kill -SEGV $$")
+    *_, end = train({run_id(RUN): RUN}, tmp_path)
+    assert end["status"] == "killed"
+    reason = Store(tmp_path / "results").failure(run_id(RUN))
+    assert reason.endswith("killed by SIGSEGV (perhaps because memory ran out: its limit is 2.0 GiB)")
 
 
 def test_runs_that_a_dying_worker_had_not_come_to_keep_their_second_try(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 from concurrent.futures import ThreadPoolExecutor
@@ -10,7 +11,7 @@ from typing import Any, NoReturn
 
 import pytest
 
-from pneuma.errors import UserError
+from pneuma.errors import StorageError, UserError
 from pneuma.files import replace_files, to_json, write_whole
 from pneuma.study.locks import run_lock
 from pneuma.study.store import Identity, Status, Store
@@ -67,13 +68,13 @@ def test_files_are_on_the_disk_before_one_is_in_its_place_and_come_in_their_orde
 
     def fail_at_the_third(source: str, target: Path) -> None:
         if len(done) == 2:
-            raise OSError("no space left on device")
+            raise OSError(errno.ENOSPC, "no space left on device")
         done.append(target.name)
         replace(source, target)
 
     monkeypatch.setattr(os, "fsync", lambda descriptor: synced.append(len(os.listdir(tmp_path))))
     monkeypatch.setattr(os, "replace", fail_at_the_third)
-    with pytest.raises(OSError, match="no space left"):
+    with pytest.raises(OSError, match="no space left on device: .*/status'"):
         replace_files(tmp_path, {name: name.encode() for name in ("b", "a", "status", "c")})
     assert synced == [4] * 4 and done == ["b", "a"]
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a": b"a", "b": b"b"}
@@ -176,6 +177,22 @@ def test_a_removal_that_fails_is_one_line(store: Store, monkeypatch: pytest.Monk
     monkeypatch.setattr(Path, "unlink", fail)
     with pytest.raises(UserError, match=r"episodes.parquet: cannot be removed \(Operation not permitted\)"):
         store.save_run(NAME, Status("done", 512), {"run.json": b"{}"})
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS, errno.EACCES])
+def test_a_write_that_the_disk_refuses_names_the_file_and_says_if_no_file_could_be_written(
+    store: Store, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def fail(descriptor: int) -> NoReturn:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(UserError) as refused:
+        store.save_run(NAME, Status("done", 512), FILES)
+    assert f"{store.run_folder(NAME)}/run.json: cannot be written ({os.strerror(number)})" in str(
+        refused.value
+    )
+    assert isinstance(refused.value, StorageError) == (number != errno.EACCES)
 
 
 def test_what_a_killed_write_left_is_swept_by_the_next_one(store: Store) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -9,7 +10,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -94,6 +95,25 @@ def test_an_engine_that_breaks_is_a_crash_of_the_run_that_it_was_training(
     error = store.read_file(SECOND, "error.txt").decode()
     assert error.startswith("Traceback") and error.endswith("RuntimeError: the engine broke\n")
     assert [event["status"] for event in events if event["event"] == "end"] == ["done", "crashed"]
+
+
+@pytest.mark.parametrize("breaks", [False, True])
+def test_a_full_disk_stops_the_run_and_those_after_it_and_makes_none_a_crash(
+    breaks: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At its last write, or where the engine's crash is to be stored, which leaves room for no more."""
+
+    def fail(descriptor: int) -> NoReturn:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    engine = _Engine(breaks)
+    monkeypatch.setattr(os, "fsync", fail)
+    code, store, events = _train(engine, tmp_path, monkeypatch)
+    ends = [event for event in events if event["event"] == "end"]
+    assert code == 1 and [event["status"] for event in ends] == ["stopped", "stopped"]
+    assert ends[0]["storage"] and "(No space left on device)" in ends[0]["reason"]
+    assert str(store.run_folder(FIRST)) in ends[0]["reason"]
+    assert [store.status(name).name for name in (FIRST, SECOND)] == ["planned", "planned"]
 
 
 def test_a_machine_without_tensorboard_trains_all_the_same(

@@ -18,6 +18,8 @@ All of them guarantee:
 - The process that trains a run holds its lock in the store. Runs that other processes hold are reported and
   left to them.
 - Every run of the groups ends with one `end` event, unless Ctrl-C came.
+- If the disk takes nothing more, no further run begins, and it raises StorageError once those that train
+  have come to a checkpoint.
 - A run that crashes, or loses its process or node, is tried once more before it counts as failed, unless a
   user's own code has raised.
 - After the first Ctrl-C every run goes on to a checkpoint; after the second all stop at once. When all have

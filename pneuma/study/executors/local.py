@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import resource
 import selectors
 import signal
 import subprocess
@@ -29,7 +30,7 @@ from types import FrameType
 from typing import Any
 
 from pneuma.config import Run
-from pneuma.errors import UserError, print_aside
+from pneuma.errors import StorageError, UserError, print_aside
 from pneuma.files import parse_json
 from pneuma.study.executors.base import Event, ExecutorConfig, Job, OnEvent, end_event
 from pneuma.study.locks import is_held
@@ -146,9 +147,15 @@ class Supervisor:
         self._tasks = [_Task(group) for group in groups]
         self._store, self._how, self._on_event = store, how, on_event
         self._interrupts, self._heeded = interrupts, 0
+        self._storage_problem = ""
         self._selector = selectors.DefaultSelector()
 
     def work(self) -> None:
+        """Train the runs.
+
+        Raises:
+            StorageError: if the disk took nothing more, when those that trained have come to a checkpoint.
+        """
         try:
             while self._tasks or self._workers():
                 self._start_pending()
@@ -160,15 +167,21 @@ class Supervisor:
                 worker.kill()
                 worker.wait_and_read_stderr()
             self._selector.close()
+        if self._storage_problem:
+            raise StorageError(self._storage_problem)
 
     def _workers(self) -> list[_Worker]:
         return [key.data for key in self._selector.get_map().values()]
 
+    def _stop_level(self) -> int:
+        """Return 0 to go on, 1 to let every run go on to a checkpoint, 2 to end all at once."""
+        return max(self._interrupts.count, int(bool(self._storage_problem)))
+
     def _heed_interrupts(self) -> None:
-        count = self._interrupts.count
+        count = self._stop_level()
         if count == self._heeded:
             return
-        if not self._heeded:
+        if not self._heeded and not self._storage_problem:
             say_stopping()
         self._heeded = count
         self._tasks.clear()
@@ -202,6 +215,8 @@ class Supervisor:
             return
         if kind in ("busy", "end"):
             worker.outcome[name] = event
+        if event.get("storage"):
+            self._storage_problem = str(event["reason"])
         if kind == "busy" and not worker.task.busy:
             lock = self._store.run_folder(name) / ".lock"
             self._note(name, f"another process trains this run; waiting for it to let go of {lock}")
@@ -211,7 +226,7 @@ class Supervisor:
     def _reap(self, worker: _Worker) -> None:
         """Reap a worker, and handle its runs that were busy, crashed, or lost with it."""
         code, words = worker.wait_and_read_stderr()
-        task, stopped = worker.task, self._interrupts.count
+        task, stopped = worker.task, self._stop_level()
         silent = [name for name in task.group if name not in worker.outcome]
         for name, run in task.group.items():
             event, alone = worker.outcome.get(name), {name: run}  # alone, to affect no other run
@@ -240,7 +255,9 @@ class Supervisor:
                 if mine:
                     said = [_reason(code), words.decode(errors="replace")]  # what tells most comes last
                     self._store.save_failure(name, run, status, "\n".join(said[::-1] if code < 0 else said))
-        except (UserError, OSError) as error:
+        except StorageError as error:
+            self._storage_problem = str(error)
+        except UserError as error:
             self._note(name, str(error))
         self._on_event(end_event(name, Status(status)))
 
@@ -252,7 +269,12 @@ def _reason(code: int) -> str:
     if code >= 0:
         return f"the worker process ended with code {code}"
     name = signal.Signals(-code).name
-    hint = " (by hand, or by the system when memory ran out)" if name == "SIGKILL" else ""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    hint = ""
+    if name == "SIGKILL":
+        hint = " (by hand, or by the system when memory ran out)"
+    elif limit != resource.RLIM_INFINITY:  # many libraries do not survive a request that is refused
+        hint = f" (perhaps because memory ran out: its limit is {limit / 2**30:.1f} GiB)"
     return f"the worker process was killed by {name}{hint}"
 
 
