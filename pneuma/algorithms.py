@@ -15,11 +15,10 @@ OPEN_LEARNERS = {
     "qr-dqn": "sb3_contrib:QRDQN",
     "tqc": "sb3_contrib:TQC",
     "crossq": "sb3_contrib:CrossQ",
-    "ars": "sb3_contrib:ARS",
     "recurrent-ppo": "sb3_contrib:RecurrentPPO",
-    "maskable-ppo": "sb3_contrib:MaskablePPO",
 }
-OF_OPEN_LEARNERS = ("policy", "algorithm_kwargs", "callback")
+"""Learners without fields of their own, and their classes. Any other class of this kind is named itself."""
+OF_OPEN_LEARNERS = ("policy", "algorithm_kwargs")
 """Fields by which Stable-Baselines3 trains as a script of one's own would, without exact resume."""
 
 ALGORITHM_ENGINES: dict[str, tuple[str, ...]] = {
@@ -28,13 +27,15 @@ ALGORITHM_ENGINES: dict[str, tuple[str, ...]] = {
     "trpo": ("sb3",),
     "dqn": ("sb3",),
     "double-dqn": ("sb3",),
-    **dict.fromkeys(OPEN_LEARNERS, ("sb3",)),
 }
-"""The engines that train each algorithm, the usual one first."""
+"""The engines that train each algorithm with fields of its own, the usual one first."""
 
-ALGORITHMS = tuple(ALGORITHM_ENGINES)
+ALGORITHMS = (*ALGORITHM_ENGINES, *OPEN_LEARNERS)
 
-_NETWORK = ("actor", "activation", "optimizer", "weight_decay", "slots", "learning_rate_schedule")
+_NETWORK = (
+    "actor", "activation", "optimizer", "weight_decay", "slots", "gamma", "learning_rate",
+    "learning_rate_schedule",
+)  # fmt: skip
 _ACTOR_CRITIC = (*_NETWORK, "critic", "gae_lambda", "value_baseline")
 _GRADIENT = ("value_coefficient", "entropy_coefficient", "gradient_limit", "clip")
 _PPO = ("learners", "first_layer_scale", "normalize_advantage", "clip_range_schedule")
@@ -49,10 +50,11 @@ ALGORITHM_FIELDS: dict[str, tuple[str, ...]] = {
     "trpo": (*_ACTOR_CRITIC, "minibatch", "epochs", "target_kl", "conjugate_steps", "line_search_steps"),
     "dqn": _DQN,
     "double-dqn": _DQN,
-    **dict.fromkeys(OPEN_LEARNERS, ("slots",)),
 }
 """The fields each algorithm reads, beside those that all read and those of its optimizer."""
 
+ROLLOUT_LEARNERS = ("ppo", "a2c", "trpo", "recurrent-ppo")
+"""Learners whose `n_steps` are the steps of a rollout, which is the field `horizon`."""
 VALUE_BASED = tuple(name for name, fields in ALGORITHM_FIELDS.items() if "exploration" in fields)
 """Algorithms that act by estimated values of actions (thesis chapter 3)."""
 
@@ -83,6 +85,7 @@ ALGORITHM_DEFAULTS: dict[str, dict[str, Any]] = {
     },
     "dqn": _DQN_DEFAULTS,
     "double-dqn": _DQN_DEFAULTS,
+    "recurrent-ppo": {"horizon": 128},
 }  # fmt: skip
 """What a run has where nobody sets it: the defaults of the classes of Stable-Baselines3 and sb3-contrib."""
 
@@ -110,6 +113,22 @@ OPTIMIZER_ENGINES: dict[str, tuple[str, ...]] = {
 """The engines that have each optimizer."""
 
 OF_OPTIMIZERS = frozenset(key for defaults in OPTIMIZER_DEFAULTS.values() for key in defaults)
+
+
+def has_fields(algorithm: str) -> bool:
+    """Return whether an algorithm has fields; what a learner without them is told is `algorithm_kwargs`."""
+    return algorithm in ALGORITHM_FIELDS
+
+
+def is_own_algorithm(algorithm: str) -> bool:
+    """Return whether an algorithm is a class of neither Stable-Baselines3 nor sb3-contrib."""
+    module, colon, _ = algorithm.rpartition(":")
+    return bool(colon) and module.partition(".")[0] not in ("stable_baselines3", "sb3_contrib")
+
+
+def engines_of(algorithm: str) -> tuple[str, ...]:
+    """Return the engines that train an algorithm, the usual one first."""
+    return ALGORITHM_ENGINES.get(algorithm, ("sb3",))
 
 
 def default_fields(algorithm: str, optimizer: str = "") -> dict[str, Any]:

@@ -31,7 +31,7 @@ from pneuma.study.last_queries import on_top_of_last
 from pneuma.study.progress import ProgressDisplay
 from pneuma.study.provenance import available_cores, project
 from pneuma.study.store import Store
-from pneuma.study.stored_runs import find_run, trusted_settings
+from pneuma.study.stored_runs import find_run, stored_run, trusted_settings
 from pneuma.values import read_seeds
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from pneuma.analysis.study_data import StudyData
     from pneuma.engines.evaluation import Act
     from pneuma.engines.policy import Policy
+    from pneuma.engines.sb3_open import LearnedPolicy
 
 Where = str | os.PathLike[str]
 Say = Callable[[str], object]
@@ -249,7 +250,7 @@ def promote(
 
 def load_policy(
     run_id: str, results: Where | None = None, *, trust: bool = False
-) -> tuple[Policy, str, dict[str, Any]]:
+) -> tuple[Policy | LearnedPolicy, str, dict[str, Any]]:
     """Load the final policy of a stored run.
 
     Args:
@@ -259,25 +260,37 @@ def load_policy(
 
     Returns:
         The policy, the id of its environment, and the settings for `gymnasium.make(id, **settings)`. If the
-        run has a module and wrappers of its own, you import and apply them. The policy counts actions from 0:
-        add `env.action_space.start` where they begin elsewhere.
+        run has a module and wrappers of its own, you import and apply them. A `Policy` counts actions from 0:
+        add `env.action_space.start` where they begin elsewhere. A learner of Stable-Baselines3's kind without
+        fields of its own left a `LearnedPolicy`, which has `predict`.
 
     Raises:
         UserError: for an unknown run, a run without a policy, or one that needs `trust`.
     """
-    from pneuma.engines.policy import POLICY_FILE, read_sound_policy
-
     store = _store(results)
     found = find_run(store, run_id)
     run = trusted_settings(store, found, trust)
-    if POLICY_FILE not in store.checksums(found):
-        raise UserError(f"run {found} left no policy")
+    policy = stored_policy(store, found, run)
     env = read_field(Run, "env", run.get("env"))
     if is_gymnasium_id(env):
         settings = json.loads(run.get("env_kwargs") or "{}")
     else:
         settings = {key: run[key] for key in OF_WORLDS if key in run}
-    return read_sound_policy(store.read_file(found, POLICY_FILE)), env, settings
+    return policy, env, settings
+
+
+def stored_policy(store: Store, run_id: str, settings: Mapping[str, Any]) -> Policy | LearnedPolicy:
+    """Read the final policy of a run with these settings, which may be untrusted; nothing is unpickled."""
+    from pneuma.engines.policy import LEARNER_FILE, POLICY_FILE, read_sound_policy
+
+    files = store.checksums(run_id)
+    if POLICY_FILE in files:
+        return read_sound_policy(store.read_file(run_id, POLICY_FILE))
+    if LEARNER_FILE in files:
+        from pneuma.engines.sb3_open import load_learner
+
+        return load_learner(stored_run(settings), store.read_file(run_id, LEARNER_FILE))
+    raise UserError(f"run {run_id} left no policy")
 
 
 def evaluate(

@@ -19,17 +19,18 @@ from typing import Annotated, Any, Literal, NoReturn
 from annotated_types import Interval, Len
 
 from pneuma.algorithms import (
-    ALGORITHM_ENGINES,
     ALGORITHM_FIELDS,
     ALGORITHMS,
     OF_ALGORITHMS,
     OF_OPEN_LEARNERS,
     OF_OPTIMIZERS,
-    OPEN_LEARNERS,
     OPTIMIZER_DEFAULTS,
     OPTIMIZER_ENGINES,
+    ROLLOUT_LEARNERS,
     VALUE_BASED,
     default_fields,
+    engines_of,
+    has_fields,
 )
 from pneuma.env.fields import ENVIRONMENTS, MODULE, EnvConfig, read_fields, resolve_world, with_environment
 from pneuma.errors import UserError
@@ -126,6 +127,15 @@ def _read_wrapper(value: Any) -> str:
     return name + _read_arguments(arguments)
 
 
+def _read_algorithm(value: Any) -> str:
+    if value in ALGORITHMS or re.fullmatch(rf"({MODULE}):\w+", value):
+        return str(value)
+    raise ValueError
+
+
+_ALGORITHM_ALLOWED = (
+    f"one of {', '.join(ALGORITHMS)}, or module:Class of a learner of Stable-Baselines3's kind"
+)
 _ENV_ALLOWED = f"one of {', '.join(ENVIRONMENTS)}, or the id of a Gymnasium environment, as CartPole-v1"
 
 
@@ -146,12 +156,10 @@ class Run(EnvConfig):
     normalize_rewards: bool = False
     """By the running deviation of the discounted return, for the learner only; likewise."""
     engine: Annotated[str, OneOf(ENGINES)] = ENGINES[0]
-    algorithm: Annotated[str, OneOf(ALGORITHMS)] = "ppo"
+    algorithm: Annotated[str, Reads(_read_algorithm, _ALGORITHM_ALLOWED, ALGORITHMS)] = "ppo"
     policy: Annotated[str, matching(r"|\w+Policy", "a policy of the learner, as CnnPolicy")] = ""
     """Stable-Baselines3's name of the learner's policy, if it is not MlpPolicy."""
     algorithm_kwargs: Annotated[str, Reads(_read_arguments, "a table of arguments of the learner")] = ""
-    callback: Annotated[str, matching(rf"|({MODULE}):\w+", "module:Class")] = ""
-    """A callback of Stable-Baselines3's, made without arguments."""
     seed: Annotated[int, Interval(ge=0, le=2**32 - 1)] = 0
     steps: Steps = 50_000
     """Budget in agent steps, summed over slots."""
@@ -253,10 +261,11 @@ def make_run(given: Mapping[str, object]) -> Run:
     usual = {item.name: item.default for item in fields(Run)}
     values = {key: value for key, value in read.items() if value is not None or usual[key] is not None}
     values = values if is_gymnasium_id(env) else resolve_world(values)
-    named = Run(**{key: values[key] for key in ("env", "algorithm") if key in values})
+    named = Run(**{key: values[key] for key in ("env", "algorithm", *OF_OPEN_LEARNERS) if key in values})
+    values |= _rollout_steps(named, values)
     defaults = default_fields(named.algorithm, values.get("optimizer", ""))
     named = replace(named, optimizer=values.get("optimizer", defaults.get("optimizer", named.optimizer)))
-    known = _read_by(named.env, named.algorithm, named.optimizer)
+    known = _read_by(named.env, named.algorithm, named.optimizer, is_open(named))
     if values.get("learners") == "independent" and "learners" not in known:
         _refuse("learners = independent", f"{named.algorithm} trains one policy for all players")
     defaults = {key: value for key, value in defaults.items() if key in known}
@@ -265,6 +274,17 @@ def make_run(given: Mapping[str, object]) -> Run:
     run = replace(run, engine=_engine(run, values.get("engine", "")))
     _check_learner(run)
     return replace(run, steps=round_up(run, run.steps))
+
+
+def _rollout_steps(run: Run, values: Mapping[str, Any]) -> dict[str, int]:
+    """Return the horizon of a learner that is told the length of its rollouts as `n_steps`."""
+    steps = json.loads(run.algorithm_kwargs or "{}").get("n_steps")
+    if steps is None or run.algorithm not in ROLLOUT_LEARNERS:
+        return {}
+    horizon: int = read_fields(Run, {"horizon": steps})["horizon"]
+    if values.get("horizon", horizon) != horizon:
+        _refuse(f"horizon = {values['horizon']}", f"algorithm_kwargs has n_steps = {steps}: leave one out")
+    return {"horizon": horizon}
 
 
 def round_up(run: Run, steps: int) -> int:
@@ -276,16 +296,16 @@ def reads(run: Run) -> frozenset[str]:
     """Return the names of the fields that affect a run, given its other fields."""
     idle = {"dampening": not run.momentum, "clip": run.gradient_limit is None}
     idle |= {"learners": run.players == 1, **{key: not getattr(run, key) for key in OF_OPEN_LEARNERS}}
-    return _read_by(run.env, run.algorithm, run.optimizer) - {key for key, unread in idle.items() if unread}
+    known = _read_by(run.env, run.algorithm, run.optimizer, is_open(run))
+    return known - {key for key, unread in idle.items() if unread}
 
 
 @cache
-def _read_by(env: str, algorithm: str, optimizer: str) -> frozenset[str]:
-    read = {*ALGORITHM_FIELDS[algorithm], *OF_OPEN_LEARNERS}
-    read |= {*(OF_GYMNASIUM if is_gymnasium_id(env) else OF_WORLDS)}
-    if algorithm not in OPEN_LEARNERS:
-        read |= {*OPTIMIZER_DEFAULTS[optimizer]}
-    if algorithm in VALUE_BASED:
+def _read_by(env: str, algorithm: str, optimizer: str, is_open_run: bool) -> frozenset[str]:
+    read = {"slots", *OF_OPEN_LEARNERS, *(OF_GYMNASIUM if is_gymnasium_id(env) else OF_WORLDS)}
+    if algorithm == "ppo" or not is_open_run:  # others are told all else by `algorithm_kwargs`
+        read |= {*ALGORITHM_FIELDS[algorithm], *OPTIMIZER_DEFAULTS[optimizer]}
+    if algorithm in VALUE_BASED and not is_open_run:
         read -= {*NORMALIZING}  # what is replayed was seen otherwise
     by_some = {*OF_WORLDS, *OF_GYMNASIUM, *OF_OPTIMIZERS, *OF_ALGORITHMS, *OF_OPEN_LEARNERS}
     return frozenset({item.name for item in fields(Run)} - by_some | read)
@@ -293,12 +313,12 @@ def _read_by(env: str, algorithm: str, optimizer: str) -> frozenset[str]:
 
 def is_open(run: Run) -> bool:
     """Return whether Stable-Baselines3 trains a run as a script of one's own would: no exact resume."""
-    return run.algorithm in OPEN_LEARNERS or any(getattr(run, key) for key in OF_OPEN_LEARNERS)
+    return not has_fields(run.algorithm) or any(getattr(run, key) for key in OF_OPEN_LEARNERS)
 
 
 def beyond_engine(run: Run) -> str:
     """Return what the compiled engine cannot do for a run; empty if it can train it."""
-    if ENGINES[0] not in ALGORITHM_ENGINES[run.algorithm]:
+    if ENGINES[0] not in engines_of(run.algorithm):
         return f"the algorithm {run.algorithm}"
     if given := [key for key in OF_OPEN_LEARNERS if getattr(run, key)]:
         return f"a run with {given[0]}"
@@ -308,7 +328,7 @@ def beyond_engine(run: Run) -> str:
 def _engine(run: Run, asked: str) -> str:
     """Return the engine that was asked for, or the first one that can train a run."""
     reason = beyond_engine(run)
-    able = [name for name in ALGORITHM_ENGINES[run.algorithm] if not reason or name != ENGINES[0]]
+    able = [name for name in engines_of(run.algorithm) if not reason or name != ENGINES[0]]
     if asked and asked not in able:
         cannot = f"it cannot train {reason or f'the algorithm {run.algorithm}'}; {' and '.join(able)} can"
         raise UserError(f'engine = "{asked}" is not allowed: {cannot}')

@@ -1,7 +1,7 @@
-"""Fields of a run as Stable-Baselines3 and rl-baselines3-zoo write them, so that these can be pasted.
+"""Fields of PPO as Stable-Baselines3 and rl-baselines3-zoo write them, so that these can be pasted.
 
 n_steps = 32 is horizon = 32; learning_rate = "lin_1e-3" is learning_rate = 1e-3 with
-learning_rate_schedule = "linear".
+learning_rate_schedule = "linear". Arguments of other learners stand in `algorithm_kwargs`, as they are.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pneuma.algorithms import VALUE_BASED
 from pneuma.errors import UserError
 
 NAMES = {
@@ -23,12 +22,6 @@ NAMES = {
     "ent_coef": "entropy_coefficient",
     "vf_coef": "value_coefficient",
     "max_grad_norm": "gradient_limit",
-    "train_freq": "train_every",
-    "target_update_interval": "target_every",
-    "exploration_final_eps": "exploration",
-    "n_critic_updates": "epochs",
-    "cg_max_steps": "conjugate_steps",
-    "line_search_max_iter": "line_search_steps",
 }
 
 PASSED_ON = "algorithm_kwargs"
@@ -51,8 +44,6 @@ def fields_and_keys(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str,
             elif name in fields:
                 raise UserError(f"{key} and {keys[name]} both set {name}: leave one out")
             fields[name], keys[name] = own, keys.get(name, key)
-    if fields.get("algorithm") in VALUE_BASED and keys.get("critic") == "policy_kwargs":
-        del fields["critic"]  # net_arch is of the one network that there is
     return fields, keys
 
 
@@ -64,10 +55,15 @@ def _read(key: str, value: Any) -> dict[str, Any]:
     return {key: value}
 
 
+def annealed_from(value: Any) -> float | None:
+    """Return the number of lin_3e-4, the zoo's word for a value that falls from there to 0; else None."""
+    linear = isinstance(value, str) and re.fullmatch(r"lin_(\d+(\.\d*)?|\.\d+)(e-?\d+)?", value)
+    return float(value.removeprefix("lin_")) if linear else None
+
+
 def _annealed(key: str, value: Any) -> dict[str, Any]:
-    """Read lin_3e-4, the zoo's word for a value that falls to 0."""
-    linear = isinstance(value, str) and re.fullmatch(r"lin_([\d.]+(e-?\d+)?)", value)
-    return {key: float(linear[1]), f"{key}_schedule": "linear"} if linear else {key: value}
+    first = annealed_from(value)
+    return {key: value} if first is None else {key: first, f"{key}_schedule": "linear"}
 
 
 def _normalized(key: str, value: Any) -> dict[str, Any]:
@@ -92,7 +88,7 @@ def _networks(key: str, value: Any) -> dict[str, Any]:
     Networks of pi and vf, and three activations, are fields; all else is passed on to the policy.
     """
     try:
-        arguments = _evaluated(ast.parse(value, mode="eval").body) if isinstance(value, str) else {**value}
+        arguments = read_arguments_text(value) if isinstance(value, str) else {**value}
         own = _layers(arguments.pop("net_arch", None))
         if arguments.get("activation_fn") in _ACTIVATIONS:
             own["activation"] = _ACTIVATIONS[arguments.pop("activation_fn")]
@@ -112,12 +108,21 @@ def _layers(layers: Any) -> dict[str, Any]:
     return {"actor": layers["pi"], "critic": layers["vf"]}
 
 
+def read_arguments_text(text: str) -> Any:
+    """Return the arguments that a text such as "dict(net_arch=[64, 64])" has, by name; nothing is called.
+
+    Raises:
+        ValueError, KeyError, TypeError, SyntaxError, RecursionError, MemoryError: for any other text.
+    """
+    return _evaluated(ast.parse(text, mode="eval").body)
+
+
 def _evaluated(node: ast.expr) -> Any:
     """Evaluate dict(…), {…}, […], numbers and dotted names of an expression; nothing is called."""
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "dict":
         return {str(word.arg): _evaluated(word.value) for word in node.keywords}
     if isinstance(node, ast.List):
-        return tuple(_evaluated(item) for item in node.elts)
+        return [_evaluated(item) for item in node.elts]
     return ast.unparse(node) if isinstance(node, ast.Attribute) else ast.literal_eval(node)
 
 

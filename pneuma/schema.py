@@ -84,19 +84,19 @@ def passes(check: Callable[[Any], object]) -> AfterValidator:
     return AfterValidator(validate)
 
 
-FREE = "env_kwargs"
-"""The table whose numbers keep their types, as they are handed to code that is not Pneuma's."""
+FREE = ("env_kwargs", "algorithm_kwargs")
+"""Tables whose numbers keep their types, as they are handed to code that is not Pneuma's."""
 
 
 def plain(value: Any, deepest: int = DEEPEST, whole: bool = True) -> Any:
     """Return a value in the types of models: lists as tuples, NumPy's as Python's, whole numbers as int.
 
-    The last not if `whole` is false, and never in the table `FREE`. ValueError for those nested too deeply.
+    The last not if `whole` is false, and never in the tables `FREE`. ValueError for those nested too deeply.
     """
     if not deepest:
         raise ValueError(f"tables or lists lie more than {DEEPEST} deep in each other")
     if isinstance(value, Mapping):
-        return {key: plain(item, deepest - 1, whole and key != FREE) for key, item in value.items()}
+        return {key: plain(item, deepest - 1, whole and key not in FREE) for key, item in value.items()}
     if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, list | tuple):

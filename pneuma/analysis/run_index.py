@@ -10,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 
-from pneuma.algorithms import ALGORITHM_ENGINES
+from pneuma.algorithms import engines_of
 from pneuma.config import Run
 from pneuma.errors import UserError
 from pneuma.files import stored_file
@@ -77,7 +77,7 @@ class RunIndex:
 
     def engine_of(self, run: Run) -> str:
         """Return the engine of a run's configuration, or another by which there are runs of it alone."""
-        engines = dict.fromkeys([run.engine, *ALGORITHM_ENGINES[run.algorithm]])
+        engines = dict.fromkeys([run.engine, *engines_of(run.algorithm)])
         known = (name for name in engines if config_id(replace(run, engine=name)) in self.places)
         return next(known, run.engine)
 

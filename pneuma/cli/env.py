@@ -62,13 +62,15 @@ def render(
     trust: opt.Trust = False,
     results: opt.Results = opt.HERE,
 ) -> Result:
-    """Draw the world as a picture, or an episode as a moving one.
+    """Draw an environment as a picture, or an episode as a moving one.
 
     A .gif shows the first --seconds of an episode, which ends two seconds after the last monster's
-    death. A run's policy plays in the environment that it was trained in, --set on top.
+    death. A run's policy plays in the environment that it was trained in, --set on top. Environments
+    that are not Pneuma's draw themselves.
     """
     import numpy as np
 
+    from pneuma.config import is_gymnasium_id
     from pneuma.engines.policy import drawing
     from pneuma.env import watch
     from pneuma.env.fields import make_env_config
@@ -80,6 +82,12 @@ def render(
     moving = out.suffix.lower() == ".gif"
     if player != "random" and not moving:
         raise UserError(f"--player {player} is for episodes, and {out} is a picture: name a .gif")
+    if is_gymnasium_id(name):
+        if player == "hunter" or camera or set_:
+            raise UserError(
+                f"--player hunter, --camera and --set are for Pneuma's environments, not for {name}"
+            )
+        return _render_other(name, out, player, seed, seconds, trust, results)
     _check_drawable(name)
     policy, own = (None, {}) if player in PLAYERS else _load_player(player, name, results, trust)
     worlds = Worlds(1, make_env_config({**own, **dict(set_ or ())}, name))
@@ -97,12 +105,41 @@ def render(
     return Result({"file": out}, [f"wrote {out}: {_story(worlds)}"])
 
 
+def _render_other(
+    name: str, out: Path, player: str, seed: int, seconds: float, trust: bool, results: Path
+) -> Result:
+    """Draw an environment that is not Pneuma's, by its own rendering."""
+    from pneuma.api import stored_policy
+    from pneuma.config import make_run
+    from pneuma.engines.gymnasium_frames import episode_frames, frame_rate
+    from pneuma.env import watch
+    from pneuma.study.store import Store
+    from pneuma.study.stored_runs import find_run, stored_run, trusted_settings
+
+    run, policy = make_run({"env": name}), None
+    if player != "random":
+        store = Store(results)
+        run_id = find_run(store, player)
+        settings = trusted_settings(store, run_id, trust)
+        run, policy = stored_run(settings), stored_policy(store, run_id, settings)
+        if run.env != name:
+            raise UserError(f"--player {player}: was trained in {run.env}, not in {name}")
+    frames = episode_frames(run, policy, seed)
+    if out.suffix.lower() == ".png":
+        write_file(out, watch.encode_png(next(frames)))
+    else:
+        rate = frame_rate(run)
+        write_file(out, watch.encode_gif(islice(frames, round(seconds * rate)), rate))
+    return Result({"file": out}, [f"wrote {out}"])
+
+
 def _load_player(player: str, name: str, results: Path, trust: bool) -> tuple[Policy, dict[str, Any]]:
     """Return a stored run's policy, and its settings.
 
     A reward is left out if it is code, because pictures do not show it.
     """
     from pneuma.api import load_policy
+    from pneuma.engines.policy import Policy
     from pneuma.env.fields import REWARDS
 
     try:
@@ -110,7 +147,7 @@ def _load_player(player: str, name: str, results: Path, trust: bool) -> tuple[Po
         policy, env, settings = load_policy(run_id, results, trust=trust)
     except UserError as error:
         raise UserError(f"--player {player}: {error}") from None
-    if env != name:
+    if env != name or not isinstance(policy, Policy):
         raise UserError(f"--player {player}: was trained in {env}, not in {name}")
     paid = settings.get("reward") or ()
     settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in paid] or REWARDS[:1]
@@ -140,9 +177,5 @@ def _story(worlds: Worlds) -> str:
 
 
 def _check_drawable(name: str) -> None:
-    from pneuma.config import is_gymnasium_id
-
-    if is_gymnasium_id(name):
-        raise UserError(f"{name} is drawn by Gymnasium: play it with pneuma.load_policy, see docs/python.md")
     if name not in ENVIRONMENTS:
         raise unknown_name("environment", name, ENVIRONMENTS)

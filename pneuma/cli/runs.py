@@ -174,8 +174,10 @@ def export(
 
 def _exported(store: Store, run_id: str, fields: Mapping[str, Any], suffix: str) -> bytes:
     from pneuma.engines import export as exports
-    from pneuma.engines.policy import POLICY_FILE, read_sound_policy
+    from pneuma.engines.policy import LEARNER_FILE, POLICY_FILE, read_sound_policy
 
+    if LEARNER_FILE in store.checksums(run_id) and suffix == ".zip":
+        return store.read_file(run_id, LEARNER_FILE)
     if POLICY_FILE not in store.checksums(run_id) or not fields:
         raise UserError(f"is {store.status(run_id).name}: it has no policy to export")
     settings, policy = stored_run(fields), read_sound_policy(store.read_file(run_id, POLICY_FILE))

@@ -75,7 +75,7 @@ class GymnasiumSlots:
         self.envs = [make_env(run) for _ in seeds]
         space = self.envs[0].observation_space
         self.action_space = _action_space(run, self.envs[0].action_space)
-        self._flatten = _flattening(run, space)
+        self._flatten = flattening(run, space)
         flat = spaces.flatten_space(space)
         assert isinstance(flat, spaces.Box)
         self._bounds: tuple[np.ndarray, np.ndarray] | None = flat.low, flat.high
@@ -133,12 +133,7 @@ class GymnasiumSlots:
         return rewards, terminated, truncated
 
     def actions(self, actions: np.ndarray) -> Sequence[Any]:
-        if isinstance(self.action_space, spaces.Discrete):
-            first = int(self.action_space.start)
-            return [first + action for action in actions.tolist()] if first else actions.tolist()
-        space = self.action_space
-        made = [np.asarray(action, space.dtype).reshape(space.shape) for action in actions]
-        return [each + space.start for each in made] if isinstance(space, spaces.MultiDiscrete) else made
+        return actions_in(self.action_space, actions)
 
     def any_action(self) -> Any:
         """Draw an action from the space's own generator; discrete ones count from 0."""
@@ -223,6 +218,15 @@ class GymnasiumSlots:
             raise ValueError(f"{self.run.env} does not come to the same state by the same seed and actions")
 
 
+def actions_in(space: spaces.Space[Any], actions: np.ndarray) -> Sequence[Any]:
+    """Return a policy's actions, (N,) or (N, dimensions), as an environment's space has them."""
+    if isinstance(space, spaces.Discrete):
+        first = int(space.start)
+        return [first + action for action in actions.tolist()] if first else actions.tolist()
+    made = [np.asarray(action, space.dtype).reshape(space.shape) for action in actions]
+    return [each + space.start for each in made] if isinstance(space, spaces.MultiDiscrete) else made
+
+
 def choices_of(space: spaces.Space[Any]) -> np.ndarray:
     """Return among how many each of an action's choices is."""
     if isinstance(space, spaces.MultiDiscrete):
@@ -241,7 +245,8 @@ def _action_space(
     raise UserError(f"{run.env}: actions in {space} cannot be learned: wrap it to have {kinds} ones")
 
 
-def _flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
+def flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
+    """Return a function that makes an observation a row of numbers."""
     if part := _not_flat(space):
         fix = "name a wrapper that leaves that out"
         raise UserError(f"{run.env}: observations in {part} cannot be flattened to numbers: {fix}")
@@ -291,8 +296,10 @@ def _not_flat(space: spaces.Space[Any], name: str = "") -> str:
 # --- Making one ------------------------------------------------------------------------------------
 
 
-def make_env(run: Run) -> gymnasium.Env[Any, Any]:
+def make_env(run: Run, render_mode: str = "") -> gymnasium.Env[Any, Any]:
     arguments = json.loads(run.env_kwargs or "{}")
+    if render_mode:
+        arguments["render_mode"] = render_mode
     try:
         if run.env_module:
             _load(run.env_module)

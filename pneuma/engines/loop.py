@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.config import Run, is_gymnasium_id, is_open, stream_seed
-from pneuma.engines.policy import Policy
+from pneuma.engines.policy import SavedPolicy
 from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
 from pneuma.env.fields import ENVIRONMENTS, own_rewards
 
@@ -64,7 +64,7 @@ class Result:
     """done; diverged, if a loss, gradient, parameter or logit was not finite; or stopped by `on_update`."""
     step: int
     records: Records
-    policy: Policy | None  # the last one; None when it is not finite
+    policy: SavedPolicy | None  # the last one; None when it is not finite
 
 
 OnUpdate = Callable[[Progress], bool]
@@ -90,8 +90,8 @@ class Trainer(ABC):
         """Do the update between two agent steps and record it; return whether all numbers are finite."""
 
     @abstractmethod
-    def policy(self) -> Policy | None:
-        """Return the current policy; None if it is not of networks that `Policy` has."""
+    def policy(self) -> SavedPolicy:
+        """Return the current policy."""
 
 
 class ResumableTrainer(Trainer):

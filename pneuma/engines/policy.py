@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 from safetensors.numpy import load, save
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from pneuma.env.worlds import Worlds
 
 POLICY_FILE = "policy.safetensors"
+LEARNER_FILE = "policy.zip"
+"""What a learner without fields of its own has learned, as Stable-Baselines3 saves it: see `sb3_open`."""
 
 LEAKY_SLOPE = 0.01
 """Slope of LeakyReLU below zero (thesis section 6.2)."""
@@ -58,6 +60,15 @@ Where each player of a world has a policy of its own, (players, inputs, outputs)
 """
 
 
+class SavedPolicy(Protocol):
+    """What an engine leaves of a run: a file of the run's folder, and its contents."""
+
+    @property
+    def file(self) -> str: ...
+
+    def to_bytes(self) -> bytes: ...
+
+
 @dataclass(frozen=True, repr=False)
 class Policy:
     """An actor and a critic, or one network of action values, as multilayer perceptrons.
@@ -77,6 +88,7 @@ class Policy:
         scaling: how observations are normalised before the networks see them, if they are.
     """
 
+    file: ClassVar[str] = POLICY_FILE
     activation: str
     actor: Layers
     critic: Layers

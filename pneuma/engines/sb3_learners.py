@@ -28,6 +28,17 @@ from pneuma.config import ANNEALED, Run, stream_seed
 from pneuma.engines.records import NAN, Checkpoint, Records
 from pneuma.sb3_names import NAMES
 
+FIELDS = {
+    **NAMES,
+    "train_freq": "train_every",
+    "target_update_interval": "target_every",
+    "exploration_final_eps": "exploration",
+    "n_critic_updates": "epochs",
+    "cg_max_steps": "conjugate_steps",
+    "line_search_max_iter": "line_search_steps",
+}
+"""The field of each argument of a learner of `LEARNERS` that is not called alike."""
+
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "leaky-relu": nn.LeakyReLU}
 """Classes that unpickle without Pneuma; torch's own slope of LeakyReLU is the thesis's, 0.01."""
 OPTIMIZERS: dict[str, type[torch.optim.Optimizer]] = {
@@ -168,11 +179,11 @@ LEARNERS: dict[str, type[Learner]] = {
 
 def arguments_of(run: Run) -> Iterator[tuple[str, str]]:
     """Yield the arguments of a run's learner that are fields which its algorithm reads, with the fields."""
-    kind, read = LEARNERS[run.algorithm], {"learning_rate", "gamma", *ALGORITHM_FIELDS[run.algorithm]}
+    kind, read = LEARNERS[run.algorithm], {*ALGORITHM_FIELDS[run.algorithm]}
     if not issubclass(kind, DQN):  # whose `n_steps` are those of its returns
         read.add("horizon")
     for argument in signature(kind).parameters:
-        if (name := NAMES.get(argument, argument)) in read:
+        if (name := FIELDS.get(argument, argument)) in read:
             yield argument, name
 
 

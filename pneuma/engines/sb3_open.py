@@ -1,24 +1,36 @@
-"""Stable-Baselines3 as a script of one's own would use it: any of its learners, policies and arguments.
+"""Any learner of Stable-Baselines3's kind, trained as a script of one's own would train it.
 
     run → environments by Gymnasium alone, learner → its own `learn`, an update at a time → records
 
-Nothing is flattened, so that a policy may see pictures. The learner's whole state is not known here: a run is
-not resumed, and its policy is not stored.
+Nothing is flattened, so that a policy may see pictures. Neither a replay buffer nor the state of environments
+is stored, so that a run is not resumed. What was learned is stored as the library saves it, in a .zip, and is
+read without unpickling: a learner is made from the run's fields and loads the parameters.
 """
 
 from __future__ import annotations
 
+import io
 import json
+import math
+import warnings
 from contextlib import closing
-from inspect import signature
+from inspect import Parameter, signature
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 import torch
+from safetensors.numpy import load, save
+from sb3_contrib import MaskablePPO
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
 from pneuma.algorithms import OPEN_LEARNERS
@@ -26,29 +38,93 @@ from pneuma.config import Run, slot_seeds, stream_seed
 from pneuma.engines.gymnasium_env import blamed, load_class, make_env, refuse_flat_pictures
 from pneuma.engines.gymnasium_evaluation import BEST_EPISODES, Evaluation
 from pneuma.engines.loop import Trainer
+from pneuma.engines.policy import LEARNER_FILE
 from pneuma.engines.records import Records, Row, episode_row, evaluation_row, metrics_row
-from pneuma.engines.sb3_learners import LEARNERS, has_finite_weights, learner_arguments, logged_losses
+from pneuma.engines.sb3_arguments import read_arguments
+from pneuma.engines.sb3_learners import (
+    LEARNERS,
+    arguments_of,
+    has_finite_weights,
+    learner_arguments,
+    logged_losses,
+)
 from pneuma.errors import UserError
 
-OURS = ("env", "policy", "seed", "device", "learning_rate", "gamma", "tensorboard_log", "_init_setup_model")
+RESERVED = ("self", "env", "policy", "seed", "device", "tensorboard_log", "_init_setup_model")
 """Arguments that follow from a run's fields, or write files."""
+IN_POLICY_KWARGS = {
+    "net_arch": "actor and critic",
+    "optimizer_class": "optimizer",
+    "optimizer_kwargs": "betas",
+}
+"""What PPO's fields say of `policy_kwargs`."""
+STATISTICS = "observations.safetensors"
+"""In a learner's .zip: mean and variance of observations, by key. Stable-Baselines3 leaves it alone."""
+
+HOOKS = ("_update_current_progress_remaining",)
+"""Attributes of a learner that `OpenTrainer` sets. They hold the learner with its replay buffer."""
 
 
-def learner_class(run: Run) -> Any:
-    return LEARNERS.get(run.algorithm) or load_class(OPEN_LEARNERS[run.algorithm])
+# --- Making a learner ------------------------------------------------------------------------------
 
 
 def check_learner(run: Run) -> None:
-    """Refuse arguments that the learner does not have, and spaces in which it or its policy cannot learn."""
-    known = signature(learner_class(run)).parameters
-    given = json.loads(run.algorithm_kwargs or "{}")
-    if wrong := [key for key in given if key not in known or key in OURS]:
-        allowed = ", ".join(key for key in known if key not in OURS)
-        raise UserError(f"algorithm_kwargs: {', '.join(wrong)} not allowed: {run.algorithm} takes {allowed}")
+    """Make a run's environments and learner once, take a step, and refuse what cannot be trained."""
+    kind = learner_class(run)
+    _check_arguments(run, kind)
     with closing(make_env(run)) as env:
         refuse_flat_pictures(run, env.observation_space)
-    with closing(_environments(run, 1)) as environments:
-        _make_learner(run, environments, build=False)
+    with (
+        warnings.catch_warnings(action="ignore"),  # the run itself warns
+        closing(_environments(run, run.slots)) as environments,
+    ):
+        learner = _make_learner(run, environments)
+        with blamed(f"{run.env} in its first step"):
+            environments.reset()
+            environments.step(np.array([environments.action_space.sample() for _ in range(run.slots)]))
+    pace = _pace(learner)
+    if run.horizon % pace:
+        fix = f"set horizon = {math.ceil(run.horizon / pace) * pace}, or another multiple"
+        raise UserError(
+            f"horizon = {run.horizon} is not allowed: {run.algorithm} learns every {pace} steps; {fix}"
+        )
+
+
+def learner_class(run: Run) -> Any:
+    if run.algorithm in LEARNERS:
+        return LEARNERS[run.algorithm]
+    with blamed(f"algorithm = {run.algorithm}"):
+        kind = load_class(OPEN_LEARNERS.get(run.algorithm, run.algorithm))
+    if not isinstance(kind, type) or not issubclass(kind, OnPolicyAlgorithm | OffPolicyAlgorithm):
+        raise UserError(
+            f"algorithm = {run.algorithm}: is neither an OnPolicyAlgorithm nor an OffPolicyAlgorithm"
+        )
+    if issubclass(kind, MaskablePPO):
+        raise UserError(f"algorithm = {run.algorithm}: evaluations know no masks of actions")
+    return kind
+
+
+def _check_arguments(run: Run, kind: Any) -> None:
+    """Refuse arguments that the learner does not have, or that other fields set."""
+    parameters = signature(kind).parameters
+    given = _given_arguments(run)
+    takes_others = any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters.values())
+    wrong = [key for key in given if key in RESERVED or not (key in parameters or takes_others)]
+    if wrong:
+        allowed = ", ".join(key for key in parameters if key not in RESERVED)
+        raise UserError(f"algorithm_kwargs: {', '.join(wrong)} not allowed: {run.algorithm} takes {allowed}")
+    if run.algorithm != "ppo":
+        return
+    fields = dict(arguments_of(run))
+    policy_kwargs = given.get("policy_kwargs", {})
+    for key, field in (*fields.items(), *IN_POLICY_KWARGS.items()):
+        if key in given or (key in policy_kwargs and key in IN_POLICY_KWARGS):
+            raise UserError(f"algorithm_kwargs: {key} is not allowed: ppo has the field {field}")
+
+
+def _given_arguments(run: Run) -> dict[str, Any]:
+    table: dict[str, Any] = json.loads(run.algorithm_kwargs or "{}")
+    return table
 
 
 def _environments(run: Run, slots: int, seed: int = 0) -> VecEnv:
@@ -57,40 +133,49 @@ def _environments(run: Run, slots: int, seed: int = 0) -> VecEnv:
     made.seed(seed % 2**31)
     if run.normalize_observations or run.normalize_rewards:
         made = VecNormalize(
-            made, norm_obs=run.normalize_observations, norm_reward=run.normalize_rewards, gamma=run.gamma
+            made,
+            norm_obs=run.normalize_observations,
+            norm_reward=run.normalize_rewards,
+            gamma=_discount(run),
         )
     return made
 
 
-def _make_learner(run: Run, env: VecEnv, build: bool = True) -> Any:
+def _discount(run: Run) -> float:
+    if run.algorithm == "ppo":
+        return run.gamma
+    default = signature(learner_class(run)).parameters.get("gamma")
+    gamma: float = _given_arguments(run).get("gamma", default.default if default else 0.99)
+    return gamma
+
+
+def _make_learner(run: Run, env: VecEnv, to_play: bool = False) -> Any:
+    """Return the learner of a run. One `to_play` has no room for replay, and seeds no generators."""
     kind = learner_class(run)
-    arguments: dict[str, Any] = {"learning_rate": run.learning_rate, "gamma": run.gamma}
-    if run.algorithm in LEARNERS:
-        arguments |= learner_arguments(run, env.num_envs)
-    given = json.loads(run.algorithm_kwargs or "{}")
-    for_policy = {**arguments.get("policy_kwargs", {}), **given.pop("policy_kwargs", {})}
-    arguments |= {**given, "policy_kwargs": {key: _named(key, each) for key, each in for_policy.items()}}
-    arguments["_init_setup_model"] = build
-    known = signature(kind).parameters
+    policy = run.policy or "MlpPolicy"
+    if policy not in kind.policy_aliases:
+        raise UserError(f'policy = "{policy}": {run.algorithm} has {", ".join(kind.policy_aliases)}')
     with blamed(f"{run.algorithm} in {run.env}"):
-        return kind(
-            run.policy or "MlpPolicy",
-            env,
-            seed=stream_seed(run.seed, "weights") % 2**31,
-            device="cpu",
-            **{key: value for key, value in arguments.items() if key in known},
-        )
+        arguments = read_arguments(_given_arguments(run), env.action_space)
+        if run.algorithm == "ppo":
+            of_fields = learner_arguments(run, env.num_envs)
+            for_policy = {**of_fields["policy_kwargs"], **arguments.get("policy_kwargs", {})}
+            arguments = {**of_fields, **arguments, "policy_kwargs": for_policy}
+        if to_play and "buffer_size" in signature(kind).parameters:
+            arguments["buffer_size"] = 1
+        seed = None if to_play else stream_seed(run.seed, "weights") % 2**31
+        return kind(policy, env, seed=seed, device="cpu", **arguments)
 
 
-def _named(key: str, value: Any) -> Any:
-    """Return a class of torch by its name, such as nn.ELU, where an argument of a policy takes a class."""
-    if not isinstance(value, str):
-        return value
-    places: dict[str, Any] = {"activation_fn": torch.nn, "optimizer_class": torch.optim}
-    found = getattr(places.get(key), value.rpartition(".")[2], None)
-    if key in places and not isinstance(found, type):
-        raise UserError(f"algorithm_kwargs: {key} = {value!r}: is no class of {places[key].__name__}")
-    return found or value
+def _pace(learner: OnPolicyAlgorithm | OffPolicyAlgorithm) -> int:
+    """Return the steps per slot after which a learner may learn; 1 where it counts episodes."""
+    if isinstance(learner, OnPolicyAlgorithm):
+        return learner.n_steps
+    frequency: Any = learner.train_freq
+    return int(frequency.frequency) if frequency.unit is TrainFrequencyUnit.STEP else 1
+
+
+# --- Training --------------------------------------------------------------------------------------
 
 
 class OpenTrainer(Trainer):
@@ -103,10 +188,6 @@ class OpenTrainer(Trainer):
         self._model = _make_learner(run, self._env)
         self._model.set_logger(Logger(folder=None, output_formats=[]))
         self._episodes = Episodes(run.slots)
-        self._callbacks: list[BaseCallback] = [self._episodes]
-        if run.callback:
-            with blamed(f"callback = {run.callback}"):
-                self._callbacks.append(load_class(run.callback)())
         follow = self._model._update_current_progress_remaining
         # schedules fall over the whole budget, of which `learn` is told a part at a time
         self._model._update_current_progress_remaining = lambda steps, _: follow(steps, run.steps)
@@ -117,8 +198,8 @@ class OpenTrainer(Trainer):
         model = self._model
         with blamed(f"{self.run.algorithm} in {self.run.env}"):
             left = after - model.num_timesteps
-            if left > 0:  # learners of replayed steps may have gone further
-                model.learn(left, callback=self._callbacks, reset_num_timesteps=False)
+            if left > 0:  # a learner that counts episodes may have gone further
+                model.learn(left, callback=self._episodes, reset_num_timesteps=False, log_interval=None)
         records.metrics.append(metrics_row(after, logged_losses(model)))
         records.episodes.extend(self._episodes.take())
         return has_finite_weights(model)
@@ -141,14 +222,14 @@ class OpenTrainer(Trainer):
                 if self.run.normalize_observations:
                     env.obs_rms = self._env.obs_rms
             torch.manual_seed(self._seed % 2**63)
-            found: Any = evaluate_policy(
+            played: Any = evaluate_policy(
                 self._model, env, episodes, deterministic, return_episode_rewards=True
             )
         np.random.set_state(before)
-        return found
+        return played
 
-    def policy(self) -> None:
-        return None
+    def policy(self) -> LearnedPolicy:
+        return LearnedPolicy(self._model)
 
 
 class Episodes(BaseCallback):
@@ -171,3 +252,89 @@ class Episodes(BaseCallback):
     def take(self) -> list[Row]:
         taken, self._ended = self._ended, []
         return taken
+
+
+# --- What was learned ------------------------------------------------------------------------------
+
+
+class LearnedPolicy:
+    """A learner to play with, and the statistics by which its observations are normalised.
+
+    Attributes:
+        learner: the learner itself, of Stable-Baselines3's kind.
+    """
+
+    file = LEARNER_FILE
+
+    def __init__(self, learner: BaseAlgorithm) -> None:
+        self.learner = learner
+
+    def __repr__(self) -> str:
+        """Return the names of the learner's class and of its policy's."""
+        return f"LearnedPolicy({type(self.learner).__name__}, {type(self.learner.policy).__name__})"
+
+    def predict(
+        self,
+        observation: Any,
+        state: tuple[np.ndarray, ...] | None = None,
+        episode_start: np.ndarray | None = None,
+        deterministic: bool = False,
+    ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
+        """Return actions and the next state for observations as the environment gives them.
+
+        As a model of Stable-Baselines3 does, whose `evaluate_policy` can play it therefore.
+        """
+        normalizing = self.learner.get_vec_normalize_env()
+        if normalizing is not None:
+            observation = normalizing.normalize_obs(observation)
+        return self.learner.predict(observation, state, episode_start, deterministic)
+
+    def to_bytes(self) -> bytes:
+        """Return the .zip that the learner's `save` writes, with the statistics in it."""
+        file = io.BytesIO()
+        self.learner.save(file, exclude=HOOKS)
+        with ZipFile(file, "a") as archive:
+            archive.writestr(STATISTICS, save(_statistics(self.learner)))
+        return file.getvalue()
+
+
+def load_learner(run: Run, data: bytes) -> LearnedPolicy:
+    """Read what a run learned, from the bytes of `LearnedPolicy.to_bytes`, which may be untrusted.
+
+    The learner and its environment are made from the run's fields. Nothing is unpickled.
+    """
+    learner = _make_learner(run, _environments(run, 1), to_play=True)
+    try:
+        learner.set_parameters(io.BytesIO(data), device="cpu")
+        with ZipFile(io.BytesIO(data)) as archive:
+            _restore_statistics(learner, load(archive.read(STATISTICS)))
+    except Exception:  # zipfile, torch and safetensors raise different errors
+        raise UserError(f"{LEARNER_FILE}: is no policy of {run.algorithm}, or does not fit its run") from None
+    if getattr(learner, "use_sde", False):
+        learner.policy.reset_noise()
+    learner.env.close()
+    return LearnedPolicy(learner)
+
+
+def _means_by_key(learner: BaseAlgorithm) -> dict[str, RunningMeanStd]:
+    """Return the running means of observations: of each part of a dictionary, else of "all"."""
+    normalizing = learner.get_vec_normalize_env()
+    if normalizing is None or not normalizing.norm_obs:
+        return {}
+    means = normalizing.obs_rms
+    return means if isinstance(means, dict) else {"all": means}
+
+
+def _statistics(learner: BaseAlgorithm) -> dict[str, np.ndarray]:
+    arrays: dict[str, np.ndarray] = {}
+    for key, means in _means_by_key(learner).items():
+        arrays |= {f"mean/{key}": means.mean, f"variance/{key}": means.var}
+    return arrays
+
+
+def _restore_statistics(learner: BaseAlgorithm, arrays: dict[str, np.ndarray]) -> None:
+    for key, means in _means_by_key(learner).items():
+        mean, variance = arrays[f"mean/{key}"], arrays[f"variance/{key}"]
+        if mean.shape != means.mean.shape or variance.shape != means.var.shape:
+            raise ValueError(f"the statistics of {key} are of another shape")
+        means.mean, means.var = mean, variance

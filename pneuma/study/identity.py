@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from pneuma.algorithms import is_own_algorithm
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields
 from pneuma.env.fields import are_own_characters, is_own_level, own_rewards, read_field
 from pneuma.own_modules import in_package
@@ -17,10 +18,10 @@ _MODULE_FILES = ("pneuma.own_modules", "module_files")
 _FILES = {
     "level": ("pneuma.env.load_level", "level_files"),
     "characters": ("pneuma.env.characters", "character_files"),
-    **dict.fromkeys(("reward", "env_module", "wrappers", "callback"), _MODULE_FILES),
+    **dict.fromkeys(("reward", "env_module", "wrappers", "algorithm"), _MODULE_FILES),
 }
 """By field: the function that returns the user's files to hash. None imports them."""
-CLASSES = ("reward", "wrappers", "callback")
+CLASSES = ("reward", "wrappers", "algorithm")
 _SAID = {"env_module": "module", "wrappers": "wrapper"}
 
 
@@ -45,8 +46,8 @@ def _digest(run: Run, without: Sequence[str] = ()) -> str:
     hashed |= dict.fromkeys(own_names(fields).keys() - {*CLASSES}, "of the user's own")
     if "wrappers" in hashed:
         hashed["wrappers"] = [_by_file(name) for name in fields["wrappers"]]
-    if "callback" in hashed:
-        hashed["callback"] = _by_file(fields["callback"])
+    if "algorithm" in hashed:
+        hashed["algorithm"] = _by_file(fields["algorithm"])
     if "reward" in hashed:
         hashed["reward"] = [_by_module(name) for name in fields["reward"]]
     identity = {
@@ -104,9 +105,9 @@ def _own_files(fields: Mapping[str, Any]) -> Iterator[tuple[str, list[Path]]]:
 
 def own_names(fields: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     """Return the names of a user's own level, characters or modules, by field."""
-    tests = {"level": is_own_level, "characters": are_own_characters}
+    tests = {"level": is_own_level, "characters": are_own_characters, "algorithm": is_own_algorithm}
     named = {key: fields[key] for key, is_own in tests.items() if key in fields and is_own(fields[key])}
-    named |= {key: fields.get(key) for key in ("env_module", "wrappers", "callback")}
+    named |= {key: fields.get(key) for key in ("env_module", "wrappers")}
     named["reward"] = own_rewards(fields.get("reward", ()))
     return {key: (own,) if isinstance(own, str) else tuple(own) for key, own in named.items() if own}
 

@@ -93,6 +93,9 @@ def _read_fields(table: Any) -> Any:
         try:
             if name in PLANNED:
                 raise UserError(f"{name} is set by {PLANNED[name]}, not here")
+            if name not in Run.__dataclass_fields__:
+                hint = "an argument of a learner stands in algorithm_kwargs"
+                raise UserError(f"{unknown_name('key', name, Run.__dataclass_fields__)}; {hint}")
             read[name] = read_field(Run, name, value)
         except UserError as error:
             key = keys[name]
@@ -422,8 +425,16 @@ def unread_fields(runs: Iterable[Run], keys: Iterable[str]) -> list[str]:
 
 def does_nothing(key: str, runs: Iterable[Run]) -> str:
     """Return the message for a field that neither the runs' environments nor their learners read."""
-    names = dict.fromkeys(name for run in runs for name in (run.env, run.algorithm, run.optimizer))
-    return f"{key} does nothing: it is read by none of {', '.join(names)} as they are set"
+    runs = tuple(runs)
+    names: dict[str, None] = {}
+    for run in runs:
+        names |= dict.fromkeys((run.env, run.algorithm))
+        if "optimizer" in reads(run):
+            names[run.optimizer] = None
+    hint = ""
+    if all(run.algorithm != "ppo" for run in runs):
+        hint = f"; an argument of {runs[0].algorithm} stands in algorithm_kwargs, by the library's name"
+    return f"{key} does nothing: it is read by none of {', '.join(names)} as they are set{hint}"
 
 
 def asked_words(study: Study) -> list[str]:

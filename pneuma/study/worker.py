@@ -29,7 +29,6 @@ from typing import Any, TextIO
 
 from pneuma.config import Run
 from pneuma.engines.loop import Progress, train_run
-from pneuma.engines.policy import POLICY_FILE
 from pneuma.engines.records import CheckpointError
 from pneuma.errors import OwnCodeError, RunWarning, StorageError, UserError
 from pneuma.files import is_storage_problem, to_json
@@ -181,7 +180,7 @@ class Worker:
             files = {"run.json": run_document(run, name), "provenance.json": to_json(about)}
             files |= {f"{table}.parquet": data for table, data in table_files(result.records).items()}
             if result.policy is not None:
-                files[POLICY_FILE] = result.policy.to_bytes()
+                files[result.policy.file] = result.policy.to_bytes()
             files[ROW_FILE] = encode_row(cells_of_files(name, status, files))
             self.store.save_run(name, status, files)
             checkpoints.finish()

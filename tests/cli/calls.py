@@ -11,7 +11,7 @@ import numpy as np
 
 from pneuma.cli import main
 from pneuma.config import Run, as_fields
-from pneuma.engines.policy import POLICY_FILE, Policy
+from pneuma.engines.policy import Policy, SavedPolicy
 from pneuma.study.identity import config_id, run_id
 from pneuma.study.last_queries import note_query
 from pneuma.study.plan import Query, make_plan
@@ -98,10 +98,10 @@ def policy_of(observed: int = 60, actions: int = 5) -> Policy:
     return Policy("tanh", actor, critic)
 
 
-def save_policy(store: Store, run: Run, policy: Policy, name: str = "") -> str:
+def save_policy(store: Store, run: Run, policy: SavedPolicy, name: str = "") -> str:
     """Store a run that was never trained as done, with a policy alone; return its id."""
     name = name or run_id(run)
-    files = {"run.json": run_document(run, name), POLICY_FILE: policy.to_bytes()}
+    files = {"run.json": run_document(run, name), policy.file: policy.to_bytes()}
     store.save_run(name, Status("done", run.steps), files)
     return name
 

@@ -5,14 +5,18 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
+from sb3_contrib import QRDQN
 
+from pneuma.api import load_policy
 from pneuma.config import env_config, make_run
+from pneuma.engines.sb3_open import OpenTrainer
 from pneuma.env.worlds import Worlds
 from pneuma.study.store import Store
 
-from .calls import policy_of, printed, refused, save_policy
+from .calls import call, policy_of, printed, refused, save_policy
 
 
 @pytest.fixture
@@ -89,9 +93,33 @@ def test_no_code_of_a_stored_reward_runs(here: Path) -> None:
     assert "3 steps" in render("run.gif", "--player", name, "--trust")
 
 
-def test_a_run_of_another_environment_has_no_picture_here(here: Path) -> None:
-    name = save_policy(Store("results"), make_run({"env": "CartPole-v1"}), policy_of())
-    words = ("--player", name, "--out", "x.gif", "--results", "results")
-    assert "CartPole-v1 is drawn by Gymnasium: " in refused("env", "render", "CartPole-v1", *words)
-    told = refused("env", "render", "pneuma/Pneuma-v0", *words)
+def test_a_run_of_another_environment_plays_there(here: Path) -> None:
+    """A pole that nobody balances falls within some 10 steps, each of which is a frame."""
+    store, words = Store("results"), ("--results", "results", "--out", "x.gif", "--player")
+    learner = {"algorithm": "qr-dqn", "policy": "MlpPolicy", "evaluation_episodes": 1}
+    run = make_run({"env": "CartPole-v1", **learner})
+    names = (
+        save_policy(store, make_run({"env": "CartPole-v1"}), policy_of(4, 2)),
+        save_policy(store, run, OpenTrainer(run).policy()),
+    )
+    for player in (*names, "random"):
+        call("env", "render", "CartPole-v1", *words, player)
+        assert 5 < frames("x.gif") < 100
+    call("env", "render", "CartPole-v1", "--out", "x.png", "--results", "results")
+    assert frames("x.png") == 1
+    told = refused("env", "render", "pneuma/Pneuma-v0", *words, names[0])
     assert "was trained in CartPole-v1, not in pneuma/Pneuma-v0" in told
+    assert "are for Pneuma's environments" in refused("env", "render", "CartPole-v1", *words, "hunter")
+
+
+def test_a_learners_policy_is_loaded_and_exported(here: Path) -> None:
+    run = make_run({"env": "CartPole-v1", "algorithm": "qr-dqn", "evaluation_episodes": 1})
+    learned = OpenTrainer(run).policy()
+    name = save_policy(Store("results"), run, learned)
+    call("run", "export", name, "--out", "x.zip", "--results", "results")
+    loaded, env_id, settings = load_policy(name, "results")
+    observation = np.array([0.1, -0.2, 0.05, 0.3], np.float32)
+    expected = learned.predict(observation, deterministic=True)[0]
+    theirs = QRDQN.load("x.zip", device="cpu").predict(observation, deterministic=True)[0]
+    assert loaded.predict(observation, deterministic=True)[0] == theirs == expected
+    assert (env_id, settings) == ("CartPole-v1", {})

@@ -26,6 +26,7 @@ RECORDS: dict[str, dict[str, Any]] = {
     "arguments": {"env": INSTALLED, "env_kwargs": {"program": "mark"}},
     "module": {"env": "CartPole-v1", "env_module": "marking"},
     "wrapper": {"env": "CartPole-v1", "wrappers": ("marking:Own",)},
+    "algorithm": {"env": "CartPole-v1", "algorithm": "marking:Own"},
     "reward": {"reward": ("marking:pay",)},
     "level": {"level": "somebodys/isle"},
     "characters": {"characters": "somebodys.toml"},

@@ -73,10 +73,8 @@ def test_evaluation_worlds_are_none_of_the_training_worlds() -> None:
 
 def test_evaluations_are_spread_evenly_end_with_the_run_and_are_fewer_in_a_short_one() -> None:
     # 392 updates: after ceil(392 k / 20) = 20, 40, 59, 79, 98, … 392; below 100,000 steps half as many.
-    long, short, few = (
-        make_run(fields)
-        for fields in ({"steps": 100_352}, {"steps": 50_176}, {"steps": 24_576, "horizon": 8192})
-    )
+    amounts = (100_352, 256), (50_176, 256), (24_576, 8192)
+    long, short, few = (make_run({"steps": steps, "horizon": horizon}) for steps, horizon in amounts)
     updates = sorted(evaluation_updates(long))
     assert (updates[:5], updates[-1], len(updates)) == ([20, 40, 59, 79, 98], 392, 20)
     points = sorted(evaluation_updates(short))

@@ -149,7 +149,7 @@ def test_the_deviation_of_continuous_actions_is_the_actors() -> None:
 def trained_but_for(run: Run, outputs: list[float]) -> Policy:
     """Return a run's policy, as stored, with an actor that always gives the same outputs."""
     policy = train(run)[0].policy
-    assert policy is not None
+    assert isinstance(policy, Policy)
     layers = (*policy.actor[:-1], (0 * policy.actor[-1][0], np.array(outputs, np.float32)))
     return replace(read_sound_policy(policy.to_bytes()), actor=layers)
 

@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from pneuma.config import Run, slot_seeds
 from pneuma.engines.gymnasium_env import GymnasiumSlots
 from pneuma.engines.normalization import Scaling
+from pneuma.engines.policy import Policy
 from pneuma.engines.sb3 import extract_policy
 from pneuma.engines.sb3_learners import make_model
 
@@ -57,7 +58,7 @@ def test_the_engine_trains_as_stable_baselines3_does_with_vec_normalize_and_sche
     model = make_model(run, theirs)
     model.learn(run.steps)
     ours, policy = train_once(run)[0].policy, extract_policy(model, run)
-    assert ours is not None
+    assert isinstance(ours, Policy)
     np.testing.assert_equal((ours.actor, ours.critic), (policy.actor, policy.critic))
     np.testing.assert_equal(vars(ours.scaling), {"mean": theirs.obs_rms.mean, "variance": theirs.obs_rms.var})
 
@@ -70,7 +71,7 @@ def test_a_scaling_worked_out_by_hand_clips_at_ten() -> None:
 @pytest.mark.parametrize("engine", ["batched", "sb3"])
 def test_a_policy_carries_the_statistics_of_the_last_rollout_and_records_are_as_paid(engine: str) -> None:
     result, taken = train_once(normalized(engine=engine))
-    assert result.policy is not None and result.policy.scaling is not None
+    assert isinstance(result.policy, Policy) and result.policy.scaling is not None
     saved = taken[-1].arrays
     np.testing.assert_array_equal(result.policy.scaling.mean, saved["worlds/observed_mean"])
     assert saved["worlds/observed_count"] == pytest.approx(384 + 2, abs=1e-3)

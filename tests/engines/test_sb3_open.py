@@ -1,9 +1,11 @@
-"""Learners, policies and arguments of Stable-Baselines3 that have no fields here."""
+"""Learners of Stable-Baselines3's kind that have no fields here, and policies and arguments of PPO's own."""
 
 from __future__ import annotations
 
+import io
 import json
 import re
+import zipfile
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -11,24 +13,32 @@ from typing import Any
 import numpy as np
 import pytest
 from gymnasium import spaces
+from stable_baselines3 import SAC
+from stable_baselines3.common import save_util
+from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
+from torch import nn, optim
 
 from pneuma.config import Run, make_run
 from pneuma.engines.environment import check_environment
 from pneuma.engines.gymnasium_env import make_env, refuse_flat_pictures
 from pneuma.engines.loop import train_run
-from pneuma.engines.sb3_open import OpenTrainer
+from pneuma.engines.sb3_arguments import read_arguments
+from pneuma.engines.sb3_open import STATISTICS, LearnedPolicy, OpenTrainer, load_learner
 from pneuma.errors import UserError
 from pneuma.sb3_names import own_fields
-from pneuma.study.identity import run_id
+from pneuma.study.identity import describe_user_code, run_id
 
 SHORT = {"env": "CartPole-v1", "slots": 2, "horizon": 64, "steps": 256, "evaluation_episodes": 2}
-PICTURE, NUMBERS = spaces.Box(0, 255, (36, 36, 3), np.uint8), spaces.Box(-1, 1, (3,))
+NUMBERS: dict[str, Any] = {"env": "Pendulum-v1", "horizon": 50, "steps": 100, "evaluation_episodes": 1}
+PICTURE, VECTOR = spaces.Box(0, 255, (36, 36, 3), np.uint8), spaces.Box(-1, 1, (3,))
 PICTURES = """
 import gymnasium, numpy as np
 
 class Pictures(gymnasium.Env):
-    observation_space = gymnasium.spaces.Box(0, 255, (36, 36, 3), np.uint8)
     action_space = gymnasium.spaces.Discrete(2)
+
+    def __init__(self, size=36):
+        self.observation_space = gymnasium.spaces.Box(0, 255, (size, size, 3), np.uint8)
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
@@ -41,15 +51,11 @@ class Pictures(gymnasium.Env):
 
 gymnasium.register("Pictures-v0", Pictures)
 """
-COUNTING = """
-from stable_baselines3.common.callbacks import BaseCallback
+OWN_LEARNER = """
+from stable_baselines3 import DQN
 
-class Counting(BaseCallback):
-    steps = 0
-
-    def _on_step(self):
-        Counting.steps += 1
-        return True
+class Mine(DQN):
+    pass
 """
 
 
@@ -57,26 +63,84 @@ def pasted(**given: Any) -> Run:
     return make_run({**SHORT, **own_fields(given)})
 
 
+def learned(run: Run) -> LearnedPolicy:
+    policy = train_run(run, lambda _: True).policy
+    assert isinstance(policy, LearnedPolicy)
+    return policy
+
+
+# --- Training --------------------------------------------------------------------------------------
+
+
 def test_another_learner_trains_is_evaluated_and_repeats() -> None:
     run = make_run({**SHORT, "algorithm": "qr-dqn", "algorithm_kwargs": {"learning_starts": 50}})
     assert run.engine == "sb3"
     check_environment(run)
     first, second = (train_run(run, lambda _: True) for _ in range(2))
-    assert (first.status, first.step, first.policy) == ("done", 256, None)
+    assert (first.status, first.step) == ("done", 256)
     assert first.records.episodes == second.records.episodes
     lengths = [episode["length"] for episode in first.records.episodes]
     assert 0 < sum(lengths) <= 256 and lengths == [e["return"] for e in first.records.episodes]
     for one, other in zip(first.records.evaluations, second.records.evaluations, strict=True):
         assert one == pytest.approx(other, nan_ok=True) and np.isfinite(one["return"])
+    assert np.isfinite(first.records.metrics[-1]["value_loss"])
 
 
-def test_arguments_of_ppo_that_are_no_fields_are_passed_on(tmp_path: Path) -> None:
-    (tmp_path / "counting.py").write_text(COUNTING)
+def test_the_zoos_entry_of_dqn_is_handed_on_as_it_is() -> None:
+    """Fields that the run's other learners have do not count: neither their defaults nor PPO's."""
+    entry = {
+        "learning_rate": "lin_2.3e-3", "batch_size": 64, "buffer_size": 100_000, "learning_starts": 1000,
+        "gamma": 0.99, "target_update_interval": 10, "train_freq": 256, "gradient_steps": 128,
+        "exploration_fraction": 0.16, "exploration_final_eps": 0.04,
+        "policy_kwargs": "dict(net_arch=[256, 256])",
+    }  # fmt: skip
+    run = make_run(
+        {"env": "CartPole-v1", "algorithm": "dqn", "algorithm_kwargs": entry, "evaluation_episodes": 1}
+    )
+    check_environment(run)
+    model = OpenTrainer(run)._model
+    assert [model.lr_schedule(left) for left in (1, 0.5)] == pytest.approx([2.3e-3, 1.15e-3])
+    named = {
+        key: value for key, value in entry.items() if isinstance(value, int | float) and key != "train_freq"
+    }
+    assert {key: getattr(model, key) for key in named} == named
+    assert model.train_freq == TrainFreq(256, TrainFrequencyUnit.STEP)
+    assert model.policy.net_arch == [256, 256] and model.policy.activation_fn is nn.ReLU
+    assert (model.max_grad_norm, model.policy.optimizer.param_groups[0]["eps"]) == (10, 1e-8)
+
+
+def test_what_a_file_cannot_hold_is_written_as_text_or_table() -> None:
+    read = read_arguments(
+        {
+            "action_noise": {"name": "NormalActionNoise", "sigma": 0.2},
+            "train_freq": [1, "episode"],
+            "ent_coef": "auto_0.1",
+            "policy_kwargs": {
+                "net_arch": [64], "activation_fn": "nn.ELU", "optimizer_class": "torch.optim.AdamW",
+                "optimizer_kwargs": {"betas": [0.5, 0.9]},
+            },
+            "replay_buffer_class": "HerReplayBuffer",
+        },
+        spaces.Box(-1, 1, (2,)),
+    )  # fmt: skip
+    noise = read.pop("action_noise")
+    assert (noise._mu.tolist(), noise._sigma.tolist()) == ([0.0, 0.0], [0.2, 0.2])
+    assert read.pop("replay_buffer_class").__name__ == "HerReplayBuffer"
+    assert read == {
+        "train_freq": (1, "episode"),
+        "ent_coef": "auto_0.1",
+        "policy_kwargs": {
+            "net_arch": [64], "activation_fn": nn.ELU, "optimizer_class": optim.AdamW,
+            "optimizer_kwargs": {"betas": (0.5, 0.9)},
+        },
+    }  # fmt: skip
+
+
+def test_arguments_of_ppo_that_are_no_fields_are_passed_on() -> None:
     run = pasted(
         use_sde=False,
         clip_range_vf=0.2,
         policy_kwargs="dict(ortho_init=False, activation_fn=nn.ELU, net_arch=dict(pi=[8], vf=[8]))",
-        callback=f"{tmp_path}/counting.py:Counting",
     )
     assert (run.actor, run.critic) == ((8,), (8,))
     assert json.loads(run.algorithm_kwargs) == {
@@ -88,6 +152,30 @@ def test_arguments_of_ppo_that_are_no_fields_are_passed_on(tmp_path: Path) -> No
     assert train_run(run, lambda _: True).status == "done"
 
 
+def test_a_class_of_ones_own_trains_and_its_file_is_part_of_the_id(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(OWN_LEARNER)
+    run = make_run({**SHORT, "algorithm": f"{file}:Mine", "algorithm_kwargs": {"learning_starts": 10}})
+    check_environment(run)
+    assert train_run(run, lambda _: True).status == "done"
+    before = run_id(run)
+    file.write_text(OWN_LEARNER + "\n")
+    assert run_id(run) != before
+    assert describe_user_code(vars(run)) == {"algorithm": f"run the algorithm {file}:Mine"}
+    assert not describe_user_code({"algorithm": "stable_baselines3:PPO"})
+
+
+def test_a_rollout_learners_horizon_is_its_n_steps() -> None:
+    given = {"env": "CartPole-v1", "algorithm": "a2c", "algorithm_kwargs": {"n_steps": 8}}
+    assert make_run(given).horizon == 8
+    assert make_run({"env": "CartPole-v1", "algorithm": "a2c"}).horizon == 5
+    with pytest.raises(UserError, match="horizon = 16 is not allowed: algorithm_kwargs has n_steps = 8"):
+        make_run({**given, "horizon": 16})
+
+
+# --- Pictures --------------------------------------------------------------------------------------
+
+
 def test_a_policy_for_pictures_sees_pictures(tmp_path: Path) -> None:
     (tmp_path / "pictures.py").write_text(PICTURES)
     given = {**SHORT, "env": "Pictures-v0", "env_module": f"{tmp_path}/pictures.py", "steps": 128}
@@ -96,8 +184,9 @@ def test_a_policy_for_pictures_sees_pictures(tmp_path: Path) -> None:
         {"engine": "sb3"},
         {"algorithm": "dqn"},
         {"policy": "MlpLstmPolicy"},
+        {"algorithm_kwargs": {"clip_range_vf": 0.2}},
     )
-    for own in (*flat, {"algorithm_kwargs": {"vf_coef": 0.4}}):
+    for own in flat:
         run = make_run({**given, **own})
         with pytest.raises(UserError, match=r'pictures, .*: set policy = "CnnPolicy", or wrappers = '):
             check_environment(run)
@@ -105,21 +194,89 @@ def test_a_policy_for_pictures_sees_pictures(tmp_path: Path) -> None:
     run = make_run({**given, "policy": "CnnPolicy", "epochs": 1})
     check_environment(run)
     assert train_run(run, lambda _: True).status == "done"
+    small = make_run({**given, "policy": "CnnPolicy", "env_kwargs": {"size": 8}})
+    with pytest.raises(UserError, match="ppo in Pictures-v0: RuntimeError: .*Kernel size"):
+        check_environment(small)
 
 
 @pytest.mark.parametrize(
     ("space", "fix"),
     [
         (PICTURE, 'flatten: set policy = "CnnPolicy", or wrappers = ["FlattenObservation"]'),
-        (spaces.Dict(seen=PICTURE, speed=NUMBERS), 'flatten: set policy = "MultiInputPolicy", or wrappers'),
+        (spaces.Dict(seen=PICTURE, speed=VECTOR), 'flatten: set policy = "MultiInputPolicy", or wrappers'),
         (spaces.Box(0, 255, (36, 36), np.uint8), 'flatten: wrappers = ["FlattenObservation"]'),
         (spaces.Box(0, 255, (128,), np.uint8), ""),  # the memory of an Atari game
-        (NUMBERS, ""),
+        (VECTOR, ""),
     ],
 )
 def test_what_counts_as_a_picture_and_what_to_write(space: spaces.Space[Any], fix: str) -> None:
     with pytest.raises(UserError, match=re.escape(fix)) if fix else nullcontext():
         refuse_flat_pictures(make_run({"env": "Pictures-v0"}), space)
+
+
+# --- What was learned ------------------------------------------------------------------------------
+
+LEARNED: dict[str, dict[str, Any]] = {
+    "sac": {
+        **NUMBERS, "algorithm": "sac", "normalize_observations": True, "slots": 2,
+        "algorithm_kwargs": {"learning_starts": 20, "policy_kwargs": {"net_arch": [16]}},
+    },
+    "td3": {
+        **NUMBERS, "algorithm": "td3",
+        "algorithm_kwargs": {
+            "learning_starts": 20, "policy_kwargs": {"net_arch": [16]},
+            "action_noise": {"name": "OrnsteinUhlenbeckActionNoise", "sigma": 0.1},
+        },
+    },
+    "recurrent-ppo": {**SHORT, "algorithm": "recurrent-ppo", "policy": "MlpLstmPolicy", "horizon": 128},
+    "ppo": {**NUMBERS, "minibatch": 50, "algorithm_kwargs": {"use_sde": True}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", LEARNED)
+def test_a_policy_comes_back_without_unpickling(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = make_run(LEARNED[case])
+    check_environment(run)
+    policy = learned(run)
+    observations = np.random.default_rng(0).normal(size=(5, 3 if "Pendulum" in run.env else 4)).astype("f4")
+    expected, _ = policy.predict(observations, deterministic=True)
+    data = policy.to_bytes()
+    monkeypatch.setattr(save_util, "json_to_data", None)  # which unpickles
+    loaded, _ = load_learner(run, data).predict(observations, deterministic=True)
+    np.testing.assert_array_equal(loaded, expected)
+    raw, _ = policy.learner.predict(observations, deterministic=True)
+    assert np.array_equal(raw, expected) != run.normalize_observations
+
+
+def test_the_stored_file_is_what_the_library_saves() -> None:
+    run = make_run({**LEARNED["sac"], "normalize_observations": False})
+    policy = learned(run)
+    observations = np.random.default_rng(0).normal(size=(5, 3)).astype("f4")
+    assert len(policy.to_bytes()) < 300_000  # some 1,500 weights, their copies and moments, no replay buffer
+    theirs = SAC.load(io.BytesIO(policy.to_bytes()), device="cpu")
+    expected, _ = policy.predict(observations, deterministic=True)
+    np.testing.assert_array_equal(theirs.predict(observations, deterministic=True)[0], expected)
+
+
+def test_what_is_no_learners_file_is_refused() -> None:
+    run = make_run(LEARNED["sac"])
+    data = OpenTrainer(run).policy().to_bytes()
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    for changed in ({**parts, "policy.pth": b"x"}, {**parts, STATISTICS: b""}, {"data": b"{}"}):
+        file = io.BytesIO()
+        with zipfile.ZipFile(file, "w") as archive:
+            for name, content in changed.items():
+                archive.writestr(name, content)
+        with pytest.raises(UserError, match="is no policy of sac"):
+            load_learner(run, file.getvalue())
+    other = make_run({**LEARNED["sac"], "algorithm_kwargs": {"policy_kwargs": {"net_arch": [8]}}})
+    for wrong, file_of in ((other, data), (run, b"no zip")):
+        with pytest.raises(UserError, match="is no policy of sac"):
+            load_learner(wrong, file_of)
+
+
+# --- What is refused before training ----------------------------------------------------------------
 
 
 def test_wrappers_take_arguments() -> None:
@@ -139,8 +296,35 @@ def test_what_is_not_used_does_not_move_an_id() -> None:
     [
         ({"algorithm": "sac"}, "sac in CartPole-v1: .*Discrete"),
         ({"algorithm": "qr-dqn", "algorithm_kwargs": {"tao": 1, "tua": 2}}, "algorithm_kwargs: tao, tua not"),
-        ({"policy": "CnnPolicy", "algorithm_kwargs": {"policy_kwargs": {"activation_fn": "no"}}}, "'no'"),
-        ({"policy": "NoPolicy"}, "ppo in CartPole-v1: .*NoPolicy"),
+        ({"algorithm": "dqn", "algorithm_kwargs": {"seed": 1}}, "algorithm_kwargs: seed not allowed"),
+        ({"algorithm_kwargs": {"policy_kwargs": {"activation_fn": "no"}}}, "'no': is no class"),
+        ({"algorithm_kwargs": {"ent_coef": 0.1}}, "ent_coef is not allowed: ppo has the field entropy_coeff"),
+        (
+            {"algorithm_kwargs": {"policy_kwargs": {"net_arch": [8]}}},
+            "net_arch .*: ppo has .* actor and critic",
+        ),
+        ({"policy": "NoPolicy"}, 'policy = "NoPolicy": ppo has MlpPolicy, CnnPolicy, MultiInputPolicy'),
+        ({"algorithm": "recurrent-ppo"}, 'policy = "MlpPolicy": recurrent-ppo has MlpLstmPolicy, '),
+        (
+            {"algorithm": "qr-dqn", "horizon": 66},
+            "horizon = 66 is not allowed: .* every 4 steps; set .* = 68",
+        ),
+        ({"algorithm": "stable_baselines3:PPO"}, "horizon = 64 .* every 2048 steps; set horizon = 2048"),
+        ({"algorithm": "sb3_contrib:ARS"}, "is neither an OnPolicyAlgorithm nor an OffPolicyAlgorithm"),
+        ({"algorithm": "sb3_contrib:MaskablePPO"}, "evaluations know no masks of actions"),
+        ({"algorithm": "no.such.module:Learner"}, "no.such.module cannot be imported"),
+        (
+            {
+                **NUMBERS,
+                "algorithm": "td3",
+                "algorithm_kwargs": {"action_noise": {"name": "NormalActionNoise"}},
+            },
+            "td3 in Pendulum-v1: TypeError: .*missing 1 required positional argument: 'sigma'",
+        ),
+        (
+            {**NUMBERS, "algorithm": "td3", "algorithm_kwargs": {"action_noise": {"sigma": 1.0}}},
+            "action_noise = .* is not allowed: a table with the name NormalActionNoise or Ornstein",
+        ),
     ],
 )
 def test_what_cannot_learn_is_told_before_training(given: dict[str, Any], told: str) -> None:

@@ -91,14 +91,44 @@ def test_mistakes_are_told_at_once_each_with_its_line(tmp_path: Path) -> None:
         load_study(str(study(tmp_path / "zoo.toml", "seed = 1\nn_steps = 1\nx = 2\n")))
 
 
-def test_a_learners_own_arguments_are_joined_and_a_learner_of_values_has_one_network(tmp_path: Path) -> None:
-    """As the zoo's entries for PPO on Pendulum-v1 and DQN on CartPole-v1 have them."""
+def test_arguments_of_ppo_without_a_field_are_joined(tmp_path: Path) -> None:
+    """As the zoo's entry for PPO on Pendulum-v1 has them."""
     given = 'engine = "sb3"\nn_timesteps = 2048\nuse_sde = true\nclip_range_vf = 0.2\n'
     (run, _) = runs(study(tmp_path / "zoo.toml", given)).values()
     assert run.algorithm_kwargs == '{"clip_range_vf": 0.2, "use_sde": true}'
-    given = 'algorithm = "dqn"\nn_timesteps = 5e4\npolicy_kwargs = "dict(net_arch=[256, 256])"\n'
-    (run, _) = runs(study(tmp_path / "zoo.toml", given)).values()
-    assert (run.actor, run.critic) == ((256, 256), Run().critic)
+
+
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        (
+            "train_freq = 256",
+            "line 5: .*unknown key 'train_freq' .*; an argument of a learner stands in algorithm_kw",
+        ),
+        ("ent_coef = 'auto'", 'ent_coef: entropy_coefficient = "auto" is not allowed'),
+        (
+            "gamma = 0.9",
+            "gamma does nothing: .* Pendulum-v1, sac as they are set; an argument of sac stands in al",
+        ),
+    ],
+)
+def test_an_argument_of_another_learner_is_refused_with_its_place(
+    tmp_path: Path, lines: str, told: str
+) -> None:
+    path = tmp_path / "sac.toml"
+    text = f'title = "SAC"\n[run]\nalgorithm = "sac"\nenv = "Pendulum-v1"\n{lines}\n[conditions.one]\n'
+    path.write_text(f"{text}[presets.quick]\nseeds = 1\nsteps = 100\n")
+    with pytest.raises(UserError, match=told):
+        load_study(str(path))
+
+
+def test_arguments_of_another_learner_are_kept_as_they_are(tmp_path: Path) -> None:
+    arguments = 'learning_rate = "lin_7e-4"\ntau = 1.0\ntrain_freq = [1, "episode"]\n'
+    given = f'algorithm = "td3"\nn_timesteps = 100\n[run.algorithm_kwargs]\n{arguments}'
+    path = study(tmp_path / "zoo.toml", given)
+    path.write_text(path.read_text().replace('[factors]\nlearning_rate = ["lin_1e-3", 1e-4]', ""))
+    (run,) = runs(path).values()
+    assert run.algorithm_kwargs == '{"learning_rate": "lin_7e-4", "tau": 1.0, "train_freq": [1, "episode"]}'
 
 
 ELSEWHERE = {
