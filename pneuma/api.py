@@ -24,14 +24,15 @@ from pneuma.config import OF_WORLDS, Run, is_gymnasium_id, make_run
 from pneuma.env.fields import ENVIRONMENTS, make_env_config, read_field
 from pneuma.errors import UserError, counted
 from pneuma.schema import plain
-from pneuma.study import execute, plan, spec
-from pneuma.study.executors.base import ExecutorConfig
+from pneuma.store.last_queries import on_top_of_last
+from pneuma.store.provenance import available_cores, project
+from pneuma.store.store import Store
+from pneuma.store.stored_runs import find_run, stored_run, trusted_settings
+from pneuma.study import plan, spec
 from pneuma.study.identity import describe_user_code
-from pneuma.study.last_queries import on_top_of_last
-from pneuma.study.progress import ProgressDisplay
-from pneuma.study.provenance import available_cores, project
-from pneuma.study.store import Store
-from pneuma.study.stored_runs import find_run, stored_run, trusted_settings
+from pneuma.training import execute
+from pneuma.training.executors.base import ExecutorConfig
+from pneuma.training.progress import ProgressDisplay
 from pneuma.values import read_seeds
 
 if TYPE_CHECKING:
@@ -162,8 +163,8 @@ def open_data(
     Raises:
         UserError: for an unknown study, preset, condition or world, or when none of the cells has finished.
     """
-    from pneuma.analysis.run_index import RunIndex
     from pneuma.analysis.runs import open_study
+    from pneuma.store.index import RunIndex
 
     query = _query(study, world, preset, seeds, steps, conditions, settings)
     return open_study(RunIndex(_store(results)), query, say)

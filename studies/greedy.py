@@ -15,15 +15,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study
 from pneuma.api import load_policy
 from pneuma.engines.policy import Policy
 from pneuma.env.fields import ACTION_NAMES, make_env_config
 from pneuma.env.rules import RUNNING
 from pneuma.env.worlds import Worlds
+from pneuma.store.index import RunIndex
+from pneuma.store.store import Store
 from pneuma.study.plan import Selection
-from pneuma.study.store import Store
 
 EPISODES = 40
 WINDOW = 50

@@ -19,8 +19,8 @@ from pneuma.engines.policy import drawing
 from pneuma.env.fields import make_env_config
 from pneuma.env.worlds import Worlds
 from pneuma.files import to_json
-from pneuma.study.store import Store
-from pneuma.study.stored_runs import find_run, stored_settings
+from pneuma.store.store import Store
+from pneuma.store.stored_runs import find_run, stored_settings
 
 SEED = 0
 

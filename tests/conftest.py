@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.study.executors.local import worker_environment
-from pneuma.study.store import Store
+from pneuma.store.store import Store
+from pneuma.training.executors.local import worker_environment
 
 from .training import training_here
 

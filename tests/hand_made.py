@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 from pneuma.files import to_json
+from pneuma.store.index import RunIndex
+from pneuma.store.row_builder import UNKNOWN
+from pneuma.store.store import Identity, Status, Store
+from pneuma.store.tables import to_parquet
 from pneuma.study.plan import Query
-from pneuma.study.row_builder import UNKNOWN
-from pneuma.study.store import Identity, Status, Store
-from pneuma.study.tables import to_parquet
 
 BUDGET = 10_000
 HORIZON = 100

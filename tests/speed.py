@@ -32,9 +32,9 @@ from pneuma.engines.loop import Progress, train_run
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.worlds import Worlds
 from pneuma.presets import BASES
-from pneuma.study.execute import MOST_IN_GROUP
-from pneuma.study.executors.local import XLA_FLAGS, worker_environment
-from pneuma.study.provenance import machine
+from pneuma.store.provenance import machine
+from pneuma.training.execute import MOST_IN_GROUP
+from pneuma.training.executors.local import XLA_FLAGS, worker_environment
 
 ARENA, TEXT = "pneuma/PneumaArena-v0", "pneuma/Pneuma-v0"
 ROUNDS = 5

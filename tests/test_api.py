@@ -18,9 +18,9 @@ from pneuma.config import as_fields, make_run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS
 from pneuma.errors import UserError
+from pneuma.store.store import Status, Store
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
-from pneuma.study.store import Status, Store
 
 from .cli.calls import save_finished
 

@@ -14,7 +14,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pneuma.analysis.claims.claim_list import load_claims
-from pneuma.analysis.run_index import RunIndex
 from pneuma.engines.policy import read_sound_policy
 from pneuma.engines.records import EPISODE_COLUMNS, Checkpoint, Records
 from pneuma.env.characters import load_characters
@@ -23,13 +22,14 @@ from pneuma.errors import UserError
 from pneuma.files import checksum, dump_checksummed, to_json
 from pneuma.imports.tensorboard import read_event_file
 from pneuma.search.spec import load_search
-from pneuma.study.checkpoints import CheckpointFile, encode, file_name, read_checkpoint, table_files
-from pneuma.study.row_builder import row_cells, stored_row
-from pneuma.study.rows import encode_row
-from pneuma.study.series import Recorded
+from pneuma.store.checkpoints import CheckpointFile, encode, file_name, read_checkpoint, table_files
+from pneuma.store.index import RunIndex
+from pneuma.store.row_builder import row_cells, stored_row
+from pneuma.store.rows import encode_row
+from pneuma.store.series import Recorded
+from pneuma.store.store import Status, Store, read_checkpoint_name
+from pneuma.store.tables import to_parquet
 from pneuma.study.spec import load_study
-from pneuma.study.store import Status, Store, read_checkpoint_name
-from pneuma.study.tables import to_parquet
 
 from .cli.calls import policy_of
 from .hand_made import encode_events

@@ -25,7 +25,10 @@ LAYERS = (
     BASE,
     ("pneuma.env",),
     ("pneuma.engines",),
-    ("pneuma.study", "pneuma.imports"),
+    ("pneuma.study",),
+    ("pneuma.store",),
+    ("pneuma.training",),
+    ("pneuma.imports",),
     ("pneuma.analysis",),
     ("pneuma.search",),
     ("pneuma.figures",),
@@ -33,9 +36,6 @@ LAYERS = (
     ("pneuma.cli", "pneuma.__main__"),
 )
 """Each may import itself and what stands above it; and `pneuma`, which is loaded with any part of it."""
-
-TRAINS = ("execute", "plan", "worker", "live", "checkpoints")
-"""The modules of `study` that import engines: they try environments, or train."""
 
 
 def _belongs(module: str, package: str) -> bool:
@@ -64,8 +64,6 @@ def _allowed(module: str, imported: str) -> bool:
         return False
     if not _belongs(imported, "pneuma") or "pneuma" in (module, imported):
         return True
-    if _belongs(module, "pneuma.study") and _belongs(imported, "pneuma.engines"):
-        return module.removeprefix("pneuma.study.") in TRAINS
     return _layer(imported) <= _layer(module)
 
 

@@ -14,17 +14,17 @@ import pytest
 from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.export import encode_table
 from pneuma.analysis.outcomes import OUTCOMES, outcome
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 from pneuma.files import checksum
+from pneuma.store.index import RunIndex
+from pneuma.store.published import encode_published
+from pneuma.store.row_builder import stored_row
+from pneuma.store.rows import decode_row
+from pneuma.store.store import ROW_FILE, Status, Store
+from pneuma.store.tables import from_ipc, from_parquet
 from pneuma.study.plan import Query
-from pneuma.study.published import encode_published
-from pneuma.study.row_builder import stored_row
-from pneuma.study.rows import decode_row
-from pneuma.study.store import ROW_FILE, Status, Store
-from pneuma.study.tables import from_ipc, from_parquet
 
 from .analysis.published_runs import publish, save_run
 from .cli.calls import call

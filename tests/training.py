@@ -16,10 +16,10 @@ from contextlib import contextmanager
 import pytest
 
 from pneuma.config import Run
-from pneuma.study.executors import local
-from pneuma.study.executors.base import ExecutorConfig, OnEvent
-from pneuma.study.store import Store
-from pneuma.study.worker import Reporter, Worker
+from pneuma.store.store import Store
+from pneuma.training.executors import local
+from pneuma.training.executors.base import ExecutorConfig, OnEvent
+from pneuma.training.worker import Reporter, Worker
 
 
 class _Told(io.StringIO):

@@ -21,14 +21,14 @@ from typing import Any
 import pyarrow as pa
 
 from pneuma.analysis.export import encode_table
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study
 from pneuma.errors import UserError
+from pneuma.store.index import RunIndex
+from pneuma.store.store import Store
 from pneuma.study.identity import config_id, run_id
 from pneuma.study.plan import Query, configure
 from pneuma.study.shipped import list_studies
 from pneuma.study.spec import Study, load_study
-from pneuma.study.store import Store
 
 from .cli.calls import described
 

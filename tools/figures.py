@@ -25,7 +25,6 @@ from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.claims.verdicts import judge
 from pneuma.analysis.claims.words import verdicts_by_claim
 from pneuma.analysis.export import encode_frame
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.config import as_fields, make_run
@@ -41,10 +40,11 @@ from pneuma.presets import BASES, WORLDS
 from pneuma.search.promote import find_winners
 from pneuma.search.record import read_record
 from pneuma.search.spec import load_search
+from pneuma.store.index import RunIndex
+from pneuma.store.provenance import available_cores
+from pneuma.store.series import SLACK
+from pneuma.store.store import PUBLISHED, Store
 from pneuma.study.plan import Query
-from pneuma.study.provenance import available_cores
-from pneuma.study.series import SLACK
-from pneuma.study.store import PUBLISHED, Store
 from pneuma.values import shown_value
 from tools import COMMAND, noise_scale
 from tools.environment_figures import draw_level, draw_mailman, draw_screens

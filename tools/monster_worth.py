@@ -14,10 +14,10 @@ import numpy as np
 from pneuma.analysis.claims.claim_list import ClaimList, load_claims
 from pneuma.analysis.claims.fixed_runs import find_claim_runs
 from pneuma.analysis.outcomes import outcome
-from pneuma.analysis.run_index import RunIndex
 from pneuma.presets import WORLDS
-from pneuma.study.rows import Row
-from pneuma.study.store import Store
+from pneuma.store.index import RunIndex
+from pneuma.store.rows import Row
+from pneuma.store.store import Store
 
 MONSTERS = 14
 RETURN, KILLS = "final-return", "late-share-killed"

@@ -18,15 +18,15 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
 from pneuma.analysis.outcomes import find_outcome, outcome_values
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.origin import samples_of
 from pneuma.figures.words import headline_of
+from pneuma.store.index import RunIndex
+from pneuma.store.store import Store
 from pneuma.study.plan import Query
-from pneuma.study.store import Store
 
 STUDY, STEPS, OUTCOME = "noise-scale", 294_912, "late-share-killed"
 MARKERS = {1: "o", 4: "s", 16: "D"}

@@ -35,8 +35,8 @@ from unittest.mock import patch
 
 from pneuma.cli import main
 from pneuma.errors import UserError
+from pneuma.store.store import PUBLISHED
 from pneuma.study.shipped import shipped_tables
-from pneuma.study.store import PUBLISHED
 
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))

@@ -20,8 +20,8 @@ import pandas as pd
 
 from pneuma.analysis.intervals import incidence_interval
 from pneuma.analysis.study_data import NAMING, StudyData
-from pneuma.study.rows import Row
-from pneuma.study.series import FALL, LOSS, NO_ENTROPY, ONE_ACTION, SIGNS, Stretch, stretches
+from pneuma.store.rows import Row
+from pneuma.store.series import FALL, LOSS, NO_ENTROPY, ONE_ACTION, SIGNS, Stretch, stretches
 
 SHORTEST = 0.05
 """Share of the budget that a single action, or a return below zero, must last to count as collapse."""

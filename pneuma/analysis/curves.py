@@ -25,9 +25,9 @@ from pneuma.analysis.intervals import LEAST_RUNS, LEVEL
 from pneuma.analysis.outcomes import LARGEST, is_foreign
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError, unknown_name
-from pneuma.study.quantities import ACTION_QUANTITIES, EVALUATION_QUANTITIES, evaluation_column
-from pneuma.study.rows import Row
-from pneuma.study.series import Series, make_grid
+from pneuma.store.quantities import ACTION_QUANTITIES, EVALUATION_QUANTITIES, evaluation_column
+from pneuma.store.rows import Row
+from pneuma.store.series import Series, make_grid
 
 STEPS, EPISODES, WALL_CLOCK = "steps", "episodes", "wall-clock"
 """What curves may lie over, as `X_AXES` has it."""

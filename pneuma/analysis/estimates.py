@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from pneuma.analysis.run_index import RunIndex
 from pneuma.config import Run
+from pneuma.store.index import RunIndex
 from pneuma.study.identity import config_id
-from pneuma.study.progress import START_SECONDS
+from pneuma.training.progress import START_SECONDS
 
 
 def published_seconds(index: RunIndex, run: Run, steps: int) -> float | None:

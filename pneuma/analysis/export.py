@@ -12,15 +12,15 @@ import pandas as pd
 from pneuma.analysis import EDGED_BANDS, EXPORT_TABLES
 from pneuma.analysis.curves import curve_names, curves_table, study_curves
 from pneuma.analysis.intervals import decimals, shown
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.study_data import NAMING, StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.errors import UserError
-from pneuma.study.locks import run_lock
-from pneuma.study.published import encode_published
-from pneuma.study.quantities import EPISODE_QUANTITIES
-from pneuma.study.row_builder import record_frame
-from pneuma.study.store import Store
+from pneuma.store.index import RunIndex
+from pneuma.store.locks import run_lock
+from pneuma.store.published import encode_published
+from pneuma.store.quantities import EPISODE_QUANTITIES
+from pneuma.store.row_builder import record_frame
+from pneuma.store.store import Store
 
 
 def encode_table(

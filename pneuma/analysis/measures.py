@@ -14,8 +14,8 @@ import numpy as np
 from pneuma.analysis.collapse import diagnose
 from pneuma.config import is_gymnasium_id
 from pneuma.env.fields import ACTION_NAMES
-from pneuma.study.rows import STUCK, Row
-from pneuma.study.series import EXTREMES, NO_ENTROPY, mean_height
+from pneuma.store.rows import STUCK, Row
+from pneuma.store.series import EXTREMES, NO_ENTROPY, mean_height
 
 Measure = Callable[[Row], float]
 Take = Callable[[np.ndarray], float]

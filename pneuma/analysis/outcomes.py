@@ -22,8 +22,8 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.config import is_gymnasium_id
 from pneuma.env.fields import ACTION_NAMES, ENVIRONMENTS
 from pneuma.errors import UserError, unknown_name
-from pneuma.study.rows import Row
-from pneuma.study.series import STATISTICS
+from pneuma.store.rows import Row
+from pneuma.store.series import STATISTICS
 
 Bounds = tuple[float, float]
 ANYTHING, POSITIVE, SHARE = (-np.inf, np.inf), (0.0, np.inf), (0.0, 1.0)

@@ -20,17 +20,17 @@ from typing import Any
 
 import pandas as pd
 
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.study_data import StudyData
 from pneuma.config import Run, as_fields
 from pneuma.errors import UserError, unknown_name
 from pneuma.presets import TEXT
+from pneuma.store.index import RunIndex
+from pneuma.store.last_queries import last_query, noted_studies, on_top_of_last
+from pneuma.store.store import FINISHED
 from pneuma.study.identity import config_id, own_files
-from pneuma.study.last_queries import last_query, noted_studies, on_top_of_last
 from pneuma.study.plan import Plan, Query, configure, default_preset, make_plan, query_words
 from pneuma.study.shipped import list_studies
 from pneuma.study.spec import CLAIMS, LAST, PAPER, Study, load_study, results_words
-from pneuma.study.store import FINISHED
 
 Say = Callable[[str], object]
 UNSET: tuple[Any, ...] = (None, False, 0, "", [], {})

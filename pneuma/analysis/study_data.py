@@ -19,13 +19,13 @@ from pneuma.config import Run
 from pneuma.env.fields import are_own_characters, is_own_level
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.presets import WORLDS
+from pneuma.store.quantities import WINDOWS
+from pneuma.store.rows import Row
+from pneuma.store.series import SLACK, held_curve, make_grid
+from pneuma.store.store import FINISHED
 from pneuma.study.identity import config_id
 from pneuma.study.plan import Plan, Query
-from pneuma.study.quantities import WINDOWS
-from pneuma.study.rows import Row
-from pneuma.study.series import SLACK, held_curve, make_grid
 from pneuma.study.spec import LAST, Study
-from pneuma.study.store import FINISHED
 from pneuma.values import settings_name, shown_seeds, shown_settings
 
 NAMING = ("condition", "seed", "run_id")

@@ -10,10 +10,10 @@ from typing import Annotated
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, say
 from pneuma.errors import UserError, counted
-from pneuma.study.last_queries import forget_query, last_query
+from pneuma.store.last_queries import forget_query, last_query
+from pneuma.store.store import Store
+from pneuma.store.stored_runs import find_run
 from pneuma.study.spec import LAST
-from pneuma.study.store import Store
-from pneuma.study.stored_runs import find_run
 
 Yes = Annotated[bool, opt.flag("--yes", "Remove them without asking.")]
 

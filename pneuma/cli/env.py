@@ -113,8 +113,8 @@ def _render_other(
     from pneuma.config import make_run
     from pneuma.engines.gymnasium_frames import episode_frames, frame_rate
     from pneuma.env import watch
-    from pneuma.study.store import Store
-    from pneuma.study.stored_runs import find_run, stored_run, trusted_settings
+    from pneuma.store.store import Store
+    from pneuma.store.stored_runs import find_run, stored_run, trusted_settings
 
     run, policy = make_run({"env": name}), None
     if player != "random":

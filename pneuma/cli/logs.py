@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, command, say
 from pneuma.errors import counted
-from pneuma.study.store import Store
+from pneuma.store.store import Store
 
 if TYPE_CHECKING:
     from pneuma.imports.logs import Import, Log

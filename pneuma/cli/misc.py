@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, check_file, nothing_yet, say, write_file
-from pneuma.study.store import Store
+from pneuma.store.store import Store
 
 app = opt.Commands("", "")
 

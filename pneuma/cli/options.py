@@ -20,14 +20,14 @@ from pneuma.cli.output import OUTPUT_FORMATS, Result, kept_for_the_result, print
 from pneuma.errors import UserError, nearest_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.presets import WORLDS
-from pneuma.study.executors.base import EXECUTORS, LOCAL, RAY, ExecutorConfig, load_executor
+from pneuma.store.store import Store
 from pneuma.study.plan import Query
-from pneuma.study.store import Store
+from pneuma.training.executors.base import EXECUTORS, LOCAL, RAY, ExecutorConfig, load_executor
 from pneuma.values import SEEDS_ALLOWED, read_seeds, read_value, setting_words, shown_seeds
 
 if TYPE_CHECKING:
-    from pneuma.analysis.run_index import RunIndex
     from pneuma.analysis.study_data import StudyData
+    from pneuma.store.index import RunIndex
 
 # --- How options are declared ----------------------------------------------------------------------
 
@@ -176,7 +176,7 @@ class RunFilter:
     @functools.cached_property
     def index(self) -> RunIndex:
         """Every run, stored or published."""
-        from pneuma.analysis.run_index import RunIndex
+        from pneuma.store.index import RunIndex
 
         return RunIndex(self.store)
 

@@ -24,8 +24,8 @@ from rich.cells import cell_len
 from pneuma.errors import UserError, nearest_name, plain, print_aside
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.files import MADE_BY, write_whole
+from pneuma.store.store import Store
 from pneuma.study.shipped import read_head, shipped_names
-from pneuma.study.store import Store
 
 if TYPE_CHECKING:
     import pandas as pd

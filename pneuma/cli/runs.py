@@ -12,8 +12,8 @@ from pneuma.cli.output import Result, Table, check_file, rows_of, write_file
 from pneuma.config import env_config
 from pneuma.env.fields import ENVIRONMENTS, action_names
 from pneuma.errors import UserError
-from pneuma.study.store import Store
-from pneuma.study.stored_runs import (
+from pneuma.store.store import Store
+from pneuma.store.stored_runs import (
     default_settings,
     find_run,
     run_files,
@@ -24,8 +24,8 @@ from pneuma.study.stored_runs import (
 from pneuma.values import shown_settings, shown_value
 
 if TYPE_CHECKING:
-    from pneuma.analysis.run_index import RunIndex
     from pneuma.analysis.study_data import StudyData
+    from pneuma.store.index import RunIndex
 
 app = opt.Commands("run", "Look at single runs and take them along.")
 app.command("delete", short_help="Remove a stored run.")(delete.delete_run)
@@ -46,7 +46,7 @@ def list_(
 
     With --study, list the runs of one study, the best first.
     """
-    from pneuma.analysis.run_index import RunIndex
+    from pneuma.store.index import RunIndex
 
     if study is not None:
         return _ranked(opt.RunFilter(world=world, results=results).open(study), sort)
@@ -107,7 +107,7 @@ def show(
     store = Store(results)
     run_id = find_run(store, name)
     status, settings = store.status(run_id), stored_settings(store, run_id)
-    from pneuma.analysis.run_index import RunIndex
+    from pneuma.store.index import RunIndex
 
     held = _labels(RunIndex(store)).get(run_id, [])
     usual = default_settings(settings)

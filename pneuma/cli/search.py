@@ -27,8 +27,8 @@ from pneuma.cli.output import (
 from pneuma.cli.study_run import train as train_study
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.search import FIRST_SEED
+from pneuma.store.store import Store
 from pneuma.study import shipped, spec
-from pneuma.study.store import Store
 
 if TYPE_CHECKING:
     import pandas as pd

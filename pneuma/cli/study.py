@@ -14,9 +14,9 @@ from pneuma.cli.output import Result, Table, listed_result, rows_of, say, tallie
 from pneuma.config import is_gymnasium_id, reads
 from pneuma.errors import UserError, unknown_name
 from pneuma.files import create_whole
+from pneuma.store.store import FINISHED, Store
 from pneuma.study import plan, shipped, spec
 from pneuma.study.plan import Query
-from pneuma.study.store import FINISHED, Store
 from pneuma.values import shown_seeds, shown_settings, shown_value
 
 if TYPE_CHECKING:
@@ -76,8 +76,8 @@ def new(
 @app.command(short_help="Show what a study compares, and its presets.")
 def show(name: opt.Study, world: opt.World = None, results: opt.Results = opt.HERE) -> Result:
     """Show what a study compares: its conditions as resolved, and its presets."""
-    from pneuma.analysis.run_index import RunIndex
     from pneuma.analysis.runs import configurations_of
+    from pneuma.store.index import RunIndex
 
     study, fields, configurations = configurations_of(RunIndex(Store(results)), name, world)
     for condition, run in configurations.items():

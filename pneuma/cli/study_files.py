@@ -22,7 +22,7 @@ from pneuma.cli.output import (
     wrote,
 )
 from pneuma.errors import UserError, counted, unknown_name
-from pneuma.study.quantities import (
+from pneuma.store.quantities import (
     ACTION_QUANTITIES,
     CURVE_QUANTITIES,
     EPISODE_QUANTITIES,

@@ -17,11 +17,12 @@ from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, command, frame_table, say, tallied
 from pneuma.config import Run
 from pneuma.errors import UserError, counted, install_extra
-from pneuma.study import execute, plan, spec
-from pneuma.study.executors.base import ExecutorConfig
-from pneuma.study.progress import duration, expected_seconds, stored_paces
-from pneuma.study.provenance import uncommitted
-from pneuma.study.store import Status, Store
+from pneuma.store.provenance import uncommitted
+from pneuma.store.store import Status, Store
+from pneuma.study import plan, spec
+from pneuma.training import execute
+from pneuma.training.executors.base import ExecutorConfig
+from pneuma.training.progress import duration, expected_seconds, stored_paces
 
 if TYPE_CHECKING:
     from pneuma.analysis.study_data import StudyData
@@ -201,7 +202,7 @@ def _plan(chosen: opt.RunFilter, name: str, unpublished: bool) -> plan.Plan:
     planned = api.plan_study(chosen.query(name), chosen.store, say)
     if not unpublished:
         return planned
-    from pneuma.analysis.run_index import RunIndex
+    from pneuma.store.index import RunIndex
 
     index = RunIndex(chosen.store, stored=False)
     published = frozenset(cell.run_id for cell in planned.cells if cell.run_id in index.frame.index)

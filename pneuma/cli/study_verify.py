@@ -11,8 +11,8 @@ from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, frame_table
 from pneuma.errors import plain, unknown_name
 from pneuma.presets import WORLDS
+from pneuma.store.store import Store
 from pneuma.study.shipped import shipped_tables
-from pneuma.study.store import Store
 
 if TYPE_CHECKING:
     from pneuma.analysis.claims.claim_list import Claim, ClaimList

@@ -24,7 +24,7 @@ from pneuma.figures.grid import Page, Panel, in_grid
 from pneuma.figures.lines import PALE, QUANTITIES, USUAL_BAND, X_LABELS, Column, usual_quantities
 from pneuma.figures.origin import samples_of
 from pneuma.figures.words import after_thesis, fits_panel, headline_of, merge_notes, styles_of
-from pneuma.study.quantities import EPISODE_QUANTITIES
+from pneuma.store.quantities import EPISODE_QUANTITIES
 
 BAND_OF_PROFILES = "95 % band, stratified bootstrap"
 

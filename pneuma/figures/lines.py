@@ -40,8 +40,8 @@ from pneuma.errors import UserError, counted
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Panel
 from pneuma.figures.words import MOST_NAMED, label_of, notes_of, styles_of
-from pneuma.study.quantities import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
-from pneuma.study.series import GRID_POINTS, SLACK
+from pneuma.store.quantities import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.store.series import GRID_POINTS, SLACK
 
 USUAL_QUANTITIES, EVALUATED = ("return", "share_killed", "success"), "evaluated_return"
 _, TRAILING_WINDOW = WINDOWS

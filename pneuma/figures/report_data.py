@@ -13,19 +13,19 @@ from typing import Any
 from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.claims.verdicts import judge
 from pneuma.analysis.claims.words import verdicts_by_claim
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import find_study, read_runs, studies_here
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.errors import UserError, counted
 from pneuma.figures.report import Part, Verdicts, numbers_table, study_picture
 from pneuma.presets import WORLDS
+from pneuma.store.index import RunIndex
+from pneuma.store.rows import Row
+from pneuma.store.store import Store
 from pneuma.study import spec
 from pneuma.study.plan import Query, differing_fields, query_words
-from pneuma.study.rows import Row
 from pneuma.study.shipped import list_studies
 from pneuma.study.spec import PAPER
-from pneuma.study.store import Store
 from pneuma.values import shown_value
 
 ORIGIN_FACTS = ("packages", "python", "commit", "cpu", "system", "threads", "imported", "damage")

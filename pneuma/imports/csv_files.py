@@ -20,8 +20,8 @@ import pandas as pd
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.files import read_text
 from pneuma.imports.logs import Import, Log, choose_study_name, condition_and_seed, file_facts, store_logs
-from pneuma.study.quantities import EPISODE_QUANTITIES, EVALUATION_TAGS, TAGS, TRAINING_QUANTITIES
-from pneuma.study.store import Store
+from pneuma.store.quantities import EPISODE_QUANTITIES, EVALUATION_TAGS, TAGS, TRAINING_QUANTITIES
+from pneuma.store.store import Store
 
 SOURCE, IMPORT_VERSION = "csv", 2
 MONITOR = "monitor.csv"

@@ -18,10 +18,10 @@ import pandas as pd
 
 from pneuma.errors import UserError, counted
 from pneuma.files import checksum, to_json
-from pneuma.study.row_builder import cells_of_files
-from pneuma.study.rows import encode_row
+from pneuma.store.row_builder import cells_of_files
+from pneuma.store.rows import encode_row
+from pneuma.store.store import ROW_FILE, SCALARS_FILE, Identity, Status, Store
 from pneuma.study.shipped import list_studies
-from pneuma.study.store import ROW_FILE, SCALARS_FILE, Identity, Status, Store
 
 AGENT_STEPS = ("rollout/", "train/", "time/", "eval/", "charts/", "losses/")
 """Tags of Stable-Baselines3 and CleanRL whose steps are agent steps."""

@@ -16,7 +16,7 @@ import pandas as pd
 
 from pneuma.errors import UserError, counted, install_extra
 from pneuma.imports.logs import Import, Log, choose_study_name, condition_and_seed, file_facts, store_logs
-from pneuma.study.store import Store
+from pneuma.store.store import Store
 
 SOURCE, IMPORT_VERSION = "tensorboard", 3
 """The second is raised by hand when the same logs give other points; part of every imported run's id."""

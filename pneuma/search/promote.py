@@ -19,7 +19,6 @@ import pandas as pd
 from optuna.trial import FrozenTrial, TrialState
 
 from pneuma.analysis.intervals import difference_interval
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.config import OF_WORLDS
@@ -28,9 +27,10 @@ from pneuma.schema import shown
 from pneuma.search.record import Record, common_steps, read_record
 from pneuma.search.spec import Objective, Search
 from pneuma.search.values import counted_outcome, objective_value
+from pneuma.store.index import RunIndex
+from pneuma.store.store import Store
 from pneuma.study.plan import Plan, Query, differing_fields, make_plan
 from pneuma.study.spec import load_study, unread_fields
-from pneuma.study.store import Store
 
 LEAST_SEEDS = 5
 """Fewest fresh seeds: the interval of a gain over fewer would tell nothing."""

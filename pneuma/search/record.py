@@ -30,9 +30,9 @@ from pneuma.files import names_in, read_whole
 from pneuma.search.journal import LARGEST_LOG, Journal
 from pneuma.search.samplers import make_pruner
 from pneuma.search.spec import Budget, Search, load_search
+from pneuma.store.store import PUBLISHED, Store
 from pneuma.study.identity import user_files_digest
 from pneuma.study.shipped import shipped_tables
-from pneuma.study.store import PUBLISHED, Store
 
 ABOUT = "pneuma"
 """The user attribute of a study that says which search it is."""

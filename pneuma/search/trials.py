@@ -28,11 +28,11 @@ from pneuma.search.record import STATES, Record, Task, common_steps, open_record
 from pneuma.search.samplers import BY_SEED, PRUNERS, make_sampler
 from pneuma.search.spec import Budget, Search, check_budget
 from pneuma.search.values import Outcomes, objective_value, over_seeds
-from pneuma.study.execute import CellResult, check_environments
+from pneuma.store.store import Store
 from pneuma.study.identity import config_id
 from pneuma.study.plan import Cell, Plan, rounding_notes
 from pneuma.study.spec import Study
-from pneuma.study.store import Store
+from pneuma.training.execute import CellResult, check_environments
 
 Train = Callable[[Plan, Mapping[str, int]], None]
 """Trains runs of a plan, by id, up to a step each, or to the end if that is 0; raises `Unfinished`."""

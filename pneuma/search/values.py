@@ -9,10 +9,10 @@ import numpy as np
 
 from pneuma.analysis.outcomes import find_outcome, outcome
 from pneuma.search.spec import OVER_SEEDS, Objective, Search
+from pneuma.store.row_builder import row_until, stored_row
+from pneuma.store.rows import Row
+from pneuma.store.store import Store
 from pneuma.study.plan import Cell
-from pneuma.study.row_builder import row_until, stored_row
-from pneuma.study.rows import Row
-from pneuma.study.store import Store
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""Studies: from a TOML file to finished runs (spec, plan, execute, executors, store)."""
+"""Studies: from a TOML file and a query to a plan of runs, and what identifies a run."""

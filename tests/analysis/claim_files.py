@@ -9,12 +9,12 @@ from typing import Any
 from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.claims.verdicts import Verdict, judge
 from pneuma.config import Run, as_fields
+from pneuma.store.published import encode_published
+from pneuma.store.row_builder import stored_row
+from pneuma.store.store import Store
 from pneuma.study.identity import config_id, run_id
 from pneuma.study.plan import Query, make_plan
-from pneuma.study.published import encode_published
-from pneuma.study.row_builder import stored_row
 from pneuma.study.spec import load_study
-from pneuma.study.store import Store
 
 from .. import hand_made
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
+from pneuma.store.index import RunIndex
+from pneuma.store.published import encode_published
+from pneuma.store.store import Store
 from pneuma.study.plan import Query
-from pneuma.study.published import encode_published
-from pneuma.study.store import Store
 
 from .. import hand_made
 

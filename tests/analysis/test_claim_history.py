@@ -9,7 +9,7 @@ import pytest
 
 from pneuma.analysis.claims.claim_list import RULES, load_claims
 from pneuma.analysis.claims.history import THE_CLAIM, changed_since
-from pneuma.study.store import Store
+from pneuma.store.store import Store
 
 from ..cli.calls import described, printed
 from .claim_files import CLAIMS, HIGH, LOW, save_runs, write_files

@@ -12,12 +12,12 @@ import pytest
 
 from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.claims.fixed_runs import with_claims
-from pneuma.analysis.run_index import RunIndex
 from pneuma.errors import UserError
 from pneuma.presets import WORLDS
+from pneuma.store.index import RunIndex
+from pneuma.store.store import Store
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
-from pneuma.study.store import Store
 from tools import monster_worth
 
 from .claim_files import CLAIMS, changed, write_files

@@ -10,13 +10,13 @@ import pytest
 
 from pneuma.analysis.collapse import Diagnosis, both, diagnose, diagnoses, incidence, joined, share_held
 from pneuma.analysis.outcomes import outcome_values
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.imports.tensorboard import import_tensorboard
-from pneuma.study import series
+from pneuma.store import series
+from pneuma.store.index import RunIndex
+from pneuma.store.store import Store
 from pneuma.study.plan import Query
-from pneuma.study.store import Store
 
 from ..hand_made import BUDGET, healthy, learning, one_action, save_collapse, study_of, write_events
 

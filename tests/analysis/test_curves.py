@@ -12,9 +12,9 @@ import pytest
 
 from pneuma.analysis.curves import Curve, curves_table, study_curves
 from pneuma.analysis.study_data import StudyData
-from pneuma.study.quantities import WINDOWS
-from pneuma.study.series import held_curve, make_grid, update_curve
-from pneuma.study.store import Store
+from pneuma.store.quantities import WINDOWS
+from pneuma.store.series import held_curve, make_grid, update_curve
+from pneuma.store.store import Store
 
 from ..hand_made import make_id, save_run, study_of
 

@@ -12,7 +12,7 @@ from scipy import stats
 from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.claims.verdicts import Verdict
 from pneuma.analysis.claims.words import lines
-from pneuma.study.store import Store
+from pneuma.store.store import Store
 
 from .claim_files import (
     CLAIMS,

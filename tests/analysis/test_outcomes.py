@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from pneuma.analysis.outcomes import OUTCOMES, find_outcome, outcome, outcome_values
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.imports.tensorboard import import_tensorboard
+from pneuma.store.index import RunIndex
+from pneuma.store.store import Store
 from pneuma.study.plan import Query
-from pneuma.study.store import Store
 
 from .. import hand_made
 from ..hand_made import healthy, learning, one_action, save_collapse, study_of, write_events

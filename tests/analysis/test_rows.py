@@ -17,17 +17,17 @@ import pyarrow.parquet as pq
 import pytest
 
 from pneuma.analysis.outcomes import OUTCOMES, outcome
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.errors import UserError
+from pneuma.store.index import RunIndex
+from pneuma.store.published import Published, encode_published
+from pneuma.store.row_builder import _rounded, stored_row
+from pneuma.store.series import GRID_POINTS
+from pneuma.store.store import ROW_FILE, Status, Store
+from pneuma.store.tables import from_ipc
 from pneuma.study.plan import Query
-from pneuma.study.published import Published, encode_published
-from pneuma.study.row_builder import _rounded, stored_row
-from pneuma.study.series import GRID_POINTS
-from pneuma.study.store import ROW_FILE, Status, Store
-from pneuma.study.tables import from_ipc
 
 from .. import hand_made
 from .published_runs import CELLS, publish, republished, save_run

@@ -12,17 +12,17 @@ import pytest
 
 from pneuma.analysis.curves import study_curves
 from pneuma.analysis.export import encode_table
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 from pneuma.imports.tensorboard import import_tensorboard
-from pneuma.study.execute import prepare
+from pneuma.store.index import RunIndex
+from pneuma.store.published import encode_published
+from pneuma.store.quantities import TRAINING_QUANTITIES
+from pneuma.store.store import Status, Store
 from pneuma.study.plan import Query, make_plan
-from pneuma.study.published import encode_published
-from pneuma.study.quantities import TRAINING_QUANTITIES
 from pneuma.study.spec import load_study
-from pneuma.study.store import Status, Store
+from pneuma.training.execute import prepare
 
 from ..cli.calls import save_finished
 from ..hand_made import save_listing, study_of, write_events

@@ -22,7 +22,7 @@ from pneuma.analysis.summaries import (
     summary_table,
     with_cells,
 )
-from pneuma.study.store import Store
+from pneuma.store.store import Store
 
 from ..hand_made import BUDGET, healthy, learning, save_collapse, study_of
 

@@ -10,7 +10,7 @@ import pytest
 
 from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.cli import main
-from pneuma.study.store import Store
+from pneuma.store.store import Store
 
 from .claim_files import CLAIMS, HIGH, LOW, save_runs, write_files
 

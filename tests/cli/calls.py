@@ -12,11 +12,11 @@ import numpy as np
 from pneuma.cli import main
 from pneuma.config import Run, as_fields
 from pneuma.engines.policy import Policy, SavedPolicy
+from pneuma.store.last_queries import note_query
+from pneuma.store.store import Status, Store, run_document
 from pneuma.study.identity import config_id, run_id
-from pneuma.study.last_queries import note_query
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
-from pneuma.study.store import Status, Store, run_document
 
 from ..hand_made import save_run
 

@@ -22,4 +22,4 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def unshipped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Leave out Pneuma's own published tables."""
-    monkeypatch.setattr("pneuma.study.store.shipped_tables", lambda: tmp_path / "unshipped")
+    monkeypatch.setattr("pneuma.store.store.shipped_tables", lambda: tmp_path / "unshipped")

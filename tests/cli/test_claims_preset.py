@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.cli import study_run
-from pneuma.study.provenance import uncommitted
+from pneuma.store.provenance import uncommitted
 
 from .calls import refused
 

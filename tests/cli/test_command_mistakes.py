@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.study.executors import local
+from pneuma.training.executors import local
 
 from .calls import call, described, refused
 

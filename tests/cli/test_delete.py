@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.study.executors import local
-from pneuma.study.last_queries import last_query
-from pneuma.study.locks import run_lock
+from pneuma.store.last_queries import last_query
+from pneuma.store.locks import run_lock
+from pneuma.store.store import Store, run_identity
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
-from pneuma.study.store import Store, run_identity
+from pneuma.training.executors import local
 
 from .calls import TINY, call, described, finish_study, refused
 

@@ -14,7 +14,7 @@ from pneuma.api import load_policy
 from pneuma.config import env_config, make_run
 from pneuma.engines.sb3_open import OpenTrainer
 from pneuma.env.worlds import Worlds
-from pneuma.study.store import Store
+from pneuma.store.store import Store
 
 from .calls import call, policy_of, printed, refused, save_policy
 

@@ -13,10 +13,10 @@ from pneuma.figures.curves import curves_page, profile_page
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.summary import summary_page
 from pneuma.figures.words import styles_of
+from pneuma.store.store import Store
 from pneuma.study.identity import config_id, run_id
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
-from pneuma.study.store import Store
 
 from ..hand_made import save_run, write_table
 from .calls import call, printed, refused

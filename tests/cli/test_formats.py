@@ -12,7 +12,7 @@ import pytest
 
 from pneuma.analysis.export import encode_frame
 from pneuma.cli.output import Result, Table, print_result
-from pneuma.study.store import Store
+from pneuma.store.store import Store
 
 from ..analysis.claim_files import HIGH, LOW, save_runs, write_files
 from .calls import call, described, printed, refused

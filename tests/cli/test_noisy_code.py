@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from pneuma.study.executors.local import worker_environment
+from pneuma.training.executors.local import worker_environment
 
 NOISY = """
 import ctypes, os, sys

@@ -9,11 +9,11 @@ import pytest
 
 from pneuma import __version__
 from pneuma.config import make_run
+from pneuma.store.last_queries import note_query
+from pneuma.store.store import Store
 from pneuma.study.identity import config_id
-from pneuma.study.last_queries import note_query
 from pneuma.study.plan import Plan, Query, make_plan
 from pneuma.study.spec import load_study
-from pneuma.study.store import Store
 
 from .calls import call, save_finished
 

@@ -9,8 +9,8 @@ import pyarrow.parquet as pq
 import pytest
 from pyarrow.types import is_list
 
-from pneuma.study.locks import run_lock
-from pneuma.study.quantities import TRAINING_QUANTITIES
+from pneuma.store.locks import run_lock
+from pneuma.store.quantities import TRAINING_QUANTITIES
 
 from .calls import SETTINGS, TINY, Called, call, printed
 
@@ -68,7 +68,7 @@ def test_what_pneuma_publishes_stays_in_a_table_of_the_same_name(
     results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shipped = Path(shutil.move(results / "published", tmp_path / "shipped"))
-    monkeypatch.setattr("pneuma.study.store.shipped_tables", lambda: shipped)
+    monkeypatch.setattr("pneuma.store.store.shipped_tables", lambda: shipped)
     called = _publish(results, "--condition", "tanh", "--seeds", "0,")
     assert "1 run from here, 3 as they were published before" in called.out
     assert pq.read_table(_table(results)).num_rows == 4

@@ -12,10 +12,10 @@ import pytest
 
 from pneuma.analysis.claims.words import WORDS
 from pneuma.presets import WORLDS
+from pneuma.store.last_queries import note_query
+from pneuma.store.store import Store
 from pneuma.study import shipped, spec
-from pneuma.study.last_queries import note_query
 from pneuma.study.plan import Query, make_plan
-from pneuma.study.store import Store
 
 from .calls import described, save_finished
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from pneuma.config import Run, make_run
-from pneuma.study.last_queries import note_query
+from pneuma.store.last_queries import note_query
+from pneuma.store.store import Store
 from pneuma.study.plan import Plan, Query, make_plan
 from pneuma.study.spec import load_study
-from pneuma.study.store import Store
 
 from .calls import described, finish_study, printed, save_finished
 

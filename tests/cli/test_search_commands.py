@@ -11,10 +11,10 @@ import pytest
 from pneuma.api import promote
 from pneuma.engines import loop
 from pneuma.search.trials import Unfinished
-from pneuma.study.execute import CellResult
+from pneuma.store.store import Store
 from pneuma.study.plan import Plan
 from pneuma.study.shipped import studies_folder
-from pneuma.study.store import Store
+from pneuma.training.execute import CellResult
 
 from ..training import training_here
 from .calls import call, described, printed, refused

@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import find_study
 from pneuma.api import open_data
-from pneuma.study.last_queries import last_query
+from pneuma.store.index import RunIndex
+from pneuma.store.last_queries import last_query
+from pneuma.store.store import Store
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
-from pneuma.study.store import Store
 from pneuma.values import read_value, setting_words
 
 from .calls import Called, call, described, finish_study, refused

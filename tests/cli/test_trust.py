@@ -11,7 +11,7 @@ import pytest
 from gymnasium.envs.classic_control import CartPoleEnv
 
 from pneuma.config import make_run
-from pneuma.study.store import Store
+from pneuma.store.store import Store
 
 from .calls import call, policy_of, refused, save_policy
 

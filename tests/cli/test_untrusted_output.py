@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pneuma.config import make_run
-from pneuma.study.store import Store
+from pneuma.store.store import Store
 
 from .calls import call, policy_of, printed, save_policy
 

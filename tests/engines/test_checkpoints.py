@@ -11,7 +11,7 @@ import torch
 from pneuma.config import as_fields, make_run
 from pneuma.engines.loop import Progress, train_run
 from pneuma.engines.records import Checkpoint, CheckpointError
-from pneuma.study.checkpoints import decode, encode
+from pneuma.store.checkpoints import decode, encode
 
 from .trained import CASES, bits, run_of, train, train_once
 

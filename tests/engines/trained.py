@@ -12,8 +12,8 @@ from pneuma.engines.batched.rollout import Rollout
 from pneuma.engines.loop import Progress, Result, train_run
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import Checkpoint
-from pneuma.study.checkpoints import TABLES
-from pneuma.study.tables import to_parquet
+from pneuma.store.checkpoints import TABLES
+from pneuma.store.tables import to_parquet
 
 SMALL: dict[str, Any] = {
     "actor": (8,), "critic": (12,), "horizon": 64, "minibatch": 32, "epochs": 2, "steps": 384,

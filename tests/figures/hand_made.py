@@ -9,14 +9,14 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from pneuma.analysis.run_index import RunIndex
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import save_page
+from pneuma.store.index import RunIndex
+from pneuma.store.store import Store
 from pneuma.study.plan import Query
-from pneuma.study.store import Store
 
 from ..hand_made import make_id, save_listing, save_run
 

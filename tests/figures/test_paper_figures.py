@@ -11,11 +11,11 @@ from pneuma.config import make_run
 from pneuma.figures.origin import Origin, read_origin
 from pneuma.figures.style import save_figure
 from pneuma.presets import WORLDS
+from pneuma.store.published import encode_published
+from pneuma.store.row_builder import stored_row
+from pneuma.store.store import Store
 from pneuma.study.plan import configure
-from pneuma.study.published import encode_published
-from pneuma.study.row_builder import stored_row
 from pneuma.study.spec import load_study
-from pneuma.study.store import Store
 from tools import COMMAND, figures
 
 from ..analysis.claim_files import save_run

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.study.row_builder import record_frame, stored_row
-from pneuma.study.store import Store
+from pneuma.store.row_builder import record_frame, stored_row
+from pneuma.store.store import Store
 
 from ..cli.calls import call, described, printed, refused
 from ..hand_made import write_table

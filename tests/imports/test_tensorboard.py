@@ -17,9 +17,9 @@ import pytest
 from pneuma.errors import UserError
 from pneuma.imports.logs import Log, condition_and_seed
 from pneuma.imports.tensorboard import find_logs, find_superseded, import_tensorboard, read_event_file
-from pneuma.study.row_builder import stored_row
-from pneuma.study.store import Status, Store
-from pneuma.study.tables import from_parquet
+from pneuma.store.row_builder import stored_row
+from pneuma.store.store import Status, Store
+from pneuma.store.tables import from_parquet
 
 from ..hand_made import write_events
 

@@ -16,8 +16,8 @@ from pneuma.search.record import STATES, Record, Task, begin_record
 from pneuma.search.spec import Budget, load_search
 from pneuma.search.trials import conduct
 from pneuma.search.values import Outcomes
+from pneuma.store.store import Store
 from pneuma.study.plan import Cell, Plan
-from pneuma.study.store import Store
 
 SPACE = """
 title = "A formula"

@@ -18,8 +18,8 @@ from pneuma.errors import UserError
 from pneuma.search import trials
 from pneuma.search.record import Task, log_path, read_record
 from pneuma.search.trials import run_search
+from pneuma.store.store import PUBLISHED, Store
 from pneuma.study.plan import Plan
-from pneuma.study.store import PUBLISHED, Store
 
 from .conftest import Formula, MakeTask, record, solve, task_of, told_of
 

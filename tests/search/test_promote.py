@@ -16,10 +16,10 @@ from pneuma.presets import WORLDS
 from pneuma.search.promote import Winner, find_winners, gains, winners_study
 from pneuma.search.record import Record, Task
 from pneuma.search.spec import Budget, load_search
+from pneuma.store.store import Store
 from pneuma.study.plan import Plan, Query, make_plan
 from pneuma.study.shipped import shipped_names, studies_folder
 from pneuma.study.spec import load_study
-from pneuma.study.store import Store
 
 from ..hand_made import make_id, save_run, study_of
 from .conftest import MakeTask, record

@@ -18,8 +18,8 @@ from pneuma.search.samplers import CmaEs
 from pneuma.search.spec import OVER_SEEDS
 from pneuma.search.trials import rounds
 from pneuma.search.values import Outcomes, over_seeds
+from pneuma.store.store import Status, Store
 from pneuma.study.plan import Cell
-from pneuma.study.store import Status, Store
 
 from .conftest import Formula, MakeTask, height, solve
 

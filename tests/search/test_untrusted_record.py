@@ -13,8 +13,8 @@ import pytest
 from pneuma.config import make_run
 from pneuma.errors import UserError
 from pneuma.search.record import begin_record, log_path, read_record
+from pneuma.store.store import Store
 from pneuma.study.identity import run_id
-from pneuma.study.store import Store
 
 from ..cli.calls import refused
 from .conftest import MakeTask, task_of

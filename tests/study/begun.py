@@ -10,9 +10,9 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from pneuma.study.executors.local import worker_environment
-from pneuma.study.rows import decode_row
-from pneuma.study.store import ROW_FILE
+from pneuma.store.rows import decode_row
+from pneuma.store.store import ROW_FILE
+from pneuma.training.executors.local import worker_environment
 
 from .tiny import TINY_RUN
 

@@ -23,8 +23,8 @@ from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
 
-from pneuma.study.executors.local import worker_environment
-from pneuma.study.store import ROW_FILE, Store
+from pneuma.store.store import ROW_FILE, Store
+from pneuma.training.executors.local import worker_environment
 
 from ..cli.calls import call
 from .begun import outcome

@@ -22,9 +22,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pneuma.study.executors.local import worker_environment
-from pneuma.study.row_builder import stored_row
-from pneuma.study.store import ROW_FILE, Store
+from pneuma.store.row_builder import stored_row
+from pneuma.store.store import ROW_FILE, Store
+from pneuma.training.executors.local import worker_environment
 
 from .begun import outcome, wait_until
 

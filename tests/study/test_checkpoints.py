@@ -8,10 +8,10 @@ import pytest
 
 from pneuma.engines.loop import Progress
 from pneuma.engines.records import Checkpoint, Records
-from pneuma.study import checkpoints
-from pneuma.study.checkpoints import RunCheckpoints, checkpoint_files
-from pneuma.study.provenance import Attempt
-from pneuma.study.store import Store
+from pneuma.store import checkpoints
+from pneuma.store.checkpoints import RunCheckpoints, checkpoint_files
+from pneuma.store.provenance import Attempt
+from pneuma.store.store import Store
 
 NAME = "0123456789abcdef"
 

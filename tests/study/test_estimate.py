@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from pneuma.config import Run, as_fields, make_run
+from pneuma.store.provenance import Attempt, finished_provenance, machine, packages_of, project
+from pneuma.store.store import Store
 from pneuma.study.identity import run_id
-from pneuma.study.progress import START_SECONDS, expected_seconds, stored_paces
-from pneuma.study.provenance import Attempt, finished_provenance, machine, packages_of, project
-from pneuma.study.store import Store
+from pneuma.training.progress import START_SECONDS, expected_seconds, stored_paces
 
 from ..hand_made import save_run
 

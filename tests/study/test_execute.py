@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.study.execute import CellResult, OnProgress, execute, prepare
-from pneuma.study.executors.base import ExecutorConfig
+from pneuma.store.row_builder import stored_row
+from pneuma.store.rows import decode_row
+from pneuma.store.store import Status, Store, run_identity
 from pneuma.study.plan import Plan
-from pneuma.study.row_builder import stored_row
-from pneuma.study.rows import decode_row
-from pneuma.study.store import Status, Store, run_identity
+from pneuma.training.execute import CellResult, OnProgress, execute, prepare
+from pneuma.training.executors.base import ExecutorConfig
 
 from ..training import training_here
 from .begun import outcome

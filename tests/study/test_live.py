@@ -12,8 +12,8 @@ import pytest
 
 from pneuma.api import open_data
 from pneuma.imports.tensorboard import read_event_file
-from pneuma.study.row_builder import record_frame, stored_row
-from pneuma.study.store import Store
+from pneuma.store.row_builder import record_frame, stored_row
+from pneuma.store.store import Store
 
 from ..cli.calls import TINY, described, printed, refused
 from .begun import outcome

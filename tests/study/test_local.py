@@ -16,11 +16,11 @@ import pytest
 from pneuma.config import Run, make_run
 from pneuma.engines.policy import POLICY_FILE
 from pneuma.errors import StorageError
-from pneuma.study.executors import local
-from pneuma.study.executors.base import Event, ExecutorConfig, Job
-from pneuma.study.executors.local import Interrupts
+from pneuma.store.store import Store
 from pneuma.study.identity import run_id
-from pneuma.study.store import Store
+from pneuma.training.executors import local
+from pneuma.training.executors.base import Event, ExecutorConfig, Job
+from pneuma.training.executors.local import Interrupts
 
 RUN = make_run({"steps": 256})
 TWO = {run_id(run): run for run in (RUN, replace(RUN, seed=1))}

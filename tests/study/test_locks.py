@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.study.locks import is_held, run_lock
+from pneuma.store.locks import is_held, run_lock
 
 
 def test_one_holder_at_a_time(tmp_path: Path) -> None:

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from pneuma.store.store import Store
 from pneuma.study.plan import Query, make_plan
-from pneuma.study.progress import ProgressDisplay
 from pneuma.study.spec import load_study
-from pneuma.study.store import Store
+from pneuma.training.progress import ProgressDisplay
 
 
 def test_no_name_reaches_the_terminal_raw(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -16,10 +16,10 @@ import pytest
 
 from pneuma.config import make_run
 from pneuma.errors import UserError
-from pneuma.study.executors import ray
-from pneuma.study.executors.base import LOCAL_CONFIG, Job
-from pneuma.study.executors.local import worker_environment
-from pneuma.study.store import Store
+from pneuma.store.store import Store
+from pneuma.training.executors import ray
+from pneuma.training.executors.base import LOCAL_CONFIG, Job
+from pneuma.training.executors.local import worker_environment
 
 from .begun import begin, end_begun, outcome, wait_until, write_study
 

@@ -13,9 +13,9 @@ import pytest
 
 from pneuma.errors import StorageError, UserError
 from pneuma.files import replace_files, to_json, write_whole
-from pneuma.study.locks import run_lock
-from pneuma.study.store import Identity, Status, Store
-from pneuma.study.tables import from_parquet, to_parquet
+from pneuma.store.locks import run_lock
+from pneuma.store.store import Identity, Status, Store
+from pneuma.store.tables import from_parquet, to_parquet
 
 NAME = "0123456789abcdef"
 MINE = Identity("a" * 16, 3, 512)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.study.store import Store
+from pneuma.store.store import Store
 
 from .begun import FOR_EVER, begin, wait_until, write_study
 from .storm import children, wait_for_end

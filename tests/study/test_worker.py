@@ -19,13 +19,13 @@ from pneuma.config import Run, make_run
 from pneuma.engines.loop import OnUpdate, Progress, Result
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import METRIC_COLUMNS, Checkpoint, Records, Row
-from pneuma.study import worker
-from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig, Job
-from pneuma.study.executors.local import worker_environment
+from pneuma.store.rows import decode_row
+from pneuma.store.store import Status, Store, run_identity
+from pneuma.store.tables import from_parquet
 from pneuma.study.identity import run_id
-from pneuma.study.rows import decode_row
-from pneuma.study.store import Status, Store, run_identity
-from pneuma.study.tables import from_parquet
+from pneuma.training import worker
+from pneuma.training.executors.base import LOCAL_CONFIG, ExecutorConfig, Job
+from pneuma.training.executors.local import worker_environment
 
 RUNS = [make_run({"seed": seed, "steps": 512, "horizon": 256}) for seed in (0, 1)]
 FIRST, SECOND = map(run_id, RUNS)
@@ -129,7 +129,7 @@ def test_a_worker_leaves_within_seconds_when_its_parent_does(tmp_path: Path) -> 
     run = make_run({"steps": 10**9})
     job = Job({run_id(run): run}, Store(tmp_path), LOCAL_CONFIG)
     process = subprocess.Popen(
-        [sys.executable, "-m", "pneuma.study.worker", "--parent", str(os.getpid())],
+        [sys.executable, "-m", "pneuma.training.worker", "--parent", str(os.getpid())],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

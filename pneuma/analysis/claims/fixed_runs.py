@@ -21,17 +21,17 @@ from pneuma.analysis.outcomes import (
     reason,
     unit_of_return,
 )
-from pneuma.analysis.run_index import RunIndex
 from pneuma.config import Run, round_up
 from pneuma.errors import UserError
 from pneuma.presets import world_option
+from pneuma.store.index import RunIndex
+from pneuma.store.provenance import processors
+from pneuma.store.rows import Row
+from pneuma.store.store import FINISHED
 from pneuma.study.identity import config_id
 from pneuma.study.plan import configure
-from pneuma.study.provenance import processors
-from pneuma.study.rows import Row
 from pneuma.study.shipped import CLAIMS_FILE
 from pneuma.study.spec import CLAIMS, Amount, Preset, Study, results_words
-from pneuma.study.store import FINISHED
 from pneuma.values import shown_seeds
 
 TRAIN_WITH = "train with:"

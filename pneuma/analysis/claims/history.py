@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.claims.claim_list import RULES, Claim, ClaimList, pick_number
-from pneuma.study.provenance import file_at, line_at
+from pneuma.store.provenance import file_at, line_at
 
 THE_CLAIM, RULES_KEY = "the claim itself", "rules"
 HOW_MANY = ("seeds", "steps", "margin", RULES_KEY)

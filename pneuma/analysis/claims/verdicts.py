@@ -22,8 +22,8 @@ from pneuma.analysis.claims.fixed_runs import TRAIN_WITH, Arm, ClaimRuns, find_c
 from pneuma.analysis.claims.history import HOW_MANY, changed_since
 from pneuma.analysis.intervals import Interval
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.run_index import RunIndex
-from pneuma.study.store import Store
+from pneuma.store.index import RunIndex
+from pneuma.store.store import Store
 
 SUPPORTED, REFUTED, MIXED = "supported", "refuted", "mixed"
 INCONCLUSIVE, UNTESTABLE = "inconclusive", "untestable"

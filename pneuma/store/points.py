@@ -8,8 +8,8 @@ from typing import Any
 
 import pandas as pd
 
-from pneuma.study.quantities import EPISODE_QUANTITIES, EVALUATION_TAGS, NEGATED, TAGS, UPDATE_QUANTITIES
-from pneuma.study.series import TRAILING_EPISODES, Recorded
+from pneuma.store.quantities import EPISODE_QUANTITIES, EVALUATION_TAGS, NEGATED, TAGS, UPDATE_QUANTITIES
+from pneuma.store.series import TRAILING_EPISODES, Recorded
 
 WALL_CLOCK = ("time/", "charts/SPS")
 RUN_COLUMNS = ("run_id", "condition", "seed")

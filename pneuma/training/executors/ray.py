@@ -22,11 +22,11 @@ from typing import Any
 
 from pneuma.config import Run
 from pneuma.errors import UserError, install_extra
-from pneuma.study.executors.base import ExecutorConfig, Job, OnEvent, end_event
-from pneuma.study.executors.local import Interrupts, Supervisor, prepare_node, say_stopping
-from pneuma.study.provenance import CARRIED_CODE, SOURCE, available_cores, code, machine
-from pneuma.study.store import Status, Store
-from pneuma.study.worker import die_with
+from pneuma.store.provenance import CARRIED_CODE, SOURCE, available_cores, code, machine
+from pneuma.store.store import Status, Store
+from pneuma.training.executors.base import ExecutorConfig, Job, OnEvent, end_event
+from pneuma.training.executors.local import Interrupts, Supervisor, prepare_node, say_stopping
+from pneuma.training.worker import die_with
 
 JOIN_SECONDS = 5.0
 LOOK_SECONDS = 1.0

@@ -17,8 +17,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pneuma.files import checksum, parse_json, stored_file
-from pneuma.study.rows import CURVE, Row, column_type, read_row, sound_rows
-from pneuma.study.tables import from_parquet
+from pneuma.store.rows import CURVE, Row, column_type, read_row, sound_rows
+from pneuma.store.tables import from_parquet
 
 
 def encode_published(

@@ -22,16 +22,16 @@ import pyarrow.compute as pc
 from pneuma.config import Run, as_fields
 from pneuma.errors import UserError
 from pneuma.files import parse_json, stored_file
-from pneuma.study import rows, series
-from pneuma.study.checkpoints import TABLES, sound_checkpoint, table_files
-from pneuma.study.quantities import (
+from pneuma.store import rows, series
+from pneuma.store.checkpoints import TABLES, sound_checkpoint, table_files
+from pneuma.store.quantities import (
     EPISODE_QUANTITIES,
     UPDATE_QUANTITIES,
     WINDOWS,
 )
-from pneuma.study.rows import Row, curve_column, decode_row, encode_row
-from pneuma.study.store import ROW_FILE, SCALARS_FILE, Status, Store, run_identity
-from pneuma.study.tables import from_parquet
+from pneuma.store.rows import Row, curve_column, decode_row, encode_row
+from pneuma.store.store import ROW_FILE, SCALARS_FILE, Status, Store, run_identity
+from pneuma.store.tables import from_parquet
 
 if TYPE_CHECKING:
     import pandas as pd  # of logs alone: workers do not load it
@@ -104,7 +104,7 @@ def cells_of_files(name: str, status: Status, files: Mapping[str, bytes]) -> dic
             tables[file.removesuffix(".parquet")] = from_parquet(data)
     provenance = parse_json(files["provenance.json"])
     if "scalars" in tables:
-        from pneuma.imports.points import of_log
+        from pneuma.store.points import of_log
 
         recorded = of_log(tables["scalars"].to_pandas(use_threads=False), provenance)
     else:
@@ -120,7 +120,7 @@ def record_frame(store: Store, name: str, table: str) -> pd.DataFrame:
         frame = from_parquet(store.read_file(name, file)).to_pandas()
     if not logged:
         return frame
-    from pneuma.imports.points import by_step
+    from pneuma.store.points import by_step
 
     return by_step(frame, parse_json(store.read_file(name, "provenance.json")))
 

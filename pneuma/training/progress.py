@@ -14,11 +14,11 @@ from typing import Any
 
 from pneuma.config import Run, as_fields
 from pneuma.errors import UserError, print_aside
-from pneuma.study.execute import kept_step
-from pneuma.study.executors.base import Event
+from pneuma.store.provenance import machine, processors
+from pneuma.store.store import FINISHED, Store
 from pneuma.study.plan import Cell
-from pneuma.study.provenance import machine, processors
-from pneuma.study.store import FINISHED, Store
+from pneuma.training.execute import kept_step
+from pneuma.training.executors.base import Event
 
 SAMPLE = 100
 START_SECONDS = 4.0
@@ -53,7 +53,7 @@ def duration(seconds: float) -> str:
 
 def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
     """Return the paces of finished runs on a processor like this one: those of a plan, and some others."""
-    from pneuma.study.row_builder import stored_row  # safetensors, pyarrow: not for `--help`
+    from pneuma.store.row_builder import stored_row  # safetensors, pyarrow: not for `--help`
 
     found: dict[str, list[float]] = {}
     for name in dict.fromkeys([*names_first, *store.runs()[:SAMPLE]]):

@@ -24,8 +24,8 @@ import pyarrow as pa
 
 from pneuma.config import Run, as_fields
 from pneuma.files import parse_json
-from pneuma.study.quantities import TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
-from pneuma.study.series import (
+from pneuma.store.quantities import TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.store.series import (
     EXTREMES,
     GRID_POINTS,
     STATISTICS,
@@ -35,7 +35,7 @@ from pneuma.study.series import (
     make_grid,
     unpack_signs,
 )
-from pneuma.study.tables import from_ipc
+from pneuma.store.tables import from_ipc
 
 NAMING = ("run_id", "config_id", "status", "fields", "provenance", "signs")
 NUMBERS = ("seed", "steps", "end")

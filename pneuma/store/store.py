@@ -51,8 +51,8 @@ from pneuma.files import (
     to_json,
     write_error,
 )
+from pneuma.store.locks import LOCK_FILE, is_held, run_lock
 from pneuma.study.identity import config_id
-from pneuma.study.locks import LOCK_FILE, is_held, run_lock
 from pneuma.study.shipped import shipped_tables
 
 FINISHED = ("done", "diverged")

@@ -38,13 +38,13 @@ from types import ModuleType
 from typing import Any
 
 from pneuma.config import Run, as_fields, make_run
-from pneuma.study.store import Status, Store
+from pneuma.store.store import Status, Store
 
 Event = Mapping[str, Any]
 OnEvent = Callable[[Event], None]
 
 LOCAL, RAY = "local", "ray"
-EXECUTORS = {name: f"pneuma.study.executors.{name}" for name in (LOCAL, RAY)}
+EXECUTORS = {name: f"pneuma.training.executors.{name}" for name in (LOCAL, RAY)}
 
 
 @dataclass(frozen=True)

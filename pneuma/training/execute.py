@@ -12,10 +12,10 @@ from typing import Any
 
 from pneuma.config import OF_GYMNASIUM, Run, env_config, is_open
 from pneuma.errors import counted
-from pneuma.study.executors.base import Event, ExecutorConfig, load_executor
-from pneuma.study.last_queries import note_query
+from pneuma.store.last_queries import note_query
+from pneuma.store.store import Status, Store, run_identity
 from pneuma.study.plan import Cell, Plan
-from pneuma.study.store import Status, Store, run_identity
+from pneuma.training.executors.base import Event, ExecutorConfig, load_executor
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def prepare(
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
     if until is not None:
-        from pneuma.study.checkpoints import sound_checkpoint  # pydantic: not for `--help`
+        from pneuma.store.checkpoints import sound_checkpoint  # pydantic: not for `--help`
 
         latest = {name: sound_checkpoint(store.run_folder(name)) for name in todo.keys() & until.keys()}
         reached = {name: each.step if each else 0 for name, each in latest.items()}

@@ -14,12 +14,12 @@ from pneuma.algorithms import engines_of
 from pneuma.config import Run
 from pneuma.errors import UserError
 from pneuma.files import stored_file
+from pneuma.store.published import Published
+from pneuma.store.row_builder import UNKNOWN, stored_row
+from pneuma.store.rows import Row
+from pneuma.store.store import FINISHED, Identity, Store, checked_listing
 from pneuma.study.identity import config_id
-from pneuma.study.published import Published
-from pneuma.study.row_builder import UNKNOWN, stored_row
-from pneuma.study.rows import Row
 from pneuma.study.shipped import list_studies
-from pneuma.study.store import FINISHED, Identity, Store, checked_listing
 
 COLUMNS = ["run_id", "config_id", "seed", "steps", "status", "end", "where"]
 """Of `RunIndex.frame`; a run in the results folder itself has an empty `where`, else that of its table."""

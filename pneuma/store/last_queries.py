@@ -14,9 +14,9 @@ from typing import Any
 from pneuma.errors import UserError
 from pneuma.files import dump_checksummed, load_checksummed, names_in
 from pneuma.presets import checked_world
+from pneuma.store.store import Store
 from pneuma.study.plan import Plan, Query
 from pneuma.study.spec import LAST
-from pneuma.study.store import Store
 from pneuma.values import read_seeds, read_settings, seeds_option, setting_words
 
 

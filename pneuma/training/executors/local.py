@@ -1,6 +1,6 @@
 """The local executor: one fresh process for each group of runs, a few at a time, until every run has ended.
 
-    groups of runs → `Supervisor` → processes of `pneuma.study.worker` → store
+    groups of runs → `Supervisor` → processes of `pneuma.training.worker` → store
                                   ← their events
 
 Each worker is a process, which can be killed alone and shares no state with others. It uses one thread, so
@@ -32,10 +32,10 @@ from typing import Any
 from pneuma.config import Run
 from pneuma.errors import StorageError, UserError, print_aside
 from pneuma.files import parse_json
-from pneuma.study.executors.base import Event, ExecutorConfig, Job, OnEvent, end_event
-from pneuma.study.locks import is_held
-from pneuma.study.provenance import SOURCE, available_cores, machine
-from pneuma.study.store import Status, Store
+from pneuma.store.locks import is_held
+from pneuma.store.provenance import SOURCE, available_cores, machine
+from pneuma.store.store import Status, Store
+from pneuma.training.executors.base import Event, ExecutorConfig, Job, OnEvent, end_event
 
 TRIES = 2
 LOOK_SECONDS = 0.5
@@ -294,7 +294,7 @@ class _Worker(subprocess.Popen[bytes]):
         self.task = task
         self.outcome: dict[str, Event] = {}
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the process is buried)
-        command = [sys.executable, "-P", "-m", "pneuma.study.worker", "--parent", str(os.getpid())]
+        command = [sys.executable, "-P", "-m", "pneuma.training.worker", "--parent", str(os.getpid())]
         if task.tries == TRIES:
             command.append("--last-try")
         # Inherited by the worker: a shutdown or a queue sends SIGTERM to all processes, and workers learn of

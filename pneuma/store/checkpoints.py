@@ -29,9 +29,9 @@ from pneuma.engines.records import (
 )
 from pneuma.errors import StorageError, UserError
 from pneuma.files import SCHEMA, checksum
-from pneuma.study.provenance import Attempt, finished_provenance
-from pneuma.study.store import CHECKPOINTS, Store, read_checkpoint_name
-from pneuma.study.tables import from_parquet, to_parquet
+from pneuma.store.provenance import Attempt, finished_provenance
+from pneuma.store.store import CHECKPOINTS, Store, read_checkpoint_name
+from pneuma.store.tables import from_parquet, to_parquet
 
 LATEST_KEPT = 2
 WRITE_SHARE = 40

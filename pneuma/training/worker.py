@@ -1,6 +1,6 @@
 """A worker process: trains one group of runs and writes them to the store.
 
-    python -m pneuma.study.worker [--parent PID] [--last-try]
+    python -m pneuma.training.worker [--parent PID] [--last-try]
 
 The first line of its standard input is the `Job`, as JSON. With `--last-try` it stores a crash. Events go out
 as lines of JSON: `step` at the start and now and then, `note` for users, `status` for those who watch, `busy`
@@ -32,21 +32,21 @@ from pneuma.engines.loop import Progress, train_run
 from pneuma.engines.records import CheckpointError
 from pneuma.errors import OwnCodeError, RunWarning, StorageError, UserError
 from pneuma.files import is_storage_problem, to_json
-from pneuma.study.checkpoints import RunCheckpoints, table_files
-from pneuma.study.executors.base import LOCAL_CONFIG, ExecutorConfig, Job
+from pneuma.store.checkpoints import RunCheckpoints, table_files
+from pneuma.store.locks import LOCK_FILE
+from pneuma.store.provenance import Attempt, finished_provenance, packages_of
+from pneuma.store.row_builder import cells_of_files
+from pneuma.store.rows import encode_row
+from pneuma.store.store import ROW_FILE, Status, Store, run_document, run_identity
 from pneuma.study.identity import run_id
-from pneuma.study.live import open_log
-from pneuma.study.locks import LOCK_FILE
-from pneuma.study.provenance import Attempt, finished_provenance, packages_of
-from pneuma.study.row_builder import cells_of_files
-from pneuma.study.rows import encode_row
-from pneuma.study.store import ROW_FILE, Status, Store, run_document, run_identity
+from pneuma.training.executors.base import LOCAL_CONFIG, ExecutorConfig, Job
+from pneuma.training.live import open_log
 
 REPORT_SECONDS = 0.25
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m pneuma.study.worker")
+    parser = argparse.ArgumentParser(prog="python -m pneuma.training.worker")
     parser.add_argument("--parent", type=int)
     parser.add_argument("--last-try", action="store_true")
     options = parser.parse_args()

@@ -14,8 +14,8 @@ from typing import Any
 
 from pneuma.engines.loop import Progress
 from pneuma.engines.records import Row
-from pneuma.study.quantities import EVALUATION_TAGS, NEGATED, TAGS
-from pneuma.study.series import TRAILING_EPISODES
+from pneuma.store.quantities import EVALUATION_TAGS, NEGATED, TAGS
+from pneuma.store.series import TRAILING_EPISODES
 
 LOGGED_BY_EPISODE = ("return", "length")
 UPDATE_TAGS = {name: tag for name, (tag, _) in TAGS.items() if name not in LOGGED_BY_EPISODE}

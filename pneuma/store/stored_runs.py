@@ -11,8 +11,8 @@ from typing import Any
 
 from pneuma.config import Run, as_fields, make_run
 from pneuma.errors import UserError, nearest_name
+from pneuma.store.store import Store, read_sound
 from pneuma.study.identity import describe_user_code
-from pneuma.study.store import Store, read_sound
 
 LONGEST_LISTED = 5
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.files import parse_json
-from pneuma.study.quantities import ACTION_QUANTITIES
+from pneuma.store.quantities import ACTION_QUANTITIES
 
 GRID_POINTS = 200
 WINDOW_POINTS = 10
