@@ -6,41 +6,48 @@ import inspect
 from typing import Any
 
 import pytest
-from stable_baselines3.common.logger import Logger
 
+from pneuma.algorithms import ALGORITHMS, OPEN_LEARNERS
 from pneuma.config import make_run
 from pneuma.engines.environment import make_vec_env
-from pneuma.engines.sb3_learners import LEARNERS, make_model
+from pneuma.engines.sb3_learners import make_model
+from pneuma.engines.sb3_open import OpenTrainer, learner_class
 
 NOT_COMPARED = {"self", "policy", "env", "seed", "device", "_init_setup_model", "policy_kwargs"}
 """Arguments that every run sets, and one whose effect is compared instead."""
+GIVEN = {"env": "CartPole-v1", "engine": "sb3", "evaluation_episodes": 1}
+OTHERS: dict[str, dict[str, Any]] = {
+    **dict.fromkeys(("sac", "td3", "ddpg", "tqc", "crossq"), {"env": "Pendulum-v1"}),
+    "recurrent-ppo": {"policy": "MlpLstmPolicy"},
+}
 
 
 def settings(model: Any, kind: type) -> dict[str, Any]:
-    """Return all that a learner computes with: arguments, the networks and their optimizer."""
-    names = [name for name in inspect.signature(kind.__init__).parameters if name not in NOT_COMPARED]  # type: ignore[misc]
-    arguments = {name: vars(model)[name] for name in names if name in vars(model)}
-    is_schedule = {name: callable(value) and not isinstance(value, type) for name, value in arguments.items()}
-    numbers = {name: value(1.0) if is_schedule[name] else value for name, value in arguments.items()}
-    (group,) = model.policy.optimizer.param_groups
-    rule = {name: value for name, value in group.items() if name != "params"}
-    return {
-        **numbers,
-        "optimizer": type(model.policy.optimizer),
-        "rule": rule,
-        "networks": str(model.policy),
-    }
+    """Return all that a learner computes with: its arguments, its networks, and how it descends."""
+    found: dict[str, Any] = {"networks": str(model.policy)}
+    for name in inspect.signature(kind.__init__).parameters:  # type: ignore[misc]
+        if name not in NOT_COMPARED and name in vars(model):
+            value = vars(model)[name]
+            is_schedule = callable(value) and not isinstance(value, type)
+            found[name] = value(1.0) if is_schedule else value
+    for part in (model.policy, *model.policy.children()):
+        if optimizer := getattr(part, "optimizer", None):
+            rule = {key: value for key, value in optimizer.param_groups[0].items() if key != "params"}
+            found[f"optimizer of {type(part).__name__}"] = type(optimizer), rule
+    return found
 
 
-@pytest.mark.parametrize("algorithm", LEARNERS)
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_what_nobody_sets_is_the_librarys_default(algorithm: str) -> None:
-    kind = LEARNERS[algorithm]
-    run = make_run({"algorithm": algorithm, "env": "CartPole-v1", "engine": "sb3"})
-    ours = make_model(run, make_vec_env(run))
-    theirs: Any = kind("MlpPolicy", make_vec_env(run), device="cpu")
-    theirs.set_logger(Logger(folder=None, output_formats=[]))
+    run = make_run({"algorithm": algorithm, **GIVEN, **OTHERS.get(algorithm, {})})
+    if algorithm in OPEN_LEARNERS:
+        ours = OpenTrainer(run)._model
+        env = ours.env
+    else:
+        env = make_vec_env(run)
+        ours = make_model(run, env)
+    kind = learner_class(run)
+    theirs = kind(run.policy or "MlpPolicy", env, device="cpu")
     expected = settings(theirs, kind)
-    given = inspect.signature(kind).parameters
-    assert {"learning_rate", "gamma"} < expected.keys() & given.keys()
+    assert {"learning_rate", "gamma", "networks"} < expected.keys() and len(expected) > 10
     assert settings(ours, kind) == expected
-    assert (run.learning_rate, run.gamma) == (given["learning_rate"].default, given["gamma"].default)

@@ -156,8 +156,9 @@ def test_all_files_of_a_users_own_are_found_beside_the_studys_or_else_here(
     assert world.run.level == str(there / "isle") and world.run.characters == str(there / "sub" / "mine.toml")
     assert other.run.env_module == str(there / "package_of_mine" / "__init__.py")
     assert other.run.wrappers == (f"{tmp_path / 'up_of_mine.py'}:Wrapper",)
+    before = other.run_id
     (there / "package_of_mine" / "more.py").write_text("\n")
-    assert cells()[1].run_id != other.run_id
+    assert cells()[1].run_id != before
     here = tmp_path / "elsewhere" / "own.toml"
     here.parent.mkdir()
     here.write_text(OWN.partition("[conditions.other]")[0] + "[presets.quick]\nseeds = 1\nsteps = 512\n")
