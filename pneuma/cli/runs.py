@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pneuma.cli import delete
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, check_file, rows_of, write_file
-from pneuma.config import env_config
-from pneuma.env.fields import ENVIRONMENTS, action_names
 from pneuma.errors import UserError
 from pneuma.store.store import Store
 from pneuma.store.stored_runs import (
@@ -153,18 +151,18 @@ def _provenance_lines(provenance: Mapping[str, Any]) -> Iterator[str]:
 @app.command(short_help="Write a run's final policy for other programs.")
 def export(
     name: opt.RunId,
-    out: Annotated[Path, opt.option("FILE", "A .zip for Stable-Baselines3, or an .onnx.")],
+    out: Annotated[Path, opt.option("FILE", "A .zip for Stable-Baselines3.")],
     trust: opt.Trust = False,
     force: opt.Force = False,
     results: opt.Results = opt.HERE,
 ) -> Result:
-    """Write a run's final policy for Stable-Baselines3 (.zip) or as ONNX (.onnx)."""
-    check_file(out, (".zip", ".onnx"), force)
+    """Write a run's final policy as a .zip for Stable-Baselines3."""
+    check_file(out, (".zip",), force)
     store = Store(results)
     run_id = find_run(store, name)
     status, fields = store.status(run_id), trusted_settings(store, run_id, trust)
     try:
-        data = _exported(store, run_id, fields, out.suffix.lower())
+        data = _exported(store, run_id, fields)
     except UserError as error:
         raise UserError(f"run {run_id}: {error}") from None
     write_file(out, data)
@@ -172,11 +170,11 @@ def export(
     return Result({"run_id": run_id, "file": out, "bytes": len(data)}, [text])
 
 
-def _exported(store: Store, run_id: str, fields: Mapping[str, Any], suffix: str) -> bytes:
+def _exported(store: Store, run_id: str, fields: Mapping[str, Any]) -> bytes:
     from pneuma.engines import export as exports
     from pneuma.engines.policy import LEARNER_FILE, POLICY_FILE, read_sound_policy
 
-    if LEARNER_FILE in store.checksums(run_id) and suffix == ".zip":
+    if LEARNER_FILE in store.checksums(run_id):
         return store.read_file(run_id, LEARNER_FILE)
     if POLICY_FILE not in store.checksums(run_id) or not fields:
         raise UserError(f"is {store.status(run_id).name}: it has no policy to export")
@@ -185,10 +183,4 @@ def _exported(store: Store, run_id: str, fields: Mapping[str, Any], suffix: str)
         raise UserError(
             f"has a policy for each of {policy.players} players: a file for other programs holds one"
         )
-    if suffix == ".zip":
-        return exports.to_sb3(policy, settings, exports.observation_space(policy, settings))
-    about = {"run_id": run_id, "env": settings.env}
-    if settings.env in ENVIRONMENTS:
-        about["observation"] = settings.observation
-        return exports.to_onnx(policy, about, action_names(env_config(settings)))
-    return exports.to_onnx(policy, about)
+    return exports.to_sb3(policy, settings, exports.observation_space(policy, settings))

@@ -18,8 +18,7 @@ from .calls import call, policy_of, refused, save_policy
 RUN = "0123456789abcdef"
 INSTALLED = "RunsAProgram-v0"
 COMMANDS = {
-    "export as .zip": ("run", "export", "{}", "--out", "x.zip"),
-    "export as .onnx": ("run", "export", "{}", "--out", "x.onnx"),
+    "export": ("run", "export", "{}", "--out", "x.zip"),
     "render": ("env", "render", "pneuma/Pneuma-v0", "--player", "{}", "--out", "x.gif"),
 }
 RECORDS: dict[str, dict[str, Any]] = {

@@ -34,7 +34,7 @@ def store(tmp_path: Path) -> Store:
     return store
 
 
-COMMANDS = [(("run", "export", RUN), ".zip"), (("run", "export", RUN), ".onnx"), (("report",), ".html")]
+COMMANDS = [(("run", "export", RUN), ".zip"), (("report",), ".html")]
 
 
 @pytest.mark.parametrize("force", [(), ("--force",)])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -16,10 +15,9 @@ from gymnasium import spaces
 from stable_baselines3 import A2C, PPO
 
 from pneuma.config import ACTIVATIONS, Run, make_run
-from pneuma.engines.export import observation_space, to_onnx, to_sb3
+from pneuma.engines.export import observation_space, to_sb3
 from pneuma.engines.normalization import Scaling
 from pneuma.engines.policy import Policy
-from pneuma.env.fields import action_names, make_env_config
 
 from .trained import random_layers
 
@@ -40,7 +38,6 @@ CASES: dict[str, tuple[dict[str, Any], int, dict[str, Any]]] = {
     # name: (fields of the run, outputs of the actor, what else the policy has)
     **{activation: ({"activation": activation}, 7, {}) for activation in ACTIVATIONS},
     "a2c": ({"algorithm": "a2c", "value_baseline": False}, 7, {}),
-    "dqn": ({"algorithm": "dqn"}, 7, {"critic": (), "exploration": 0.05}),
     "several choices": (OTHERS_ENV, 7, {"choices": np.array([[2, 3, 2]])}),
     "numbers": (
         OTHERS_ENV, 4, {
@@ -80,7 +77,7 @@ def test_a_zip_has_its_runs_hyperparameters_and_no_optimizer_of_ours() -> None:
     assert (model.max_grad_norm, model.gamma, model.clip_range(1.0)) == (0.7, 0.9, 0.3)  # type: ignore[operator]
 
 
-@pytest.mark.parametrize("case", [case for case in CASES if case != "dqn"])
+@pytest.mark.parametrize("case", CASES)
 def test_the_zip_acts_as_the_policy_does(case: str) -> None:
     run, policy = policy_of(case)
     learner: Any = A2C if run.algorithm == "a2c" else PPO
@@ -126,37 +123,3 @@ def test_a_stored_reward_is_never_imported(tmp_path: Path, monkeypatch: pytest.M
     PPO.load(io.BytesIO(to_sb3(policy, run, observation_space(policy, run))), device="cpu")
     assert "stranger" not in sys.modules
     assert not (tmp_path / "ran").exists()
-
-
-# --- ONNX ------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_onnx_computes_what_the_policy_computes(case: str) -> None:
-    runtime = pytest.importorskip("onnxruntime")
-    _, policy = policy_of(case)
-    session = runtime.InferenceSession(to_onnx(policy, {}), providers=["CPUExecutionProvider"])
-    seen = seen_by(policy)
-    first, *values = session.run(None, {"observation": seen})
-    names = {"dqn": ["action_values"], "numbers": ["mean_action", "value"]}.get(case, ["logits", "value"])
-    assert [output.name for output in session.get_outputs()] == names
-    np.testing.assert_allclose(
-        first, policy.best(seen) if case == "numbers" else policy.logits(seen), rtol=1e-5, atol=1e-5
-    )
-    for told in values:
-        np.testing.assert_allclose(told, policy.values(seen), rtol=1e-5, atol=1e-5)
-
-
-def test_onnx_says_what_it_is_and_is_the_same_twice() -> None:
-    onnx = pytest.importorskip("onnx")
-    policy = random_policy(make_run({}), FEATURES, actions=7)
-    names = action_names(make_env_config({"magic": True}))
-    data = to_onnx(policy, {"run_id": "0123456789abcdef"}, names)
-    assert data == to_onnx(policy, {"run_id": "0123456789abcdef"}, names)
-    model = onnx.load_from_string(data)
-    about = {each.key: each.value for each in model.metadata_props}
-    assert about["run_id"] == "0123456789abcdef"
-    assert json.loads(about["actions"]) == ["down", "left", "up", "right", "attack", "flame", "heal"]
-    assert str(Path(__file__).parents[2]).encode() not in data  # no path of this machine
-    several = onnx.load_from_string(to_onnx(policy_of("several choices")[1], {}))
-    assert ("choices", "[[2, 3, 2]]") in [(each.key, each.value) for each in several.metadata_props]
