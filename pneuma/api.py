@@ -4,7 +4,7 @@
     open_data(study)      a study's data, for `pneuma.analysis`
     compare(study, a, b)  the differences of two conditions, with intervals
     plot(study)           a study's curves in axes of your own
-    promote(search)       trains a search's winner and its base on fresh seeds: what was gained
+    promote(search)       trains a search's best trial and its base on fresh seeds, as a study
     load_policy(run_id)   a stored run's policy, with its environment
     evaluate(agent)       evaluates any agent as runs are evaluated
 
@@ -217,36 +217,42 @@ def plot(
 
 
 def promote(
-    *searches: Where,
+    search: Where,
     results: Where | None = None,
+    *,
     seeds: int | Sequence[int] = 10,
     steps: int | None = None,
     trial: int | None = None,
     world: str | None = None,
     workers: int | None = None,
     quiet: bool = False,
-) -> pd.DataFrame:
-    """Train winners of searches and their bases on fresh seeds; return what each gained in each objective.
+) -> StudyData:
+    """Train the best trial of a search and its base on fresh seeds; return their study's data.
 
-    Searches are names, or paths of files; several must have been tuned alike. Seeds are such that no search
-    has used, and `steps` left out are the searches'. `trial` is one of a single search, instead of the best,
-    and `world` the one in which they were searched. Other arguments are those of `run_study`.
+    Args:
+        search: its name, or the path of its file.
+        results: as of `run_study`.
+        seeds: those that the search has not used.
+        steps: of each run; default: the search's.
+        trial: one to train instead of the best.
+        world: the one in which it was searched.
+        workers: as of `run_study`.
+        quiet: as of `run_study`.
 
     Returns:
-        The frame of `pneuma.search.promote.gains`: a row for each winner and objective.
+        The data of a study with the conditions `base` and `tuned`.
 
     Raises:
         UserError: for an unknown search, one without a complete trial, or when a run crashed or was killed.
     """
-    from pneuma.search import promote as promotion
+    from pneuma.search.log import read_record
+    from pneuma.search.promote import find_trial, promotion_study, write_study
 
     store = _store(results)
-    names = [os.fspath(search) for search in searches]
-    promoted = promotion.promote(store, names, _seeds(seeds) or (), _count("steps", steps), trial, world)
-    promoted.plan(store)
-    fixed: Any = {"seeds": promoted.seeds, "steps": promoted.steps}
-    data = run_study(promoted.path(store), results, **fixed, workers=workers, quiet=quiet)
-    return promotion.gains(promoted.winners, data)
+    record = read_record(store, os.fspath(search), world)
+    trial_found = find_trial(record, trial)
+    text = promotion_study(record, trial_found, _seeds(seeds) or (), _count("steps", steps))
+    return run_study(write_study(store, record, text), results, workers=workers, quiet=quiet)
 
 
 def load_policy(

@@ -33,12 +33,11 @@ from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import Page, save_page
 from pneuma.figures.lines import TRAILING_WINDOW
 from pneuma.figures.origin import read_origin
-from pneuma.figures.search import draw_search, winners_page
+from pneuma.figures.search import draw_search
 from pneuma.figures.style import MOST_IN_A_PANEL
 from pneuma.figures.summary import summary_page
 from pneuma.presets import BASES, WORLDS
-from pneuma.search.promote import find_winners
-from pneuma.search.record import read_record
+from pneuma.search.log import read_record
 from pneuma.search.spec import load_search
 from pneuma.store.index import RunIndex
 from pneuma.store.provenance import available_cores
@@ -80,10 +79,6 @@ OF_OWN_GAME: Mapping[str, Mapping[str, Mapping[str, str]]] = {
 """The conditions of the thesis's own game that a figure shows in the published code's world, by its names."""
 OWN_QUANTITIES = ("return", "entropy")
 THESIS_QUANTITIES = ("return", "share_killed")
-WINNERS = {
-    "tuned-optimizers": ("tune-adam", "tune-l2", "tune-upgd", "tune-sgd", "tune-momentum", "tune-rmsprop")
-}
-"""A study of winners on fresh seeds, and the searches that found them."""
 SEARCHES = {("ppo", "arena"): (), ("ppo", "text"): ("values",), ("godot", None): ("values",)}
 """The published searches that a page shows, each with its world if it has several; () is all its pictures."""
 ELSEWHERE = {"CartPole": "cartpole", "Acrobot": "acrobot", "MinAtar's Breakout": "breakout"}
@@ -197,11 +192,6 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str
         pages.append(curves_page(_own_columns(index, study), OWN_QUANTITIES, basename=study))
     elif study == noise_scale.STUDY:
         pages.append(noise_scale.noise_page(noise_scale.open_noise_scale(index)))
-    elif searches := WINNERS.get(study):
-        winners = find_winners(
-            [read_record(Store(results), name, stored=False) for name in searches], None, ()
-        )
-        pages.append(winners_page(study, winners, open_study(index, Query(study))))
     elif study == "acrobot":
         pages.append(_elsewhere(index))
     elif study not in WHOLE:

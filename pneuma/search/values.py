@@ -1,74 +1,55 @@
-"""The values of trials: outcomes of their runs as a search counts them, combined over seeds."""
+"""The value of a trial: the outcomes of its runs, combined over seeds."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from pneuma.analysis.outcomes import find_outcome, outcome
-from pneuma.search.spec import OVER_SEEDS, Objective, Search
+from pneuma.search.spec import DEVIATION, OVER_SEEDS, Objective
 from pneuma.store.row_builder import row_until, stored_row
 from pneuma.store.rows import Row
 from pneuma.store.store import Store
 from pneuma.study.plan import Cell
 
 
-@dataclass(frozen=True)
-class Outcomes:
-    """Reads outcomes of stored runs as a search counts them."""
+def read_rows(store: Store, cells: Sequence[Cell], step: int | None = None) -> list[Row]:
+    """Return the rows of runs: as they are at a step, or at their end.
 
-    search: Search
-    store: Store
-
-    def read(self, cell: Cell, name: str) -> float:
-        """Return an outcome of a finished run; NaN if it has none."""
-        return counted_outcome(self.search, stored_row(self.store, cell.run_id), name)
-
-    def read_early(self, cell: Cell, name: str, steps: Sequence[int]) -> list[float]:
-        """Return an outcome as it is at steps before the run's end, in their order; NaN if there is none."""
-        status = self.store.status(cell.run_id)
-        healthy = [step for step in steps if status.name != "diverged" or step < status.step]
-        rows = (row_until(self.store, cell.run_id, cell.run, step) for step in healthy)
-        values = [outcome(row, name) for row in rows]
-        return values + [self.read(cell, name) for _ in steps[len(healthy) :]]
-
-    def diverged(self, cell: Cell) -> bool:
-        return self.store.status(cell.run_id).name == "diverged"
-
-
-def counted_outcome(search: Search, run: Row, name: str) -> float:
-    """Return an outcome of a run as a search counts it.
-
-    A diverged run counts with the worst possible value of the outcome, or with its last recorded value if the
-    outcome has no bound.
+    A run that diverged up to that step has diverged.
     """
-    if run.status == "diverged":
-        minimized = any(
-            (one.outcome, one.direction) == (name, "minimize") and one.over_seeds != "deviation"
-            for one in search.sought
-        )
-        worst = find_outcome(name).bounds[minimized]
-        if np.isfinite(worst):
-            return float(worst)
-    return outcome(run, name)
+    rows = []
+    for cell in cells:
+        status = store.status(cell.run_id)
+        if step is None or (status.name == "diverged" and status.step <= step):
+            rows.append(stored_row(store, cell.run_id))
+        else:
+            rows.append(row_until(store, cell.run_id, cell.run, step))
+    return rows
 
 
-def objective_value(objective: Objective, values: np.ndarray, diverged: bool) -> float:
-    """Return the value of runs in one objective from their outcomes, (seeds,), and whether some diverged.
+def trial_value(objective: Objective, rows: Sequence[Row]) -> float:
+    """Return the value of a trial in one objective; NaN if a run has no outcome.
 
-    Runs that all diverge have no spread, which would look good. They count with the greatest possible spread,
-    if the outcome is bounded.
+    A diverged run counts with the worst possible outcome, or with its last recorded one if there is no bound.
+    For a deviation it counts as the greatest possible spread: runs that all diverge would have none.
     """
-    bounds, half = find_outcome(objective.outcome).bounds, len(values) // 2
-    if objective.over_seeds == "deviation" and np.isfinite(bounds).all() and diverged:
-        return over_seeds("deviation", np.repeat(bounds, [half, len(values) - half]))
-    return over_seeds(objective.over_seeds, values)
+    low, high = find_outcome(objective.outcome).bounds
+    worst = low if objective.direction == "maximize" else high
+    diverged = [row.status == "diverged" for row in rows]
+    if objective.over_seeds == DEVIATION and any(diverged) and np.isfinite([low, high]).all():
+        half = len(rows) // 2
+        return combine(DEVIATION, np.repeat([low, high], [half, len(rows) - half]))
+    values = []
+    for row, has_diverged in zip(rows, diverged, strict=True):
+        counts_worst = has_diverged and objective.over_seeds != DEVIATION and np.isfinite(worst)
+        values.append(worst if counts_worst else outcome(row, objective.outcome))
+    return combine(objective.over_seeds, np.array(values))
 
 
-def over_seeds(name: str, values: np.ndarray) -> float:
+def combine(over_seeds: str, values: np.ndarray) -> float:
     """Combine the outcomes of a trial's runs, (seeds,); NaN if one has none."""
-    if not np.isfinite(values).all() or (name == "deviation" and len(values) < 2):
+    if not np.isfinite(values).all() or (over_seeds == DEVIATION and len(values) < 2):
         return float("nan")
-    return float(OVER_SEEDS[name](values))
+    return float(OVER_SEEDS[over_seeds](values))

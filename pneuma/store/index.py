@@ -24,9 +24,6 @@ from pneuma.study.shipped import list_studies
 COLUMNS = ["run_id", "config_id", "seed", "steps", "status", "end", "where"]
 """Of `RunIndex.frame`; a run in the results folder itself has an empty `where`, else that of its table."""
 
-TRIALS_OF = "search-"
-"""How the names of studies begin that list the trials of a search."""
-
 
 class RunIndex:
     """The runs of a results folder and of published tables.
@@ -93,13 +90,6 @@ class RunIndex:
         listed = (name for name, table in self.tables.items() if table.about.get("listing"))
         here = self.store.listings() if self._stored else ()
         return sorted({*here, *filter(self.listing, listed)} - {*list_studies()})
-
-    @cached_property
-    def trials(self) -> set[str]:
-        """The runs of searches' trials here, by which a search chose its winner."""
-        listed = (self.store.listing(name) for name in self.store.listings() if name.startswith(TRIALS_OF))
-        of_searches = (listing for listing in listed if listing and "source" not in listing)  # no imports
-        return {run["run_id"] for listing in of_searches for run in listing["runs"]}
 
     def fields_of(self, run_id: str) -> Mapping[str, Any]:
         """Return the fields of a run; empty if they cannot be read."""

@@ -9,7 +9,7 @@
                             status.json      status, step, what it is a run of, and the checksum of every file
                             checkpoints/     where a run that has not ended goes on from
     results/published/      tables of rows, for version control
-    results/studies/NAME.json  the runs of a study without a file: imported logs, trials of a search
+    results/studies/NAME.json  the runs of a study without a file: imported logs
                     NAME.toml  a user's own study as it was last run here
     results/last/NAME.json  the steps that a study was run with here, by world and changed fields
 

@@ -62,13 +62,8 @@ def prepare(
     store.check_writable()
     for name, run in todo.items():
         store.plan_run(name, run_identity(run))
-    if plan.study.path is None:
-        keys = ("run_id", "condition", "seed")
-        runs = [{key: getattr(cell, key) for key in keys} for cell in plan.cells]
-        about = {"title": plan.study.title, "baseline": plan.study.baseline, "runs": runs}
-        store.save_listing(plan.study.name, about)
-    elif plan.query.study:
-        if plan.study.own_path:
+    if plan.query.study:
+        if plan.study.path and plan.study.own_path:
             store.write(store.studies / plan.study.path.name, plan.study.path.read_bytes())
         note_query(store, plan)
     return todo, _notes(plan, statuses, todo)

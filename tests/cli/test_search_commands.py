@@ -106,19 +106,20 @@ def test_a_search_that_is_stopped_tells_the_trials_that_had_ended(
     assert [trial["number"] for trial in done.document["trials"]] == [0, 1]
 
 
-def test_a_winner_is_promoted_on_fresh_seeds_by_a_command_and_in_python(searched: tuple[Path, Path]) -> None:
-    words = ["search", "promote", searched[0], "--results", searched[1], "--seeds", "5", "--json"]
-    document = described(*words)
-    (gained,) = document["gains"]
-    assert gained["luck"] == pytest.approx(gained["fresh"] - gained["seen"])  # less is sought
-    assert document["seeds"] == [0, 1, 2, 3, 4]
-    (row,) = promote(searched[0], results=searched[1], seeds=5, quiet=True).to_dict("records")
-    assert (row["search"], row["objective"], row["fresh"]) == ("small", "killed", gained["fresh"])
-    assert {*document["run_ids"]} == {"small", "small-tuned"}
-    told = call(
-        "study", "summary", searched[1] / "searches" / "promoted-small-arena.toml", "--results", searched[1]
-    )
-    assert told.err.endswith("preset quick, seeds 0..4, 128 steps: 10 of 10 runs.\n")
+def test_the_best_trial_is_promoted_on_fresh_seeds_by_a_command_and_in_python(
+    searched: tuple[Path, Path], tmp_path: Path
+) -> None:
+    at = ("--results", searched[1])
+    document = described("search", "promote", searched[0], *at, "--seeds", "2", "--json")
+    study = searched[1] / "searches" / "promoted-small-arena.toml"
+    assert document["study"] == str(study)
+    runs = [(run["condition"], run["seed"], run["status"]) for run in document["runs"]]
+    assert sorted(runs) == [(name, seed, "done") for name in ("base", "tuned") for seed in (0, 1)]
+    data = promote(searched[0], results=searched[1], seeds=2, quiet=True)
+    assert data.conditions == ["base", "tuned"] and data.budget == 128
+    written = call("search", "promote", searched[0], *at, "--seeds", "2", "--out", tmp_path / "mine.toml")
+    assert f"Train it with: pneuma study run {tmp_path / 'mine.toml'}" in written.out
+    assert (tmp_path / "mine.toml").read_bytes() == study.read_bytes()
 
 
 def test_the_runs_of_a_pruned_trial_stop_where_it_was_stopped(
@@ -163,32 +164,3 @@ def test_steps_that_are_rounded_up_are_told_as_in_a_study(
     shutil.copytree(searched[1] / "runs", tmp_path / "runs")
     words = ("search", "run", searched[0], "--trials", 2, "--steps", 100, "--results", tmp_path)
     assert call(*words).err.count("100 steps are rounded up to 128 for all trials and the base") == 1
-
-
-def test_trials_that_have_not_ended_name_the_command_that_shows_their_runs(
-    searched: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    results = tmp_path / "results"
-    shutil.copytree(searched[1], results)
-    words = ("search", "status", searched[0], "--results", results)
-    line = f"pneuma study status search-small-arena --results {results}"
-    assert line not in printed(*words)
-    log = results / "searches" / "small-arena.log"
-    lines = log.read_text().splitlines(keepends=True)
-    log.write_text("".join(lines[:-1]))  # the last trial has not ended
-    assert line in printed(*words)
-    printed("study", "status", "search-small-arena", "--results", results)
-
-
-def test_a_search_that_found_nothing_better_than_its_base_promotes_nothing(
-    searched: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from pneuma.search.promote import Winner
-
-    results = tmp_path / "results"
-    shutil.copytree(searched[1] / "searches", results / "searches")
-    monkeypatch.setattr(Winner, "is_base", property(lambda self: True))
-    words = ("search", "promote", searched[0], "--results", results)
-    assert printed(*words) == "small: the search found nothing better than its base\n"
-    (winner,) = described(*words, "--json")["winners"]
-    assert winner["is_base"] and not (results / "runs").exists()

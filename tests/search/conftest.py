@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import mkdtemp
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from optuna.trial import FrozenTrial
 
-from pneuma.search.record import STATES, Record, Task, begin_record
-from pneuma.search.spec import Budget, load_search
-from pneuma.search.trials import conduct
-from pneuma.search.values import Outcomes
+from pneuma.search import trials, values
+from pneuma.search.log import STATES, Record
+from pneuma.search.spec import Budget, Search, load_search
+from pneuma.search.trials import Train, run_search
 from pneuma.store.store import Store
 from pneuma.study.plan import Cell, Plan
 
@@ -47,85 +47,97 @@ steps = 2048
 """
 
 
-MakeTask = Callable[..., Task]
-ReadOutcome = Callable[[Cell, str], float]
-
-
-def height(cell: Cell, outcome: str) -> float:
+def height(cell: Cell) -> float:
     """Return 1 at a learning rate of 1e-3 with tanh, less elsewhere; a little more for odd seeds."""
-    run = cell.run
-    distance = abs(math.log10(run.learning_rate) + 3)
-    return 1 - 0.2 * distance - 0.1 * (run.activation == "relu") + 0.01 * (run.seed % 2)
+    distance = abs(math.log10(cell.run.learning_rate) + 3)
+    return 1 - 0.2 * distance - 0.1 * (cell.run.activation == "relu") + 0.01 * (cell.run.seed % 2)
 
 
-class Formula(Outcomes):
-    """Outcomes of runs that nobody trained."""
+@dataclass(frozen=True)
+class FormulaRow:
+    """The row of a run that nobody trained, at a step."""
 
-    def __init__(self, read: ReadOutcome = height, diverged: bool = False) -> None:
-        self._read, self._diverged = read, diverged
-
-    def read(self, cell: Cell, name: str) -> float:
-        """Return what the formula says."""
-        return self._read(cell, name)
-
-    def read_early(self, cell: Cell, name: str, steps: Sequence[int]) -> list[float]:
-        """Return a curve that rises evenly to what the formula says at the end."""
-        return [self._read(cell, name) * step / cell.run.steps for step in steps]
-
-    def diverged(self, cell: Cell) -> bool:
-        """Return the same of every run."""
-        return self._diverged
+    cell: Cell
+    step: int
+    status: str
 
 
-def told_of(trials: Iterable[FrozenTrial]) -> list[Any]:
-    """Return what a search comes to in each trial, without identities and times."""
-    return [
-        SimpleNamespace(
-            number=trial.number,
-            params=trial.params,
-            state=STATES[trial.state],
-            values=tuple(trial.values or ()),
-            run_ids=tuple(trial.user_attrs["run_ids"]),
-            reports=trial.intermediate_values,
-            note=trial.user_attrs.get("note", ""),
-        )
-        for trial in trials
-    ]
+@dataclass
+class Formula:
+    """What runs come to: at their end as `value` says, and before that less, evenly."""
 
+    value: Callable[[Cell], float] = height
+    status: str = "done"
 
-def task_of(found: Record) -> Task:
-    return Task(found.search, found.budget)
+    def read_rows(self, store: Store, cells: Sequence[Cell], step: int | None = None) -> list[FormulaRow]:
+        """Replace `read_rows`."""
+        return [FormulaRow(cell, step or cell.run.steps, self.status) for cell in cells]
 
-
-def record(
-    task: Task, outcomes: Formula | None = None, asked: list[Mapping[str, int]] | None = None
-) -> Record:
-    """Conduct a task on the formula in a new folder; a list gets how far runs are trained."""
-
-    def train(plan: Plan, until: Mapping[str, int]) -> None:
-        if asked is not None:
-            asked.append(until)
-
-    path = Path(mkdtemp()) / "formula.log"
-    found = begin_record(path, task, Store(path.parent))
-    for _ in conduct(found, train, outcomes or Formula(), lambda note: None):
-        pass
-    return found
-
-
-def solve(task: Task, **how: Any) -> list[Any]:
-    """Return the trials of a task on the formula; see `record`."""
-    return told_of(record(task, **how).trials)
+    def outcome(self, row: FormulaRow, name: str) -> float:
+        """Replace `outcome`."""
+        return self.value(row.cell) * row.step / row.cell.run.steps
 
 
 @pytest.fixture
-def make_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> MakeTask:
+def formula(monkeypatch: pytest.MonkeyPatch) -> Iterator[Formula]:
+    """What runs come to in place of training; a test may change it."""
+    formula = Formula()
+    monkeypatch.setattr(trials, "read_rows", lambda *args: formula.read_rows(*args))
+    monkeypatch.setattr(values, "outcome", lambda *args: formula.outcome(*args))
+    yield formula
+
+
+@dataclass(frozen=True)
+class Task:
+    """A search with its budget; what it comes to in a results folder."""
+
+    search: Search
+    budget: Budget
+    asked: list[Mapping[str, int]] = field(default_factory=list)
+    """How far runs were to be trained, by id, in each round."""
+    notes: list[str] = field(default_factory=list)
+
+    def train(self, plan: Plan, until: Mapping[str, int]) -> None:
+        """Note what is to be trained."""
+        self.asked.append(until)
+
+    def record(self, store: Store | None = None, train: Train | None = None) -> Record:
+        """Run the search, by default in a new folder."""
+        store = store or Store(Path(mkdtemp()))
+        *_, record = run_search(self.search, self.budget, store, train or self.train, self.notes.append)
+        return record
+
+    def solve(self, store: Store | None = None, train: Train | None = None) -> list[dict[str, Any]]:
+        """Run the search, and return its trials up to its budget."""
+        ended = self.record(store, train).ended
+        return [comparable(trial) for trial in ended if trial.number < self.budget.trials]
+
+
+def comparable(trial: FrozenTrial) -> dict[str, Any]:
+    """Return what a search comes to in a trial, without identities and times."""
+    return {
+        "number": trial.number,
+        "params": trial.params,
+        "state": STATES[trial.state],
+        "values": tuple(trial.values or ()),
+        "run_ids": tuple(trial.user_attrs["run_ids"]),
+        "reports": trial.intermediate_values,
+        "note": trial.user_attrs.get("note", ""),
+    }
+
+
+MakeTask = Callable[..., Task]
+
+
+@pytest.fixture
+def make_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, formula: Formula) -> MakeTask:
     """Return a function that makes a task of the formula search, whose file is in the current folder."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(trials, "check_environments", lambda runs: None)
 
-    def make(trials: int = 8, more: str = "", second: str = "", start: str = "") -> Task:
+    def make(count: int = 8, more: str = "", second: str = "", start: str = "", **budget: Any) -> Task:
         Path("formula.toml").write_text(SPACE.format(more=more, second=second, start=start))
-        world = None if "env = " in more else "text"
-        return Task(load_search("formula", world), Budget(trials=trials, seeds=(1000, 1001), steps=2048))
+        size = {"trials": count, "seeds": (1000, 1001), "steps": 2048, **budget}
+        return Task(load_search("formula", None if "env = " in more else "text"), Budget(**size))
 
     return make

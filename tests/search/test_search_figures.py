@@ -10,7 +10,7 @@ import pytest
 
 from pneuma.figures.search import draw_search
 
-from .conftest import MakeTask, record
+from .conftest import MakeTask
 
 MORE = '[space.gamma]\nlow = 0.8\nhigh = 1.0\nwhen = { activation = "relu" }\n'
 SECOND = '[objectives.spread]\noutcome = "final-return"\ndirection = "minimize"\n'
@@ -31,13 +31,13 @@ def test_the_tables_values_are_marked_and_importances_are_of_enough_trials(
         start='start = ["table-6-2", { learning_rate = 1e-3 }]',
     )
     before = _settings()
-    texts = {path.stem: path.read_text() for path in draw_search(record(task), tmp_path, ("svg",))}
+    texts = {path.stem: path.read_text() for path in draw_search(task.record(), tmp_path, ("svg",))}
     pictures = {"history", "values", "importances"} if trials > 10 else {"history", "values"}
     assert {*texts} == {f"search-formula-text-{name}" for name in pictures}
     for name in ("history", "values"):
         text = texts[f"search-formula-text-{name}"]
         assert "table-6-2" in text and "table-6-1" not in text
-        assert f"{trials} trials ({trials} whole); 2 seeds" in text and task.digest not in text
+        assert f"{trials} trials ({trials} whole); 2 seeds" in text
     assert "learning rate" in texts["search-formula-text-values"]
     assert _settings() == before
 
@@ -48,10 +48,10 @@ def test_a_search_is_drawn_twice_to_the_same_bytes_without_warnings(
     make_task: MakeTask, tmp_path: Path, ending: str
 ) -> None:
     """Of two objectives, a choice, and a parameter that some trials lack."""
-    searched = record(make_task(12, more=MORE, second=SECOND))
+    record = make_task(12, more=MORE, second=SECOND).record()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        drawn = [draw_search(searched, tmp_path / name, (ending,)) for name in "ab"]
+        drawn = [draw_search(record, tmp_path / name, (ending,)) for name in "ab"]
     assert [path.stem for path in drawn[0]] == [
         f"search-formula-text-{name}" for name in ("history", "values", "importances", "front")
     ]

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+import json
+import random
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 import optuna
 import pytest
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
 
 from pneuma.engines import loop
 from pneuma.engines.loop import evaluation_updates
-from pneuma.search import values
-from pneuma.search.samplers import CmaEs
-from pneuma.search.spec import OVER_SEEDS
-from pneuma.search.trials import rounds
-from pneuma.search.values import Outcomes, over_seeds
-from pneuma.store.store import Status, Store
-from pneuma.study.plan import Cell
+from pneuma.search import trials
+from pneuma.search.log import read_record
+from pneuma.store.store import Store
+from pneuma.study.plan import Cell, Plan
 
-from .conftest import Formula, MakeTask, height, solve
+from .conftest import Formula, FormulaRow, MakeTask, Task, height
+
+MEDIAN = '[pruner]\nname = "median"\nn_startup_trials = 2\n'
+RANGE = "[space.gamma]\nlow = 0.8\nhigh = 1.0\n[run]\nhorizon = 64\n"
 
 
 @pytest.fixture(autouse=True)
@@ -30,50 +33,126 @@ def twenty_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(loop, "SHORT_STEPS", 0)
 
 
-@pytest.mark.parametrize("sampler", ["tpe", "random", "nsga-ii", "cmaes", "optuna.samplers:GPSampler"])
+@pytest.mark.parametrize(
+    "sampler",
+    [
+        'name = "tpe"',
+        'name = "random"',
+        'name = "nsga-ii"\npopulation_size = 4',
+        'name = "optuna.samplers:GPSampler"',
+        'name = "optuna.samplers:QMCSampler"\nqmc_type = "halton"',
+    ],
+)
 @pytest.mark.filterwarnings("error")
-def test_a_search_is_the_same_however_often_it_is_begun_again(make_task: MakeTask, sampler: str) -> None:
-    more = f'[space.gamma]\nlow = 0.8\nhigh = 1.0\n[sampler]\nname = "{sampler}"'
-    once, again = solve(make_task(12, more)), solve(make_task(12, more))
-    assert once == again
-    assert [told.number for told in once] == list(range(12))
-    assert len({told.params["learning_rate"] for told in once}) == 12  # nothing is suggested twice
-    assert solve(make_task(5, more)) == once[:5]  # fewer trials are the first of more
+def test_a_search_is_the_same_however_often_it_is_begun(make_task: MakeTask, sampler: str) -> None:
+    more = f"[space.gamma]\nlow = 0.8\nhigh = 1.0\n[sampler]\n{sampler}"
+    first, second = make_task(12, more).solve(), make_task(12, more).solve()
+    assert first == second
+    assert [trial["number"] for trial in first] == list(range(12))
+    assert len({trial["params"]["learning_rate"] for trial in first}) > 6  # a population of 4 repeats some
+    assert make_task(5, more).solve() == first[:5]  # fewer trials are the first of more
 
 
-def test_cmaes_suggests_what_optunas_own_does_whose_state_is_a_pickle_in_the_log() -> None:
-    def searched(sampler: type[optuna.samplers.CmaEsSampler]) -> list[dict[str, Any]]:
-        study = optuna.create_study(direction="maximize")
-        for number in range(16):
-            study.sampler = sampler(popsize=5, seed=number)
-            trial = study.ask()
-            study.tell(trial, -(trial.suggest_float("x", -1, 1) ** 2) - trial.suggest_int("y", 0, 9))
-        return [trial.params for trial in study.trials]
+class Killed(Exception):
+    """The process ends."""
 
-    assert searched(CmaEs) == searched(optuna.samplers.CmaEsSampler)
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        MEDIAN,
+        '[pruner]\nname = "optuna.pruners:HyperbandPruner"\nmax_resource = 20',
+        '[sampler]\nname = "nsga-ii"\npopulation_size = 4',
+        '[sampler]\nname = "optuna.samplers:QMCSampler"',
+    ],
+)
+def test_a_search_is_the_same_however_often_it_is_killed(
+    make_task: MakeTask, store: Store, more: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is killed while it writes a line, of which a part is left in the log."""
+    task = make_task(12, more=RANGE + more)
+    alone = task.solve()
+    append = JournalFileBackend.append_logs
+    generator = random.Random(1)
+    left = 0
+
+    def append_or_die(self: Any, logs: list[dict[str, Any]]) -> None:
+        nonlocal left
+        left -= 1
+        if left == 0:
+            line = json.dumps(logs[0])
+            with open(self._file_path, "a") as file:
+                file.write(line[: generator.randrange(len(line))])
+            raise Killed
+        append(self, logs)
+
+    monkeypatch.setattr(JournalFileBackend, "append_logs", append_or_die)
+    kills = 0
+    while True:
+        left = generator.randrange(1, 60)
+        try:
+            trials_found = task.solve(store)
+            break
+        except Killed:
+            kills += 1
+    assert kills > 2
+    assert trials_found == alone
+
+
+def test_a_published_search_is_found_again(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its outcomes are those in its log, by which TPE and the median pruner went when it was run."""
+    published = read_record(store, "tune-adam", "arena")
+
+    def read_rows(store: Store, cells: Sequence[Cell], step: int | None = None) -> list[FormulaRow]:
+        return [FormulaRow(cell, step or cell.run.steps, "done") for cell in cells]
+
+    def outcome(row: FormulaRow, name: str) -> float:
+        trial = published.trials[int(row.cell.condition.removeprefix("trial-"))]
+        evaluations = {step: number for number, step in loop.evaluation_steps(row.cell.run).items()}
+        return trial.intermediate_values[evaluations[row.step]]
+
+    monkeypatch.setattr(trials, "read_rows", read_rows)
+    monkeypatch.setattr("pneuma.search.values.outcome", outcome)
+    found = Task(published.search, published.budget).record(store).ended
+    assert [trial.state for trial in found] == [trial.state for trial in published.ended]
+    for trial, old in zip(found, published.ended, strict=True):
+        assert trial.params["betas"] == old.params["betas"]
+        assert trial.params["learning_rate"] == pytest.approx(old.params["learning_rate"], rel=1e-12)
+        assert trial.values == pytest.approx(old.values)
+        if trial.params == old.params:  # to the last digit, which another processor may round otherwise
+            assert trial.user_attrs["run_ids"] == old.user_attrs["run_ids"]
 
 
 def test_the_first_trials_are_those_that_it_starts_with(make_task: MakeTask) -> None:
-    told = solve(make_task(4, start='start = ["table-6-1", "table-6-2"]'))
-    assert told[0].params == {"learning_rate": 3e-4, "activation": "relu"}
-    assert told[1].params == {"learning_rate": 3e-4, "activation": "tanh"}
-    assert told[1].values[0] == pytest.approx(1 - 0.2 * abs(np.log10(3e-4) + 3) + 0.005)
+    found = make_task(4, start='start = ["table-6-1", { learning_rate = 1e-3 }]').solve()
+    assert found[0]["params"] == {"learning_rate": 3e-4, "activation": "relu"}
+    assert found[0]["values"][0] == pytest.approx(1 - 0.2 * abs(np.log10(3e-4) + 3) - 0.1 + 0.005)
+    assert found[1]["params"]["learning_rate"] == 1e-3 and "activation" in found[1]["params"]
 
 
-def test_a_run_without_a_number_fails_its_trial_alone(make_task: MakeTask) -> None:
-    def blank_for_relu(cell: Cell, outcome: str) -> float:
-        return float("nan") if cell.run.activation == "relu" else height(cell, outcome)
+def test_what_optuna_enqueues_is_the_next_trial(make_task: MakeTask, store: Store) -> None:
+    """With the other parameters suggested; values outside of the space fail, and say so."""
+    path = make_task(4).record(store).path
+    study = optuna.load_study(study_name="formula", storage=JournalStorage(JournalFileBackend(str(path))))
+    study.enqueue_trial({"learning_rate": 2e-3})
+    study.enqueue_trial({"learning_rate": 9.0})
+    study.enqueue_trial({"activation": "sine"})
+    found = make_task(8).solve(store)
+    assert found[4]["params"]["learning_rate"] == 2e-3
+    assert found[4]["params"].keys() == {"learning_rate", "activation"}
+    assert [trial["state"] for trial in found] == ["complete"] * 5 + ["failed"] * 2 + ["complete"]
+    assert found[5]["note"] == "was enqueued with learning_rate = 9.0, which is not in its space"
 
-    told = solve(make_task(8), outcomes=Formula(blank_for_relu))
-    assert {(t.state, t.params["activation"]) for t in told} == {("failed", "relu"), ("complete", "tanh")}
-    assert all(("final-share-killed" in t.note) == (t.state == "failed") for t in told)
+
+def test_a_trial_that_another_program_asks_for_is_left_to_it(make_task: MakeTask, store: Store) -> None:
+    path = make_task(4).record(store).path
+    study = optuna.load_study(study_name="formula", storage=JournalStorage(JournalFileBackend(str(path))))
+    assert study.ask().number == 4
+    found = make_task(12).solve(store)
+    assert [trial["number"] for trial in found] == [0, 1, 2, 3, *range(5, 12)]
 
 
-def test_runs_that_diverge_alike_have_the_greatest_spread(make_task: MakeTask) -> None:
-    """By hand: of two shares, 0 and 1 lie the furthest apart; their deviation is √(2 · 0.5²)."""
-    more = '[objectives.spread]\noutcome = "final-share-killed"\nover_seeds = "deviation"'
-    told = solve(make_task(4, more), outcomes=Formula(lambda cell, name: 0.0, diverged=True))
-    assert [t.values for t in told] == [pytest.approx((0.0, math.sqrt(0.5)))] * 4
+# --- Pruning ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -81,35 +160,37 @@ def test_runs_that_diverge_alike_have_the_greatest_spread(make_task: MakeTask) -
     [  # by hand, from Optuna's definitions; a run has 20 evaluations
         ('name = "median"', [5, 10, 15]),
         ('name = "optuna.pruners:PercentilePruner"\npercentile = 10.0', [*range(1, 20)]),
-        ('name = "hyperband"', [2, 6, 18]),
     ],
 )
 def test_training_pauses_where_the_pruner_decides(
     make_task: MakeTask, pruner: str, pauses: list[int]
 ) -> None:
     task = make_task(4, f"[run]\nhorizon = 64\n[pruner]\n{pruner}")
-    asked: list[Mapping[str, int]] = []
-    (trial, *_) = solve(task, asked=asked)
-    assert [part.pause for part in rounds(task)] == [*pauses, 20]
-    steps = [until[trial.run_ids[0]] for until in asked]
-    run = task.search.make_run(trial.params, steps=2048)
-    evaluated = sorted(evaluation_updates(run))  # 32 updates of 64 steps
-    assert steps == [64 * evaluated[pause - 1] for pause in pauses] + [0]
+    (trial, *_) = task.solve()
+    steps = [until[trial["run_ids"][0]] for until in task.asked]
+    evaluated = sorted(evaluation_updates(task.search.make_run(trial["params"], steps=2048)))
+    assert steps == [64 * evaluated[pause - 1] for pause in pauses] + [0]  # of 32 updates of 64 steps
 
 
 def test_a_median_stops_what_is_below_it(make_task: MakeTask) -> None:
     """By hand: those below the median of the complete trials of earlier generations, of 4 each."""
-    more = '[sampler]\nname = "random"\n[pruner]\nname = "median"\nn_warmup_steps = 10\ninterval_steps = 10'
-    more = f"[run]\nhorizon = 64\n{more}"  # 32 updates
-    told = solve(make_task(24, more + "\nn_startup_trials = 4"))
-    assert all(trial.state == "complete" and [*trial.reports] == [*range(1, 21)] for trial in told[:4])
-    for place, trial in enumerate(told[4:], 4):
-        before = [each for each in told[: place // 4 * 4] if each.state == "complete"]
-        best = max(trial.reports[step] for step in range(1, 11))
-        median = np.median([each.reports[10] for each in before])
-        assert (trial.state == "pruned") == bool(best < median)
-        if trial.state == "pruned":
-            assert [*trial.reports] == [*range(1, 11)] and trial.values == (trial.reports[10],)
+    sampler = '[sampler]\nname = "random"\n'
+    pruner = '[pruner]\nname = "median"\nn_startup_trials = 4\nn_warmup_steps = 10\ninterval_steps = 10'
+    task = make_task(24, f"[run]\nhorizon = 64\n{sampler}{pruner}")
+    found = task.solve()
+    assert all(trial["state"] == "complete" and len(trial["reports"]) == 20 for trial in found[:4])
+    stopped = set()
+    for index, trial in enumerate(found[4:], 4):
+        earlier = [other for other in found[: index // 4 * 4] if other["state"] == "complete"]
+        median = np.median([other["reports"][10] for other in earlier])
+        best = max(trial["reports"][step] for step in range(1, 11))
+        assert (trial["state"] == "pruned") == bool(best < median)
+        if trial["state"] == "pruned":
+            stopped.add(str(trial["number"]))
+            assert [*trial["reports"]] == [*range(1, 11)]
+            assert trial["values"] == (trial["reports"][10],)
+    lines = [note for note in task.notes if note.startswith("Stopped early")]
+    assert set(", ".join(lines).replace("Stopped early: trial ", "").replace(".", "").split(", ")) == stopped
 
 
 @pytest.mark.parametrize(
@@ -122,51 +203,68 @@ def test_a_median_stops_what_is_below_it(make_task: MakeTask) -> None:
 def test_each_evaluation_is_reported_once_and_no_trial_is_stopped_at_its_end(
     make_task: MakeTask, step: int, paused: int, reports: list[int]
 ) -> None:
-    more = f'name = "median"\nn_startup_trials = 1\nn_warmup_steps = {step}\ninterval_steps = 20'
-    asked: list[Mapping[str, int]] = []
-    told = solve(make_task(24, f"[run]\nhorizon = 512\n[pruner]\n{more}"), asked=asked)
-    assert {*asked[0].values()} == {paused}
-    assert {trial.state for trial in told} == {"complete", "pruned"} - ({"pruned"} if paused == 0 else set())
-    for trial in told:
-        assert [*trial.reports] == ([5, 10, 15, 20] if trial.state == "complete" else reports)
+    pruner = f'name = "median"\nn_startup_trials = 1\nn_warmup_steps = {step}\ninterval_steps = 20'
+    task = make_task(24, f"[run]\nhorizon = 512\n[pruner]\n{pruner}")
+    found = task.solve()
+    assert {*task.asked[0].values()} == {paused}
+    assert {trial["state"] for trial in found} == ({"complete", "pruned"} if paused else {"complete"})
+    for trial in found:
+        assert [*trial["reports"]] == ([5, 10, 15, 20] if trial["state"] == "complete" else reports)
 
 
-def test_wilcoxon_compares_seed_by_seed(make_task: MakeTask) -> None:
-    """Of 8 seeds: a trial that is worse than the best on each of the first few is not trained on the rest."""
-    asked: list[Mapping[str, int]] = []
-    task = make_task(12, '[pruner]\nname = "wilcoxon"')
-    task = replace(task, budget=task.budget.model_copy(update={"seeds": tuple(range(1000, 1008))}))
-    told = solve(task, asked=asked)
-    pruned = [trial for trial in told if trial.state == "pruned"]
-    assert pruned and all(2 <= len(trial.reports) < 8 for trial in pruned)
-    trained = {name for until in asked for name in until}
-    for trial in pruned:
-        assert sum(name in trained for name in trial.run_ids) == len(trial.reports)
+# --- Several processes -----------------------------------------------------------------------------
 
 
-def test_over_seeds_by_hand() -> None:
-    found = {name: over_seeds(name, np.array([1.0, 2, 3, 8])) for name in OVER_SEEDS}
-    assert found == pytest.approx({"mean": 3.5, "median": 2.5, "iqm": 2.5, "deviation": math.sqrt(29 / 3)})
+def test_processes_that_search_together_find_what_one_would(make_task: MakeTask, store: Store) -> None:
+    """Whenever this one trains, another goes on with the same search for some rounds, and is killed then."""
+    lives = 0
+
+    def train(plan: Plan, until: Mapping[str, int]) -> None:
+        nonlocal lives
+        if lives < 5:
+            lives += 1
+            rounds = iter(range(lives))
+
+            def train_or_die(plan: Plan, until: Mapping[str, int]) -> None:
+                if next(rounds, None) is None:
+                    raise Killed
+
+            with suppress(Killed):
+                make_task(12, more=MEDIAN).solve(store, train_or_die)
+
+    assert make_task(12, more=MEDIAN).solve(store, train) == make_task(12, more=MEDIAN).solve()
+    assert lives == 5
 
 
-@dataclass(frozen=True)
-class _Row:
-    """What a search reads of a row."""
-
-    status: str = "done"
-    end: int = 0
-
-
-def test_a_run_that_diverges_after_a_pause_had_its_values_there(
-    make_task: MakeTask, store: Store, monkeypatch: pytest.MonkeyPatch
+def test_what_another_process_ends_meanwhile_is_neither_told_again_nor_said_to_stop_early(
+    make_task: MakeTask, store: Store, formula: Formula, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """So that what a pruner decided at the pause is decided again once the run's end is known."""
-    task = make_task()
-    run = task.search.make_run({"learning_rate": 1e-3, "activation": "tanh"}, steps=2048)
-    cell = Cell("trial-000", 1000, run)
-    monkeypatch.setattr(Store, "status", lambda *_: Status("diverged", 250))
-    monkeypatch.setattr(values, "stored_row", lambda *_: _Row("diverged"))
-    monkeypatch.setattr(values, "row_until", lambda *asked: _Row(end=asked[-1]))
-    monkeypatch.setattr(values, "outcome", lambda run, name: run.end)
-    early = Outcomes(task.search, store).read_early(cell, "final-share-killed", [100, 200, 300])
-    assert early == [100, 200, 0.0]  # the worst share from where it diverged on
+    """While this one reads the values of a trial, another ends the whole search."""
+    task = make_task(8, more=MEDIAN)
+    usual = formula.read_rows
+    others: list[Any] = []
+
+    def read_rows(*args: Any) -> Any:
+        if not others:
+            others.append(None)
+            others[0] = make_task(8, more=MEDIAN).solve(store)
+        return usual(*args)
+
+    monkeypatch.setattr(formula, "read_rows", read_rows)
+    found = task.solve(store)
+    assert found == others[0]
+    pruned = [str(trial["number"]) for trial in found if trial["state"] == "pruned"]
+    for note in task.notes:
+        if note.startswith("Stopped early"):
+            assert all(number in pruned for number in note.strip(".").split("trial ")[1].split(", "))
+
+
+# --- Values ----------------------------------------------------------------------------------------
+
+
+def test_a_run_without_a_number_fails_its_trial_alone(make_task: MakeTask, formula: Formula) -> None:
+    formula.value = lambda cell: float("nan") if cell.run.activation == "relu" else height(cell)
+    for trial in make_task(8).solve():
+        failed = trial["params"]["activation"] == "relu"
+        assert trial["state"] == ("failed" if failed else "complete")
+        assert ("final-share-killed" in trial["note"]) == failed

@@ -1,0 +1,203 @@
+"""The log of a search: what Optuna finds in it, who may write it, and what is not read."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import optuna
+import pytest
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
+
+from pneuma.errors import UserError
+from pneuma.search.log import LogLock, read_record
+from pneuma.store.store import PUBLISHED, Store
+
+from .conftest import MakeTask, comparable
+
+MEDIAN = '[pruner]\nname = "median"\nn_startup_trials = 2\n'
+
+
+def load(path: Path) -> optuna.Study:
+    return optuna.load_study(study_name="formula", storage=JournalStorage(JournalFileBackend(str(path))))
+
+
+def test_optuna_opens_the_log(make_task: MakeTask, store: Store) -> None:
+    betas = "[space.betas]\nchoices = [[0.9, 0.99], [0.9, 0.9]]\n"
+    limits = '[space.gradient_limit]\nchoices = [0.5, "none"]\n'
+    record = make_task(8, limits + betas + MEDIAN).record(store)
+    study = load(record.path)
+    assert [comparable(trial) for trial in study.trials] == [comparable(trial) for trial in record.ended]
+    assert study.best_trial.number == record.best
+    assert study.metric_names == ["final-share-killed, mean"]
+    assert {trial.params["gradient_limit"] for trial in study.trials} == {0.5, None}
+    assert {trial.params["betas"] for trial in study.trials} == {"[0.9, 0.99]", "[0.9, 0.9]"}
+    assert study.trials[0].user_attrs["seeds"] == [1000, 1001]
+    assert record.path.stat().st_mode & 0o111 == 0
+
+
+def test_what_has_ended_is_trained_no_more_and_a_longer_search_goes_on(
+    make_task: MakeTask, store: Store
+) -> None:
+    first = make_task(8).solve(store)
+    again, longer, shorter = make_task(8), make_task(12), make_task(4)
+    assert again.solve(store) == first and not again.asked
+    assert longer.solve(store)[:8] == first and len(longer.asked) == 1
+    assert shorter.solve(store) == first[:4] and not shorter.asked
+    record = read_record(store, "formula", "text")
+    assert (len(record.ended), record.budget.trials) == (12, 12)
+
+
+def test_another_budget_has_a_log_of_its_own_and_the_latest_is_read(
+    make_task: MakeTask, store: Store
+) -> None:
+    first = make_task(4).record(store)
+    other = make_task(4, steps=4096)
+    assert other.record(store).path != first.path
+    assert any(f"had other steps, and stays in {first.path}" in note for note in other.notes)
+    assert read_record(store, "formula", "text").budget.steps == 4096
+    assert make_task(5).record(store).path == first.path
+    assert read_record(store, "formula", "text").budget.steps == 2048
+
+
+def test_a_search_whose_file_has_changed_is_not_read(make_task: MakeTask, store: Store) -> None:
+    make_task(4).record(store)
+    make_task(4, "[run]\ngamma = 0.9")
+    with pytest.raises(UserError, match="the search had other fixed than its file has now"):
+        read_record(store, "formula", "text")
+    with pytest.raises(UserError, match="search formula-arena was not run in"):
+        read_record(store, "formula")
+
+
+def test_a_published_log_is_read_where_no_search_was_run(make_task: MakeTask, store: Store) -> None:
+    """An empty log, as Optuna leaves it where it finds none, is none."""
+    record = make_task(4).record(store)
+    published = store.root / PUBLISHED / "search-formula-text.log"
+    published.parent.mkdir()
+    shutil.copy(record.path, published)
+    assert not read_record(store, "formula", "text").published
+    record.path.write_bytes(b"")
+    found = read_record(store, "formula", "text")
+    assert (found.published, found.path) == (True, published)
+    assert [comparable(trial) for trial in found.ended] == [comparable(trial) for trial in record.ended]
+
+
+# --- The lock --------------------------------------------------------------------------------------
+
+HOLD = """
+import time
+from pathlib import Path
+from pneuma.search.log import LogLock
+with LogLock(Path("results/x.log")):
+    print("held", flush=True)
+    time.sleep(1000)
+"""
+
+
+def test_a_lock_ends_with_its_process_and_is_not_taken_from_one_that_is_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a relative folder, too. Whoever waits for long says for whom."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(LogLock, "WAIT_SECONDS", 0.1)
+    Path("results").mkdir()
+
+    def wait() -> None:
+        with LogLock(Path("results/x.log")):
+            pass
+
+    waiting = threading.Thread(target=wait)
+    with subprocess.Popen([sys.executable, "-c", HOLD], stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout and holder.stdout.readline() == "held\n"
+        holder.send_signal(signal.SIGSTOP)
+        waiting.start()
+        waiting.join(0.5)
+        assert waiting.is_alive()
+        assert capsys.readouterr().err.count(f"Waiting for process {holder.pid} on ") == 1
+        holder.kill()
+        waiting.join(10)
+        assert not waiting.is_alive()
+
+
+def test_a_torn_line_is_cut_off_before_anything_is_written(tmp_path: Path) -> None:
+    log = tmp_path / "x.log"
+    for text, kept in (("", ""), ("{}\n", "{}\n"), ('{}\n{"op', "{}\n"), ('{"op', "")):
+        log.write_text(text)
+        with LogLock(log):
+            assert log.read_text() == kept
+
+
+def test_a_line_that_another_program_is_writing_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = tmp_path / "x.log"
+    log.write_text('{"op')
+    monkeypatch.setattr(time, "sleep", lambda seconds: log.write_text('{"op": 1}\n'))
+    with LogLock(log):
+        assert log.read_text() == '{"op": 1}\n'
+
+
+# --- What is not read ------------------------------------------------------------------------------
+
+REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
+    "an unknown operation": (lambda log: log + '{"op_code": 99}\n', "damaged"),
+    "no operation": (lambda log: log + "[1]\n", "damaged"),
+    "no log": (lambda log: "dear diary\n\n", "damaged"),
+    "another study": (
+        lambda log: log.replace('"study_name":"formula"', '"study_name":"mine"'),
+        "contains mine, not search formula; move it away",
+    ),
+    "attributes of anybody": (lambda log: log.replace('"pneuma":{', '"pneuma":"mine","x":{'), "damaged"),
+    "choices that were text": (
+        lambda log: log.replace("[0.5, null]", '[\\"0.5\\", \\"none\\"]'),
+        "trial 0 is outside the search's space",
+    ),
+    "an infinite value": (lambda log: log.replace('"values":[0.', '"values":[Infinity,0.'), "damaged"),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_a_log_that_is_not_the_search_s_is_refused_and_kept(
+    make_task: MakeTask, store: Store, what: str
+) -> None:
+    task = make_task(4, '[space.gradient_limit]\nchoices = [0.5, "none"]\n')
+    path = task.record(store).path
+    change, message = REFUSED[what]
+    path.write_text(changed := change(path.read_text()))
+    with pytest.raises(UserError, match=message):
+        read_record(store, "formula", "text")
+    with pytest.raises(UserError, match=message):
+        task.record(store)
+    assert path.read_text() == changed
+
+
+def test_untrusted_a_log_or_its_lock_that_is_a_link_is_not_written(
+    make_task: MakeTask, store: Store, tmp_path: Path
+) -> None:
+    task, elsewhere = make_task(4), tmp_path / "elsewhere"
+    elsewhere.write_text("mine\n")
+    folder = store.root / "searches"
+    folder.mkdir(parents=True)
+    for name in ("formula-text.log", ".formula-text.log.lock"):
+        (folder / name).symlink_to(elsewhere)
+        with pytest.raises(UserError, match=name):
+            task.record(store)
+        (folder / name).unlink()
+    assert elsewhere.read_text() == "mine\n"
+
+
+def test_untrusted_a_log_names_no_module_that_is_imported(make_task: MakeTask, store: Store) -> None:
+    """What runs have is in the search's file; a log that has other fields is refused."""
+    path = make_task(4, "[run]\ngamma = 0.9").record(store).path
+    path.write_text(path.read_text().replace('"fixed":{', '"fixed":{"env_module":"marking",', 1))
+    Path("marking.py").write_text("open('mark', 'w')\n")
+    with pytest.raises(UserError, match="the search had other fixed"):
+        read_record(store, "formula", "text")
+    assert not Path("mark").exists()
