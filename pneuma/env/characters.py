@@ -214,7 +214,7 @@ def monster_stats(
     for name, row in kinds.items():
         _fill_monster(row, characters.monsters[name])
         row["reach_squared"] = _reach(row, players, magic) ** 2
-    rows = [[kinds[kind].item() for kind, _, _ in level.monsters] for level in levels]
+    rows = [[kinds[monster.name].item() for monster in level.monsters] for level in levels]
     return np.array(rows, state.MONSTER_STATS)
 
 

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import AfterValidator
@@ -28,6 +30,31 @@ Rounded = AfterValidator(lambda pixels: round(pixels * 1024) / 1024)
 that overlapped the wall by a rounding error could not slide along it."""
 
 
+class Rectangle(NamedTuple):
+    """A part of the plane, in pixels."""
+
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+    @property
+    def width(self) -> float:
+        return self.right - self.left
+
+    @property
+    def height(self) -> float:
+        return self.bottom - self.top
+
+
+class MonsterPlace(NamedTuple):
+    """A monster, by the name of its kind, and where it begins."""
+
+    name: str
+    x: float
+    y: float
+
+
 @dataclass(frozen=True)
 class Level:
     """A level as the rules need it; lengths in pixels, y downwards."""
@@ -37,111 +64,149 @@ class Level:
     tile: float
     left: float  # of the grid of tiles
     top: float
-    ground: np.ndarray  # (rows, columns) codes, for drawing; -1 where there is none
+    ground: np.ndarray  # (rows, columns) codes, for pictures; -1 where there is none
     terrain: np.ndarray  # (rows, columns) uint8: `rules.OPEN`, `SOLID` or `COAST`
     starts: np.ndarray  # (S, 2) places
-    monsters: tuple[tuple[str, float, float], ...]  # kind, x and y of each
+    monsters: tuple[MonsterPlace, ...]
 
     @property
-    def land(self) -> tuple[float, float, float, float]:
-        """Bounding box of the tiles that can be walked on: left, top, right, bottom."""
+    def land(self) -> Rectangle:
+        """The bounding box of the tiles that can be walked on."""
         rows, columns = np.nonzero(self.terrain != rules.COAST)
-        return (
-            self.left + columns.min() * self.tile,
-            self.top + rows.min() * self.tile,
-            self.left + (columns.max() + 1) * self.tile,
-            self.top + (rows.max() + 1) * self.tile,
+        return Rectangle(
+            left=self.left + columns.min() * self.tile,
+            top=self.top + rows.min() * self.tile,
+            right=self.left + (columns.max() + 1) * self.tile,
+            bottom=self.top + (rows.max() + 1) * self.tile,
         )
 
     @property
-    def grid(self) -> tuple[float, float, float, float]:
-        """The box of all tiles: left, top, right, bottom."""
+    def grid(self) -> Rectangle:
+        """The box of all tiles."""
         rows, columns = self.terrain.shape
-        return self.left, self.top, self.left + columns * self.tile, self.top + rows * self.tile
+        right = self.left + columns * self.tile
+        return Rectangle(self.left, self.top, right, self.top + rows * self.tile)
 
 
 # --- Where bodies may begin ----------------------------------------------------------------------
 
 
-def refuse_bad_places(level: Level, players: np.ndarray, monsters: np.ndarray, config: EnvConfig) -> None:
+def refuse_bad_places(
+    level: Level, player_stats: np.ndarray, monster_stats: np.ndarray, config: EnvConfig
+) -> None:
     """Refuse a level in which a body would begin beyond the grid, stuck, or where no player can walk to.
 
     A body that starts inside a wall may never get out. Any player may start at any start place, so each must
-    have room for all of them. Monsters that no terrain stops may be anywhere. `players` are (P,)
-    `state.PLAYER_STATS`, `monsters` (M,) `state.MONSTER_STATS` in the level's order.
+    have room for all of them. Monsters that no terrain stops may be anywhere.
+
+    Args:
+        level: what is checked.
+        player_stats: (P,) `state.PLAYER_STATS`.
+        monster_stats: (M,) `state.MONSTER_STATS`, in the level's order.
+        config: which says what stops bodies.
     """
-    shapes = np.unique(players[["half_width", "half_height", "body_x", "body_y"]])
-    starts = [
-        _Body(f"start place {i}", x, y, shape) for i, (x, y) in enumerate(level.starts) for shape in shapes
-    ]
-    others = [
-        _Body(f"monster {i} ({name})", x, y, kind)
-        for i, ((name, x, y), kind) in enumerate(zip(level.monsters, monsters, strict=True))
-    ]
-    bodies = starts + others
-    trees = (level.terrain == rules.SOLID) & (config.trees == "wall")
-    coast = level.terrain == rules.COAST
-    stopped = others if config.terrain_stops == "all" else []
-    left, top, right, bottom = level.grid
-    for body in bodies:
-        if (body.low < (left, top)).any() or (body.high > (right, bottom)).any():
-            raise body.refusal(level, "reaches beyond the grid")
-    side = 2 * float(max(players["half_width"].max(), players["half_height"].max()))
-    lost = first_cut_off(level, ~(trees | coast), side, len(stopped))
-    if lost is not None:
-        who = [*starts[:: len(shapes)], *others][lost].who
-        raise UserError(f"level {level.name}: {who} is walled in or off the land, for a body of {side:g} px")
-    for body in starts + stopped:
-        _refuse_terrain(level, body, trees | coast)
-    low, high = (np.array([getattr(each, edge) for each in bodies]) for edge in ("low", "high"))
-    for body in bodies if config.players > 1 else others:
-        depth = np.minimum(high, body.high) - np.maximum(low, body.low)
-        for index in np.flatnonzero((depth > rules.CONTACT_EPS).all(axis=1)):  # touching is no overlap
-            if bodies[index].who != body.who:  # itself, or another player's body at one place
-                raise UserError(f"level {level.name}: {body.who} begins inside {bodies[index].who}")
+    shapes = np.unique(player_stats[["half_width", "half_height", "body_x", "body_y"]])
+    starting = []
+    for index, (x, y) in enumerate(level.starts):
+        for shape in shapes:
+            starting.append(_Body(f"start place {index}", x, y, shape))
+    living = []
+    for index, (monster, stats) in enumerate(zip(level.monsters, monster_stats, strict=True)):
+        living.append(_Body(f"monster {index} ({monster.name})", monster.x, monster.y, stats))
+    stopped_monsters = []
+    if config.terrain_stops == "all":
+        stopped_monsters = living
+    closed = level.terrain == rules.COAST
+    if config.trees == "wall":
+        closed |= level.terrain == rules.SOLID
+    for body in starting + living:
+        _refuse_beyond(level, body)
+    side = 2 * float(max(player_stats["half_width"].max(), player_stats["half_height"].max()))
+    cut_off = first_cut_off(level, ~closed, side, len(stopped_monsters))
+    if cut_off is not None:
+        body = (starting[:: len(shapes)] + living)[cut_off]
+        problem = f"{body.name} is walled in or off the land, for a body of {side:g} px"
+        raise UserError(f"level {level.name}: {problem}")
+    for body in starting + stopped_monsters:
+        _refuse_terrain(level, body, closed)
+    if config.players > 1:
+        _refuse_overlaps(level, starting + living, starting + living)
+    else:
+        _refuse_overlaps(level, living, starting + living)
 
 
 class _Body:
-    def __init__(self, who: str, x: float, y: float, stats: np.void) -> None:
-        self.who = f"{who} at ({x:g}, {y:g})"
+    """A body where it begins, as a box."""
+
+    def __init__(self, name: str, x: float, y: float, stats: np.void) -> None:
+        self.name = f"{name} at ({x:g}, {y:g})"
         middle = np.array([x + stats["body_x"], y + stats["body_y"]], np.float64)
         half = np.array([stats["half_width"], stats["half_height"]], np.float64)
-        self.low, self.high = middle - half, middle + half
+        self.low = middle - half
+        self.high = middle + half
 
-    def refusal(self, level: Level, why: str) -> UserError:
+    def refusal(self, level: Level, problem: str) -> UserError:
         width, height = self.high - self.low
-        return UserError(
-            f"level {level.name}: {self.who} has a body of {width:g} x {height:g} px, which {why}"
-        )
+        size = f"{width:g} x {height:g} px"
+        return UserError(f"level {level.name}: {self.name} has a body of {size}, which {problem}")
+
+
+def _refuse_beyond(level: Level, body: _Body) -> None:
+    grid = level.grid
+    if (body.low < (grid.left, grid.top)).any() or (body.high > (grid.right, grid.bottom)).any():
+        raise body.refusal(level, "reaches beyond the grid")
 
 
 def _refuse_terrain(level: Level, body: _Body, closed: np.ndarray) -> None:
     corner = (level.left, level.top)
-    first = np.floor((body.low - corner) / level.tile).astype(int)
-    last = np.ceil((body.high - corner) / level.tile).astype(int)
-    under = closed[first[1] : last[1], first[0] : last[0]]
-    for row, column in np.argwhere(under).tolist() if under.any() else ():
-        place = f"row {first[1] + row + 1}, column {first[0] + column + 1}"
-        raise body.refusal(level, f"overlaps the tile in {place}: it would be stuck there")
+    first_column, first_row = np.floor((body.low - corner) / level.tile).astype(int)
+    end_column, end_row = np.ceil((body.high - corner) / level.tile).astype(int)
+    under_body = closed[first_row:end_row, first_column:end_column]
+    if under_body.any():
+        row, column = np.argwhere(under_body)[0]
+        tile = f"the tile in row {first_row + row + 1}, column {first_column + column + 1}"
+        raise body.refusal(level, f"overlaps {tile}: it would be stuck there")
+
+
+def _refuse_overlaps(level: Level, bodies: Sequence[_Body], obstacles: Sequence[_Body]) -> None:
+    low = np.array([obstacle.low for obstacle in obstacles])
+    high = np.array([obstacle.high for obstacle in obstacles])
+    for body in bodies:
+        depth = np.minimum(high, body.high) - np.maximum(low, body.low)
+        for index in np.flatnonzero((depth > rules.CONTACT_EPS).all(axis=1)):  # touching is no overlap
+            obstacle = obstacles[index]
+            if obstacle.name != body.name:  # itself, or another player's body at one place
+                raise UserError(f"level {level.name}: {body.name} begins inside {obstacle.name}")
 
 
 # --- Walking -------------------------------------------------------------------------------------
 
 
 def first_cut_off(level: Level, free: np.ndarray, side: float, monsters: int) -> int | None:
-    """Return the first place, counting starts, then monsters, that a player cannot walk to from the others.
+    """Return the first place that a player cannot walk to from the others; None if there is none.
 
-    A player can walk over free tiles, (rows, columns) bool, where as many lie side by side as the longer side
-    of its body needs. The first so many monsters count, as the others may not be there.
+    A player can walk over free tiles, where as many lie side by side as the longer side of its body needs.
+
+    Args:
+        level: whose places are counted: starts, then monsters.
+        free: (rows, columns) bool.
+        side: the longer side of a player's body, in pixels.
+        monsters: how many of the monsters count, from the first on; the others may not be there.
     """
     abreast = math.ceil(side / level.tile)
     regions = walkable_regions(free, abreast)
-    places = [(x, y) for x, y in level.starts] + [(x, y) for _, x, y in level.monsters[:monsters]]
-    near = [_regions_at(regions, abreast, level, x, y) for x, y in places]
-    shares = Counter(region for found in near for region in found)
+    regions_by_place = []
+    for x, y in level.starts:
+        regions_by_place.append(_regions_at(regions, abreast, level, x, y))
+    for monster in level.monsters[:monsters]:
+        regions_by_place.append(_regions_at(regions, abreast, level, monster.x, monster.y))
+    places_by_region = Counter(region for place_regions in regions_by_place for region in place_regions)
     sizes = np.bincount(regions.ravel())
-    home = max(shares, key=lambda region: (shares[region], sizes[region]), default=0)
-    return next((index for index, found in enumerate(near) if home not in found), None)
+    home = max(places_by_region, key=lambda region: (places_by_region[region], sizes[region]), default=0)
+    for index, place_regions in enumerate(regions_by_place):
+        if home not in place_regions:
+            return index
+    return None
 
 
 def walkable_regions(free: np.ndarray, abreast: int = 1) -> np.ndarray:
@@ -155,6 +220,9 @@ def walkable_regions(free: np.ndarray, abreast: int = 1) -> np.ndarray:
 
 def _regions_at(regions: np.ndarray, abreast: int, level: Level, x: float, y: float) -> set[int]:
     """Return the regions of the bodies that cover the tile at (x, y)."""
-    row, column = int((y - level.top) // level.tile), int((x - level.left) // level.tile)
-    top, left = max(row - abreast + 1, 0), max(column - abreast + 1, 0)
-    return set(regions[top : row + 1, left : column + 1].ravel().tolist()) - {0}
+    row = int((y - level.top) // level.tile)
+    column = int((x - level.left) // level.tile)
+    first_row = max(row - abreast + 1, 0)
+    first_column = max(column - abreast + 1, 0)
+    covering = regions[first_row : row + 1, first_column : column + 1]
+    return set(covering.ravel().tolist()) - {0}

@@ -28,7 +28,7 @@ from pydantic import Field
 
 from pneuma.env import rules
 from pneuma.env.fields import SHIPPED_LEVELS, EnvConfig, is_own_level
-from pneuma.env.level import EMPTY, RANDOM, START_CODE, WATER, Level, Rounded
+from pneuma.env.level import EMPTY, RANDOM, START_CODE, WATER, Level, MonsterPlace, Rounded
 from pneuma.env.random_level import parse_name, random_level
 from pneuma.errors import UserError, unknown_name
 from pneuma.files import read_text
@@ -36,7 +36,7 @@ from pneuma.schema import Table, TomlFile, read_model, read_toml
 
 LEVELS = Path(__file__).parent / "data" / "levels"
 MAX_SIDE = 1000
-"""Most bytes of a layer."""
+"""Most tiles along a side of a layer."""
 MOST_PLACES = 1000
 """Most start places and monsters together in a level."""
 FOLDER_FILES = ("ground.csv", "level.toml", "objects.csv", "obstacles.csv")
@@ -62,48 +62,71 @@ def load_levels(config: EnvConfig, monster_codes: Mapping[int, str]) -> list[Lev
     names = [config.level]
     if config.random_levels > 1:
         split, first = parse_name(config.level)
-        names = [f"{RANDOM}{split}:{first + i}" for i in range(config.random_levels)]
+        numbers = range(first, first + config.random_levels)
+        names = [f"{RANDOM}{split}:{number}" for number in numbers]
     return [load_level(name, monster_codes, config.monsters) for name in names]
 
 
 def load_level(name: str, monster_codes: Mapping[int, str], monsters: str = "bamboo") -> Level:
     """Load a level by its name.
 
-    `monster_codes` has the kind of monster of each code; `monsters` live on random levels.
+    Args:
+        name: of a shipped or random level, or the path of a folder.
+        monster_codes: the name of the monster that each code in a folder's tables stands for.
+        monsters: who lives on random levels, as in `EnvConfig`.
     """
     if name.startswith(RANDOM):
         return random_level(*parse_name(name), monsters)
     folder = _level_path(name)
-    path = folder / "level.toml"
-    file = read_toml(path) if path.is_file() else TomlFile(path, "", {})
-    file.data.setdefault("title", folder.resolve().name or "level")
-    header = read_model(Header, file)
-    blocked = _read_layer(folder / "obstacles.csv")
-    path = folder / "ground.csv"
-    ground = _read_layer(path) if path.is_file() else np.full_like(blocked, EMPTY)
-    if ground.shape != blocked.shape:
-        raise UserError(f"{folder}: ground of {ground.shape} tiles, and obstacles of {blocked.shape}")
-    terrain = np.where(blocked != EMPTY, rules.SOLID, rules.OPEN)
+    header = _read_header(folder)
+    obstacles = _read_layer(folder / "obstacles.csv")
+    ground = np.full_like(obstacles, EMPTY)
+    if (folder / "ground.csv").is_file():
+        ground = _read_layer(folder / "ground.csv")
+    if ground.shape != obstacles.shape:
+        raise UserError(f"{folder}: ground of {ground.shape} tiles, and obstacles of {obstacles.shape}")
+    terrain = np.where(obstacles != EMPTY, rules.SOLID, rules.OPEN)
     terrain[np.isin(ground, header.coast)] = rules.COAST
     rows, columns = ground.shape
     column, row = header.origin or (columns / 2, rows / 2)
-    objects = _read_objects(folder / "objects.csv", monster_codes)
+    starts = []
+    living = []
+    for code, x, y in _read_objects(folder / "objects.csv", monster_codes):
+        if code == START_CODE:
+            starts.append((x, y))
+        else:
+            living.append(MonsterPlace(monster_codes[code], x, y))
+    if not starts:
+        raise UserError(f"{folder / 'objects.csv'}: no start place")
+    if name.startswith("~"):
+        name = str(folder)
     return Level(
-        name=str(folder) if name.startswith("~") else name,
+        name=name,
         title=header.title,
         tile=header.tile,
         left=-column * header.tile,
         top=-row * header.tile,
         ground=ground,
         terrain=terrain.astype(np.uint8),
-        starts=np.array([(x, y) for code, x, y in objects if code == START_CODE], np.float64),
-        monsters=tuple((monster_codes[int(code)], x, y) for code, x, y in objects if code != START_CODE),
+        starts=np.array(starts, np.float64),
+        monsters=tuple(living),
     )
+
+
+def _read_header(folder: Path) -> Header:
+    path = folder / "level.toml"
+    file = TomlFile(path, "", {})
+    if path.is_file():
+        file = read_toml(path)
+    file.data.setdefault("title", folder.resolve().name or "level")
+    return read_model(Header, file)
 
 
 def level_files(name: str) -> list[Path]:
     """Return the user's own files of a level; none for shipped and random levels."""
-    return _folder_files(_level_path(name)) if is_own_level(name) else []
+    if not is_own_level(name):
+        return []
+    return _folder_files(_level_path(name))
 
 
 def _level_path(name: str) -> Path:
@@ -117,7 +140,8 @@ def _level_path(name: str) -> Path:
 
 
 def _folder_files(folder: Path) -> list[Path]:
-    return [folder / name for name in FOLDER_FILES if (folder / name).is_file()]
+    paths = [folder / name for name in FOLDER_FILES]
+    return [path for path in paths if path.is_file()]
 
 
 def _read_layer(path: Path) -> np.ndarray:
@@ -129,47 +153,58 @@ def _read_layer(path: Path) -> np.ndarray:
 
 def _read_objects(path: Path, monster_codes: Mapping[int, str]) -> list[tuple[int, float, float]]:
     """Return code, x and y of start places and monsters, in the file's order."""
-    table = _read_table(path, [("code", np.int64), ("x", np.float64), ("y", np.float64)], "code,x,y")
+    columns = [("code", np.int64), ("x", np.float64), ("y", np.float64)]
+    table = _read_table(path, columns, header="code,x,y")
     if len(table) > MOST_PLACES:
         raise UserError(f"{path}: more than {MOST_PLACES} start places and monsters are not allowed")
-    codes = _codes(path, table["code"][:, None])[:, 0]
-    for column, pixels in enumerate((table["x"], table["y"]), 2):
-        if not np.isfinite(pixels).all():
-            row = int(np.isfinite(pixels).argmin())
+    codes = _codes(path, table["code"][:, None])[:, 0].tolist()
+    for column, pixels in ((2, table["x"]), (3, table["y"])):
+        finite = np.isfinite(pixels)
+        if not finite.all():
+            row = int(finite.argmin())
             raise UserError(f"{path}: row {row + 2}, column {column}: {pixels[row]} is not allowed")
-    known = [START_CODE, *monster_codes]
-    if unknown := [code for code in codes.tolist() if code not in known]:
-        raise UserError(f"{path}: unknown code {unknown[0]}; known are {', '.join(map(str, known))}")
-    if START_CODE not in codes:
-        raise UserError(f"{path}: no start place")
-    return [*zip(codes.tolist(), table["x"].tolist(), table["y"].tolist(), strict=True)]
+    allowed = [START_CODE, *monster_codes]
+    for code in codes:
+        if code not in allowed:
+            raise UserError(f"{path}: unknown code {code}; known are {', '.join(map(str, allowed))}")
+    return list(zip(codes, table["x"].tolist(), table["y"].tolist(), strict=True))
 
 
 def _codes(path: Path, table: np.ndarray) -> np.ndarray:
     """Return codes without their highest four of 32 bits, by which Tiled turns its picture."""
-    for row, column in np.argwhere((table < -(2**31)) | (table >= 2**32)).tolist():
-        wrong = table[row, column]
-        raise UserError(f"{path}: row {row + 1}, column {column + 1}: {wrong} is not allowed")
+    too_large = (table < -(2**31)) | (table >= 2**32)
+    if too_large.any():
+        row, column = np.argwhere(too_large)[0]
+        code = table[row, column]
+        raise UserError(f"{path}: row {row + 1}, column {column + 1}: {code} is not allowed")
     return np.where(table == EMPTY, EMPTY, table % 2**28)
 
 
-def _read_table(path: Path, kinds: Any, head: str = "") -> np.ndarray:
-    """Return a CSV table of numbers, of these kinds a column, below the line `head` if given."""
+def _read_table(path: Path, dtype: Any, header: str = "") -> np.ndarray:
+    """Return a CSV file of numbers: a table, or below a header a record for each row."""
     lines = read_text(path).splitlines()
-    if head and lines[:1] != [head]:
-        raise UserError(f"{path}: the first line must be {head}")
-    below = int(bool(head))
+    header_lines = 0
+    dimensions = 2
+    if header:
+        header_lines = 1
+        dimensions = 1
+        if lines[:1] != [header]:
+            raise UserError(f"{path}: the first line must be {header}")
+    rows = lines[header_lines:]
     try:
         with catch_warnings(action="ignore", category=UserWarning):  # that there are no rows
-            return np.loadtxt(lines[below:], kinds, delimiter=",", comments=None, ndmin=1 if head else 2)
+            return np.loadtxt(rows, dtype, delimiter=",", comments=None, ndmin=dimensions)
     except ValueError as error:
-        raise UserError(f"{path}: {_mended(str(error), below)}") from None
+        raise UserError(f"{path}: {_with_file_row(str(error), header_lines)}") from None
 
 
-def _mended(message: str, below: int) -> str:
-    """Return NumPy's message, short, with rows counted from 1; where a cell is wrong it counts from 0."""
-    told = re.fullmatch(r"(.*) at row (\d+)(?:(, column \d+)\.|; use .*)", message, re.DOTALL)
-    if told is None:
+def _with_file_row(message: str, header_lines: int) -> str:
+    """Return NumPy's message, short, with rows of the file counted from 1."""
+    match = re.fullmatch(r"(.*) at row (\d+)(?:(, column \d+)\.|; use .*)", message, re.DOTALL)
+    if match is None:
         return message[:90]
-    what, row, column = told.groups(default="")
-    return f"row {int(row) + below + bool(column)}{column}: {what[:90]}"
+    problem, row, column = match.groups(default="")
+    file_row = int(row) + header_lines
+    if column:  # NumPy counts rows from 0 where a cell is wrong, and from 1 elsewhere
+        file_row += 1
+    return f"row {file_row}{column}: {problem[:90]}"

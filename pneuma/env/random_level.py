@@ -17,7 +17,18 @@ import numpy as np
 from scipy.ndimage import convolve
 
 from pneuma.env import rules
-from pneuma.env.level import BRIDGE, GRASS, RANDOM, SAND, SNOW, WATER, Level, first_cut_off, walkable_regions
+from pneuma.env.level import (
+    BRIDGE,
+    GRASS,
+    RANDOM,
+    SAND,
+    SNOW,
+    WATER,
+    Level,
+    MonsterPlace,
+    first_cut_off,
+    walkable_regions,
+)
 from pneuma.errors import UserError, nearest_name
 
 SPLITS = ("train", "test")
@@ -26,18 +37,18 @@ ROWS, COLUMNS = 50, 57
 TILE = 64
 ORIGIN = (28, 25)
 STARTS = 6
-KINDS = {
+POPULATIONS = {
     "bamboo": ("bamboo",) * 14,
     "mixed": ("bamboo",) * 8 + ("squid", "raccoon", "spirit") * 2,
 }
-"""The kinds of monsters, by the field `monsters`."""
-COUNT = 14
+"""The monsters of an island, by the field `monsters`."""
+MONSTERS = 14
 
 MARGIN = 3
 """Water on every side, in tiles."""
-LAND = (1000, 1600)
-"""Least and most tiles of land."""
-LEAST = 100
+LEAST_LAND, MOST_LAND = 1000, 1600
+"""Tiles of land."""
+LEAST_OF_A_GROUND = 100
 """Least tiles of snow, grass and sand."""
 START_GAP, MONSTER_GAP = 6, 4
 """Least distances in tiles: from a start place to anything (more than a monster notices), and between
@@ -52,41 +63,49 @@ Draw = Callable[[int], np.ndarray]
 def parse_name(name: str) -> tuple[str, int]:
     """Return split and number of a random level's name, such as random:train:17."""
     split, _, number = name.removeprefix(RANDOM).partition(":")
-    if split in SPLITS and re.fullmatch(r"0|[1-9][0-9]{0,19}", number) and int(number) < NUMBERS:
-        return split, int(number)
-    right = f"random:{split if split in SPLITS else 'train'}:17, with a whole number from 0 in the last place"
-    hint = "" if split in SPLITS else nearest_name(split, SPLITS)
-    raise UserError(f"level {name!r} is not allowed{hint}: the form is {right}")
+    if split not in SPLITS:
+        hint = nearest_name(split, SPLITS)
+        form = "random:train:17, with a whole number from 0 in the last place"
+        raise UserError(f"level {name!r} is not allowed{hint}: the form is {form}")
+    if not re.fullmatch(r"0|[1-9][0-9]{0,19}", number) or int(number) >= NUMBERS:
+        form = f"random:{split}:17, with a whole number from 0 in the last place"
+        raise UserError(f"level {name!r} is not allowed: the form is {form}")
+    return split, int(number)
 
 
 def random_level(split: str, number: int, monsters: str = "bamboo") -> Level:
     """Generate the island of a number; equal arguments give equal levels, in any order.
 
-    What is called `monsters` in `EnvConfig` says who lives on it, at places that do not depend on that.
-
     Every monster can be walked to from every start place by a body as wide as a tile.
+
+    Args:
+        split: "train" or "test".
+        number: of the island.
+        monsters: who lives on it, as in `EnvConfig`, at places that do not depend on that.
     """
     generator = np.random.Generator(np.random.Philox(key=2 * number + SPLITS.index(split)))
     for _ in range(_ATTEMPTS):
-        level = _attempt(generator.random, split, number, KINDS[monsters])
-        if level is not None and first_cut_off(level, level.terrain == rules.OPEN, TILE, COUNT) is None:
+        level = _attempt(generator.random, split, number, POPULATIONS[monsters])
+        if level is None:
+            continue
+        if first_cut_off(level, level.terrain == rules.OPEN, TILE, MONSTERS) is None:
             return level
-    raise UserError(f"level {RANDOM}{split}:{number}: no room for {COUNT} monsters")
+    raise UserError(f"level {RANDOM}{split}:{number}: no room for {MONSTERS} monsters")
 
 
-def _attempt(draw: Draw, split: str, number: int, kinds: tuple[str, ...]) -> Level | None:
+def _attempt(draw: Draw, split: str, number: int, population: tuple[str, ...]) -> Level | None:
     """Generate an island with everything on it; None if it is not valid."""
     ground = _draw_ground(draw)
     terrain = _draw_terrain(draw, ground)
-    tiles = _choose_places(draw, terrain, STARTS + COUNT)
-    shares = np.bincount(ground.ravel(), minlength=BRIDGE + 1)
-    if (
-        tiles is None
-        or not LAND[0] <= shares[SNOW:].sum() <= LAND[1]
-        or shares[SNOW : SAND + 1].min() < LEAST
-    ):
+    tiles = _choose_tiles(draw, terrain, STARTS + MONSTERS)
+    tiles_by_ground = np.bincount(ground.ravel(), minlength=BRIDGE + 1)
+    if tiles is None or not LEAST_LAND <= tiles_by_ground[SNOW:].sum() <= MOST_LAND:
         return None
-    x, y = (tiles[:, 1] - ORIGIN[0] + 0.5) * TILE, (tiles[:, 0] - ORIGIN[1] + 0.5) * TILE
+    if tiles_by_ground[SNOW : SAND + 1].min() < LEAST_OF_A_GROUND:
+        return None
+    x = (tiles[:, 1] - ORIGIN[0] + 0.5) * TILE
+    y = (tiles[:, 0] - ORIGIN[1] + 0.5) * TILE
+    monsters = zip(population, x[STARTS:].tolist(), y[STARTS:].tolist(), strict=True)
     return Level(
         name=f"{RANDOM}{split}:{number}",
         title=f"Random island {number} ({split})",
@@ -96,7 +115,7 @@ def _attempt(draw: Draw, split: str, number: int, kinds: tuple[str, ...]) -> Lev
         ground=ground,
         terrain=terrain,
         starts=np.stack([x, y], axis=1)[:STARTS],
-        monsters=tuple(zip(kinds, x[STARTS:].tolist(), y[STARTS:].tolist(), strict=True)),
+        monsters=tuple(MonsterPlace(name, x, y) for name, x, y in monsters),
     )
 
 
@@ -120,18 +139,22 @@ def _draw_ground(draw: Draw) -> np.ndarray:
 
 def _draw_land(draw: Draw) -> np.ndarray:
     """Return (rows, columns) bool: a rough oval with bays and capes, without tiny islands and lakes."""
-    width, height, corners = 19 + 5 * draw(1)[0], 16 + 4 * draw(1)[0], 0.7 * draw(1)[0]
+    width = 19 + 5 * draw(1)[0]
+    height = 16 + 4 * draw(1)[0]
+    corners = 0.7 * draw(1)[0]
     across = ((np.arange(COLUMNS) - (COLUMNS - 1) / 2) / width)[None, :]
     down = ((np.arange(ROWS) - (ROWS - 1) / 2) / height)[:, None]
-    x, y = across * across, down * down
-    oval, box = x + y, x * x + y * y  # how far out, 1 on the shore
+    squared_x, squared_y = across * across, down * down
+    oval = squared_x + squared_y  # how far out, 1 on the shore
+    box = squared_x * squared_x + squared_y * squared_y
     rough = 1.1 * (_draw_noise(draw, 9) - 0.5) + 0.5 * (_draw_noise(draw, 4) - 0.5)
     land = oval * (1 - corners) + box * corners + rough < 1
     inside = np.zeros_like(land)
     inside[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
     for _ in range(3):
         land = (_count_around(land) >= 5) & inside  # as most tiles around
-    return _without_specks(~_without_specks(~land, 6), 12)
+    without_lakes = ~_without_specks(~land, 6)
+    return _without_specks(without_lakes, 12)
 
 
 def _draw_border(draw: Draw, row: int, swing: float) -> np.ndarray:
@@ -145,26 +168,25 @@ def _dig_strait(draw: Draw, ground: np.ndarray, sand_begins: np.ndarray) -> None
     """Separate the sand by a strait, with two or three bridges where both shores have room."""
     width = 2 + int(draw(1)[0] * 2)
     shore = np.ceil(sand_begins).astype(np.int64)
-    places = _bridge_places(ground, shore, width)
+    bridge_columns = _bridge_columns(ground, shore, width)
     rows = np.arange(ROWS)[:, None]
     ground[(rows >= shore) & (rows < shore + width)] = WATER
-    for part in np.array_split(places, 2 + int(draw(1)[0] * 2)):
-        if len(part):
-            column = int(part[int(draw(1)[0] * len(part))])
+    bridges = 2 + int(draw(1)[0] * 2)
+    for section in np.array_split(bridge_columns, bridges):
+        if len(section):
+            column = int(section[int(draw(1)[0] * len(section))])
             ground[shore[column] : shore[column] + width, column - 1 : column + 2] = BRIDGE
 
 
-def _bridge_places(ground: np.ndarray, shore: np.ndarray, width: int) -> np.ndarray:
+def _bridge_columns(ground: np.ndarray, shore: np.ndarray, width: int) -> np.ndarray:
     """Return the columns where a bridge three tiles wide has two tiles of land on each shore."""
     straight = (shore[:-2] == shore[1:-1]) & (shore[1:-1] == shore[2:])
-    return np.array(
-        [
-            column
-            for column in (np.flatnonzero(straight) + 1).tolist()
-            if (ground[shore[column] - 2 : shore[column] + width + 2, column - 1 : column + 2] != WATER).all()
-        ],
-        np.int64,
-    )
+    columns = []
+    for column in (np.flatnonzero(straight) + 1).tolist():
+        around = ground[shore[column] - 2 : shore[column] + width + 2, column - 1 : column + 2]
+        if (around != WATER).all():
+            columns.append(column)
+    return np.array(columns, np.int64)
 
 
 # --- Obstacles and places ------------------------------------------------------------------------
@@ -180,20 +202,24 @@ def _draw_terrain(draw: Draw, ground: np.ndarray) -> np.ndarray:
     return terrain.astype(np.uint8)
 
 
-def _choose_places(draw: Draw, terrain: np.ndarray, count: int) -> np.ndarray | None:
+def _choose_tiles(draw: Draw, terrain: np.ndarray, count: int) -> np.ndarray | None:
     """Return (count, 2) rows and columns, start places first, far apart and with open tiles around."""
     free = terrain == rules.OPEN
     regions = walkable_regions(free)
     roomy = (regions == _largest(regions)) & (_count_around(free) == 9)
     tiles = np.argwhere(roomy)
     tiles = tiles[np.argsort(draw(len(tiles)), kind="stable")]
-    chosen: list[np.ndarray] = []
-    while len(chosen) < count and len(tiles):
-        place = tiles[0]
-        chosen.append(place)
-        gap = START_GAP if len(chosen) <= STARTS else MONSTER_GAP
-        tiles = tiles[((tiles - place) ** 2).sum(axis=1) >= gap * gap]
-    return np.array(chosen) if len(chosen) == count else None
+    selected: list[np.ndarray] = []
+    while len(selected) < count and len(tiles):
+        tile = tiles[0]
+        selected.append(tile)
+        gap = MONSTER_GAP
+        if len(selected) <= STARTS:
+            gap = START_GAP
+        tiles = tiles[((tiles - tile) ** 2).sum(axis=1) >= gap * gap]
+    if len(selected) < count:
+        return None
+    return np.array(selected)
 
 
 # --- Shapes --------------------------------------------------------------------------------------
@@ -201,19 +227,20 @@ def _choose_places(draw: Draw, terrain: np.ndarray, count: int) -> np.ndarray | 
 
 def _draw_noise(draw: Draw, cell: int) -> np.ndarray:
     """Return (rows, columns) smooth random numbers in [0, 1) that change over `cell` tiles."""
-    down, along = ROWS // cell + 2, COLUMNS // cell + 2
-    corners = draw(down * along).reshape(down, along)
-    (row, below), (column, beyond) = (_steps(count, cell) for count in (ROWS, COLUMNS))
+    cell_rows, cell_columns = ROWS // cell + 2, COLUMNS // cell + 2
+    corners = draw(cell_rows * cell_columns).reshape(cell_rows, cell_columns)
+    row, below = _cells(ROWS, cell)
+    column, beyond = _cells(COLUMNS, cell)
     upper = corners[row][:, column] * (1 - beyond) + corners[row][:, column + 1] * beyond
     lower = corners[row + 1][:, column] * (1 - beyond) + corners[row + 1][:, column + 1] * beyond
     return upper * (1 - below[:, None]) + lower * below[:, None]
 
 
-def _steps(count: int, cell: int) -> tuple[np.ndarray, np.ndarray]:
+def _cells(count: int, cell: int) -> tuple[np.ndarray, np.ndarray]:
     """Return, for each of `count` tiles, its cell and how far into it, eased at both ends."""
-    whole = np.arange(count) // cell
-    part = np.arange(count) / cell - whole
-    return whole, part * part * (3 - 2 * part)
+    indices = np.arange(count) // cell
+    fraction = np.arange(count) / cell - indices
+    return indices, fraction * fraction * (3 - 2 * fraction)
 
 
 def _count_around(tiles: np.ndarray) -> np.ndarray:
@@ -221,10 +248,15 @@ def _count_around(tiles: np.ndarray) -> np.ndarray:
     return np.asarray(convolve(tiles.astype(np.int64), np.ones((3, 3), np.int64), mode="constant"))
 
 
-def _without_specks(tiles: np.ndarray, least: int) -> np.ndarray:
+def _without_specks(tiles: np.ndarray, smallest: int) -> np.ndarray:
+    """Leave out the regions of set tiles that have fewer than `smallest`."""
     regions = walkable_regions(tiles)
-    return (regions > 0) & (np.bincount(regions.ravel())[regions] >= least)
+    sizes = np.bincount(regions.ravel())
+    return (regions > 0) & (sizes[regions] >= smallest)
 
 
 def _largest(regions: np.ndarray) -> int:
-    return int(np.bincount(regions.ravel())[1:].argmax()) + 1 if regions.any() else 1
+    """Return the number of the region with the most tiles; 1 if there is none."""
+    if not regions.any():
+        return 1
+    return int(np.bincount(regions.ravel())[1:].argmax()) + 1
