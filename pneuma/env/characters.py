@@ -26,14 +26,16 @@ TICKS_PER_STEP = 8
 """Godot RL Agents repeats every action for this many ticks."""
 
 DATA = Path(__file__).parent / "data"
-FACINGS = ("down", "left", "up", "right")
+DIRECTIONS = {"down": (0, 1), "left": (-1, 0), "up": (0, -1), "right": (1, 0)}
+"""Where one who faces that way looks, on x and y."""
+FACINGS = tuple(DIRECTIONS)
 """Names of `rules.DOWN`, `LEFT`, `UP` and `RIGHT`."""
 
 _Points = Annotated[float, Field(ge=0, le=1e6)]
 _Hp = Annotated[float, Field(gt=0, le=1e6)]
 _Speed = Annotated[float, Field(ge=0, le=3000)]
 _Seconds = Annotated[float, Field(ge=0, le=60)]
-_Lasting = Annotated[float, Field(ge=1 / TICKS_PER_SECOND, le=60)]
+_Duration = Annotated[float, Field(ge=1 / TICKS_PER_SECOND, le=60)]
 _Side = Annotated[float, Field(ge=1, le=4096), Rounded]
 _Offset = Annotated[float, Field(ge=-4096, le=4096), Rounded]
 _Ahead = Annotated[float, Field(ge=0, le=4096)]
@@ -51,10 +53,11 @@ class _Body(Table):
 
     @model_validator(mode="after")
     def _position_inside(self) -> _Body:
-        if any(abs(at) >= side / 2 for at, side in zip(self.body_at, self.body, strict=True)):
-            message = f"body_at = {list(self.body_at)} with body = {list(self.body)} is not allowed"
-            # The body may be at the grid's edge, where the position must not be outside.
-            raise wrong(f"{message}: the position must lie inside the body")
+        for offset, side in zip(self.body_at, self.body, strict=True):
+            if abs(offset) >= side / 2:
+                message = f"body_at = {list(self.body_at)} with body = {list(self.body)} is not allowed"
+                # The body may be at the grid's edge, where the position must not be outside.
+                raise wrong(f"{message}: the position must lie inside the body")
         return self
 
 
@@ -76,17 +79,19 @@ class Reach(Table):
 
     def places(self) -> list[tuple[float, ...]]:
         """Return x and y relative to the player, by facing."""
-        ways = ((0, 1), (-1, 0), (0, -1), (1, 0))
-        reaches = [getattr(self, facing) for facing in FACINGS]
-        return [
-            each if isinstance(each, tuple) else (each * x, each * y)
-            for each, (x, y) in zip(reaches, ways, strict=True)
-        ]
+        places = []
+        for facing, (x, y) in DIRECTIONS.items():
+            reach = getattr(self, facing)
+            if isinstance(reach, tuple):
+                places.append(reach)
+            else:
+                places.append((reach * x, reach * y))
+        return places
 
 
 class Weapon(Table):
     damage: _Points
-    swing: _Lasting
+    swing: _Duration
     knock_back: _Speed
     knock_back_time: _Seconds
     box: _Box
@@ -97,7 +102,7 @@ class Weapon(Table):
 class Spell(Table):
     strength: _Points
     cost: _Points
-    cast: _Lasting
+    cast: _Duration
 
 
 class Heal(Spell):
@@ -164,17 +169,23 @@ def load_characters(name: str = "") -> Characters:
     It is a user's own, by its path, or a shipped variant, by its name; empty for none.
     """
     file = read_toml(DATA / "characters.toml")
-    for path in character_files(name) if name not in SHIPPED_CHARACTERS else [DATA / f"{name}.toml"]:
-        users = read_toml(path)
-        file = TomlFile(path, users.text, _laid_over(file.data, users.data))
+    overriding = character_files(name)
+    if name in SHIPPED_CHARACTERS:
+        overriding = [DATA / f"{name}.toml"]
+    for path in overriding:
+        override = read_toml(path)
+        file = TomlFile(path, override.text, _overridden(file.data, override.data))
     return read_model(Characters, file)
 
 
-def _laid_over(data: Any, over: Any, depth: int = 2) -> Any:
+def _overridden(shipped: Any, override: Any, depth: int = 2) -> Any:
     """Return tables in which a file's keys replace those of the shipped ones, key by key."""
-    if depth < 0 or not isinstance(over, dict) or not isinstance(data, dict):
-        return over
-    return {**data, **{key: _laid_over(data.get(key, {}), value, depth - 1) for key, value in over.items()}}
+    if depth < 0 or not isinstance(override, dict) or not isinstance(shipped, dict):
+        return override
+    tables = dict(shipped)
+    for key, value in override.items():
+        tables[key] = _overridden(shipped.get(key, {}), value, depth - 1)
+    return tables
 
 
 def character_files(name: str) -> list[Path]:
@@ -183,14 +194,15 @@ def character_files(name: str) -> list[Path]:
         return []
     path = Path(os.path.expanduser(name))
     if not path.is_file():
-        hint, known = nearest_name(name, SHIPPED_CHARACTERS), ", ".join(SHIPPED_CHARACTERS)
-        raise UserError(f"characters {name!r}: no such file{hint}; shipped are {known}")
+        hint = nearest_name(name, SHIPPED_CHARACTERS)
+        shipped = ", ".join(SHIPPED_CHARACTERS)
+        raise UserError(f"characters {name!r}: no such file{hint}; shipped are {shipped}")
     return [path]
 
 
 def monster_codes(characters: Characters) -> dict[int, str]:
-    """Return the kind of monster of each entity code in a level's layer."""
-    return {kind.code: name for name, kind in characters.monsters.items()}
+    """Return the monster's name for each code in a level's table of objects."""
+    return {monster.code: name for name, monster in characters.monsters.items()}
 
 
 def player_stats(characters: Characters, classes: Sequence[str]) -> np.ndarray:
@@ -199,8 +211,8 @@ def player_stats(characters: Characters, classes: Sequence[str]) -> np.ndarray:
     for row, name in zip(stats, classes, strict=True):
         if name not in characters.players:
             raise unknown_name("class", name, characters.players)
-        character = characters.players[name]
-        _fill_player(row, character, characters.weapons[character.weapon], characters.spells)
+        player = characters.players[name]
+        _fill_player(row, player, characters.weapons[player.weapon], characters.spells)
     return stats
 
 
@@ -208,13 +220,15 @@ def monster_stats(
     characters: Characters, levels: Sequence[Level], players: np.ndarray, magic: bool
 ) -> np.ndarray:
     """Return the stats of each monster of each level, (L, M) `state.MONSTER_STATS`."""
-    kinds = dict(
-        zip(characters.monsters, np.zeros(len(characters.monsters), state.MONSTER_STATS), strict=True)
-    )
-    for name, row in kinds.items():
-        _fill_monster(row, characters.monsters[name])
+    stats_by_name = {}
+    for name, monster in characters.monsters.items():
+        row = np.zeros(1, state.MONSTER_STATS)[0]
+        _fill_monster(row, monster)
         row["reach_squared"] = _reach(row, players, magic) ** 2
-    rows = [[kinds[monster.name].item() for monster in level.monsters] for level in levels]
+        stats_by_name[name] = row.item()
+    rows = []
+    for level in levels:
+        rows.append([stats_by_name[monster.name] for monster in level.monsters])
     return np.array(rows, state.MONSTER_STATS)
 
 
@@ -231,50 +245,60 @@ def _ticks(seconds: float) -> int:
     return round(seconds * TICKS_PER_SECOND)
 
 
-def _fill(row: Any, character: _Body) -> None:
-    """Write what a character and the rules call alike, and its body."""
-    for name in row.dtype.names:
-        if isinstance(value := getattr(character, name, None), int | float):
-            row[name] = value
-    row["speed"] = character.speed / TICKS_PER_SECOND
-    row["half_width"], row["half_height"] = (side / 2 for side in character.body)
-    row["body_x"], row["body_y"] = character.body_at
-    row["safe"] = _ticks(character.invulnerable)
+def _fill_body(row: Any, body: _Body) -> None:
+    row["hp"] = body.hp
+    row["speed"] = body.speed / TICKS_PER_SECOND
+    row["half_width"] = body.body[0] / 2
+    row["half_height"] = body.body[1] / 2
+    row["body_x"], row["body_y"] = body.body_at
+    row["safe"] = _ticks(body.invulnerable)
 
 
-def _fill_player(row: Any, character: Player, weapon: Weapon, spells: Spells) -> None:
-    flame, heal = spells.flame, spells.heal
-    _fill(row, character)
-    row["energy_gain"] = character.energy_recovery * character.magic / TICKS_PER_SECOND
-    row["swing"], row["flame_ticks"], row["heal_ticks"] = map(_ticks, (weapon.swing, flame.cast, heal.cast))
-    row["flame_cost"], row["heal_cost"] = flame.cost, heal.cost
-    row["heal"], row["heal_reach"] = heal.strength, heal.reach
-    ahead = Reach(**dict.fromkeys(FACINGS, flame.length / 2))
-    _fill_strike(row["sword"], weapon.box, weapon.reach, weapon.damage + character.attack)
-    _fill_strike(row["flame"], (flame.length, flame.width), ahead, flame.strength + character.magic)
+def _fill_player(row: Any, player: Player, weapon: Weapon, spells: Spells) -> None:
+    _fill_body(row, player)
+    row["energy"] = player.energy
+    row["energy_gain"] = player.energy_recovery * player.magic / TICKS_PER_SECOND
+    row["swing"] = _ticks(weapon.swing)
+    row["flame_ticks"] = _ticks(spells.flame.cast)
+    row["flame_cost"] = spells.flame.cost
+    row["heal_ticks"] = _ticks(spells.heal.cast)
+    row["heal_cost"] = spells.heal.cost
+    row["heal"] = spells.heal.strength
+    row["heal_reach"] = spells.heal.reach
+    _fill_strike(row["sword"], weapon.box, weapon.reach, weapon.damage + player.attack)
+    hilt = weapon.hilt or weapon.reach
+    row["sword"]["hilt_x"], row["sword"]["hilt_y"] = np.transpose(hilt.places())
+    row["sword"]["knock_speed"] = weapon.knock_back / TICKS_PER_SECOND
+    row["sword"]["knock_ticks"] = _ticks(weapon.knock_back_time)
+    flame_box = (spells.flame.length, spells.flame.width)
+    flame_reach = Reach(**dict.fromkeys(FACINGS, spells.flame.length / 2))
+    _fill_strike(row["flame"], flame_box, flame_reach, spells.flame.strength + player.magic)
     row["flame"]["knock_ticks"] = -1
-    sword = row["sword"]
-    sword["hilt_x"], sword["hilt_y"] = zip(*(weapon.hilt or weapon.reach).places(), strict=True)
-    sword["knock_speed"] = weapon.knock_back / TICKS_PER_SECOND
-    sword["knock_ticks"] = _ticks(weapon.knock_back_time)
 
 
 def _fill_strike(strike: Any, box: tuple[float, ...], reach: Reach, damage: float) -> None:
-    along, across = box[0] / 2, box[1] / 2  # its sides are those of facing left or right
-    strike["x"], strike["y"] = zip(*reach.places(), strict=True)
-    strike["half_width"] = [across, along, across, along]
-    strike["half_height"] = [along, across, along, across]
+    ahead, aside = box[0] / 2, box[1] / 2  # its sides are those of facing left or right
+    strike["x"], strike["y"] = np.transpose(reach.places())
+    strike["half_width"] = [aside, ahead, aside, ahead]
+    strike["half_height"] = [ahead, aside, ahead, aside]
     strike["damage"] = damage
 
 
-def _fill_monster(row: Any, kind: Monster) -> None:
-    _fill(row, kind)
-    for name in ("notice", "attack"):
-        row[f"{name}_squared"] = getattr(kind, name) ** 2
-        row[f"{name}_x"], row[f"{name}_y"] = getattr(kind, f"{name}_at")
-    row["bite_ticks"] = _ticks(kind.bite_time)
-    row["knock_ticks"] = -1 if kind.knock_back_time is None else _ticks(kind.knock_back_time)
-    row["knock_speed"] = (kind.knock_back or 0.0) / TICKS_PER_SECOND
+def _fill_monster(row: Any, monster: Monster) -> None:
+    _fill_body(row, monster)
+    row["notice_squared"] = monster.notice**2
+    row["notice_x"], row["notice_y"] = monster.notice_at
+    row["attack_squared"] = monster.attack**2
+    row["attack_x"], row["attack_y"] = monster.attack_at
+    row["stand_off"] = monster.stand_off
+    row["damage"] = monster.damage
+    row["bite_ticks"] = _ticks(monster.bite_time)
+    row["xp"] = monster.xp
+    row["heal"] = monster.heal
+    row["knock_ticks"] = -1
+    if monster.knock_back is not None and monster.knock_back_time is not None:
+        row["knock_speed"] = monster.knock_back / TICKS_PER_SECOND
+        row["knock_ticks"] = _ticks(monster.knock_back_time)
 
 
 def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:
@@ -284,12 +308,15 @@ def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:
     distance that a player walks.
     """
     body = float(np.hypot(monster["half_width"], monster["half_height"]))
-    furthest = [body + float(np.hypot(monster["body_x"], monster["body_y"]))]
-    for name in ("notice", "attack"):
-        away = np.hypot(monster[f"{name}_x"], monster[f"{name}_y"])
-        furthest.append(math.sqrt(monster[f"{name}_squared"]) + float(away))
-    for strike in (players["sword"], players["flame"]) if magic else (players["sword"],):
+    distances = [body + float(np.hypot(monster["body_x"], monster["body_y"]))]
+    for circle in ("notice", "attack"):
+        offset = float(np.hypot(monster[f"{circle}_x"], monster[f"{circle}_y"]))
+        distances.append(math.sqrt(monster[f"{circle}_squared"]) + offset)
+    strikes = [players["sword"]]
+    if magic:
+        strikes.append(players["flame"])
+    for strike in strikes:
         x = np.abs(strike["x"] - players["body_x"][:, None]) + strike["half_width"]
         y = np.abs(strike["y"] - players["body_y"][:, None]) + strike["half_height"]
-        furthest.append(float(np.hypot(x, y).max()) + furthest[0])
-    return max(furthest) + float(players["speed"].max()) * TICKS_PER_STEP + 1.0
+        distances.append(float(np.hypot(x, y).max()) + distances[0])
+    return max(distances) + float(players["speed"].max()) * TICKS_PER_STEP + 1.0
