@@ -7,7 +7,7 @@ give the same bits for the same seeds and actions.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -18,11 +18,19 @@ from pneuma.env.fields import EnvConfig, make_env_config
 from pneuma.env.layouts import fill_scales, observation_space
 from pneuma.env.level import Level, refuse_bad_places
 from pneuma.env.load_level import load_levels
-from pneuma.env.reward import custom_rewards, load_reward, present
+from pneuma.env.reward import RewardFunction, custom_rewards, load_reward, present
 from pneuma.errors import UserError
 
 ENDINGS = ("running", "killed", "cleared", "time-limit")
 """Names of `rules.RUNNING`, `KILLED`, `CLEARED` and `TIME_LIMIT`."""
+
+
+class _OwnReward(NamedTuple):
+    """A user's own reward, and the players that it pays."""
+
+    name: str
+    function: RewardFunction
+    players: list[int]
 
 
 class Worlds:
@@ -46,44 +54,54 @@ class Worlds:
     def __init__(self, count: int, config: EnvConfig | None = None) -> None:
         config = self.config = make_env_config(vars(config or EnvConfig()))  # checked, however it was made
         cast = characters.load_characters(config.characters)
-        self.player_stats = characters.player_stats(cast, _one_each(config.classes, config))
+        self.player_stats = characters.player_stats(cast, _by_player(config.classes, config))
         if config.attack_ticks:
             self.player_stats["swing"] = config.attack_ticks
         self.action_names = fields.action_names(config)
         self.levels = load_levels(config, characters.monster_codes(cast))
-        rewards = _one_each(config.reward, config)
-        codes = {name: code for code, name in enumerate(fields.REWARDS)}
-        self.player_stats["reward"] = [codes.get(name, -1) for name in rewards]
-        self._custom = [
-            (name, load_reward(name), [p for p, reward in enumerate(rewards) if reward == name])
-            for name in dict.fromkeys(fields.own_rewards(rewards))
-        ]
+        self._choose_rewards(_by_player(config.reward, config))
         self.monster_stats = characters.monster_stats(cast, self.levels, self.player_stats, config.magic)
-        for level, kinds in zip(self.levels, self.monster_stats, strict=True):
-            refuse_bad_places(level, self.player_stats, kinds, config)
+        for level, level_stats in zip(self.levels, self.monster_stats, strict=True):
+            refuse_bad_places(level, self.player_stats, level_stats, config)
         self.settings = self._settings(config)
         fill_scales(self.settings[0], self.player_stats, self.monster_stats, config, self.levels)
         self.spaces = [
-            observation_space(self.settings[0], player, self.monster_stats, config, self.levels)
-            for player in self.player_stats
+            observation_space(self.settings[0], stats, self.monster_stats, config, self.levels)
+            for stats in self.player_stats
         ]
         self._actions = len(self.action_names)
         self.action_space = spaces.Discrete(self._actions)
-        self._allocate(count, self._actions)
+        self._allocate(count)
         self._try_rewards()
 
-    def _allocate(self, count: int, actions: int) -> None:
-        (players,), (levels, monsters) = self.player_stats.shape, self.monster_stats.shape
+    def _choose_rewards(self, rewards: tuple[str, ...]) -> None:
+        """Note the formula of each player, and a user's own functions with the players that they pay."""
+        players_by_function: dict[str, list[int]] = {}
+        for player, reward in enumerate(rewards):
+            if reward in fields.REWARDS:
+                self.player_stats["reward"][player] = fields.REWARDS.index(reward)
+            else:
+                self.player_stats["reward"][player] = -1
+                players_by_function.setdefault(reward, []).append(player)
+        self._own_rewards = [
+            _OwnReward(name, load_reward(name), players) for name, players in players_by_function.items()
+        ]
+
+    def _allocate(self, count: int) -> None:
+        """Make the arrays of all worlds, in which no episode has begun."""
+        (players,) = self.player_stats.shape
+        levels, monsters = self.monster_stats.shape
         first_players = np.zeros(players, state.PLAYER)
-        for name in ("hp", "energy"):
-            first_players[name] = self.player_stats[name]
+        first_players["hp"] = self.player_stats["hp"]
+        first_players["energy"] = self.player_stats["energy"]
         first_monsters = np.zeros((levels, monsters), state.MONSTER)
         first_monsters["hp"] = self.monster_stats["hp"]
-        homes = np.array([[place for _, *place in level.monsters] for level in self.levels], np.float64)
-        first_monsters["x"], first_monsters["y"] = np.moveaxis(homes.reshape(levels, monsters, 2), 2, 0)
+        for row, level in zip(first_monsters, self.levels, strict=True):
+            row["x"] = [monster.x for monster in level.monsters]
+            row["y"] = [monster.y for monster in level.monsters]
         no_events = np.zeros(1, state.EVENTS)
         no_events["distance"] = np.inf
-        given = {
+        constants = {
             "player_stats": self.player_stats,
             "monster_stats": self.monster_stats,
             "settings": self.settings,
@@ -93,36 +111,48 @@ class Worlds:
             "first_monsters": first_monsters,
             "no_events": no_events,
         }
-        arrays = self._arrays = state.allocate(
-            given, N=count, P=players, M=monsters, B=players + monsters, A=actions, F=self.space.shape[0]
+        arrays = state.allocate(
+            constants,
+            N=count,
+            P=players,
+            M=monsters,
+            B=players + monsters,
+            A=self._actions,
+            F=self.space.shape[0],
         )
-        self.worlds, self.players, self.monsters, *_ = arrays
+        self._arrays = arrays
+        self.worlds, self.players, self.monsters = arrays.worlds, arrays.players, arrays.monsters
         self.events, self.observations, self.masks = arrays.events, arrays.observations, arrays.masks
         self.slots, self.tallies, self.taken = arrays.slots, arrays.tallies, arrays.taken
-        fresh = np.random.SeedSequence()
-        self.worlds["key"] = fresh.generate_state(count, np.uint64)  # until they are seeded
+        entropy = np.random.SeedSequence()
+        self.worlds["key"] = entropy.generate_state(count, np.uint64)  # until they are seeded
         self.players["x"], self.players["y"] = self.level.starts[0]  # on the grid, also before a reset
         self.events[:] = no_events
         self.slots["begins"] = 1.0
-        self._none = np.zeros((count, players), np.int64)  # actions that a reset does not read
+        self._no_actions = np.zeros((count, players), np.int64)  # which a reset does not read
         self._take_addresses()
-        self._every = np.ones(count, np.bool_)
-        start = -1 if self.config.start == "random" else 0
-        self.usual_starts = np.full(count, start, np.int64)
+        self._all_worlds = np.ones(count, np.bool_)
+        self.usual_starts = np.zeros(count, np.int64)
+        if self.config.start == "random":
+            self.usual_starts[:] = -1
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the addresses, as the arrays of a copy lie elsewhere."""
         return {name: value for name, value in vars(self).items() if name not in _ADDRESSES}
 
-    def __setstate__(self, kept: dict[str, Any]) -> None:
-        vars(self).update(kept)
+    def __setstate__(self, attributes: dict[str, Any]) -> None:
+        vars(self).update(attributes)
         self._take_addresses()
 
     def _take_addresses(self) -> None:
         self.handle = state.make_handle(self._arrays)
         self._address = self.handle.ctypes.data
         kernel.load_rules()
-        self._shown = tuple(state.read_only(each) for each in (self.events, self.players, self.player_stats))
+        self._read_only = (
+            state.read_only(self.events),
+            state.read_only(self.players),
+            state.read_only(self.player_stats),
+        )
 
     def __len__(self) -> int:
         return len(self.worlds)
@@ -141,51 +171,57 @@ class Worlds:
     def slot_space(self) -> spaces.Box:
         """A space for the observations of any player."""
         low = np.min([space.low for space in self.spaces], axis=0)
-        return spaces.Box(low, np.max([space.high for space in self.spaces], axis=0), dtype=np.float32)
+        high = np.max([space.high for space in self.spaces], axis=0)
+        return spaces.Box(low, high, dtype=np.float32)
 
     def _settings(self, config: EnvConfig) -> np.ndarray:
         settings = np.zeros(1, state.SETTINGS)
         row = settings[0]
         row["left"], row["top"], row["tile"] = self.level.left, self.level.top, self.level.tile
-        for name, value in vars(config).items():
-            if name in (state.SETTINGS.names or ()) and not isinstance(value, str):
-                row[name] = value
         row["ticks"] = characters.TICKS_PER_STEP
+        row["episode_steps"] = config.episode_steps
+        row["end_on_clear"] = config.end_on_clear
+        row["ending_cost"] = config.ending_cost
+        row["magic"] = config.magic
+        row["observe_facing"] = config.observe_facing
+        row["blow_on_entry"] = config.blow == "entry"
+        row["credit_near"] = config.kill_credit == "near"
+        row["keep_xp"] = config.xp_scope == "forever"
+        row["shared_reward"] = config.shared_reward and not self._own_rewards
         stops = 1 << rules.COAST
         if config.trees == "wall":
             stops |= 1 << rules.SOLID
         row["player_stops"] = stops
         if config.terrain_stops == "all":
             row["monster_stops"] = stops
-        row["shared_reward"] = config.shared_reward and not self._custom
-        row["blow_on_entry"] = config.blow == "entry"
-        row["credit_near"] = config.kill_credit == "near"
-        row["keep_xp"] = config.xp_scope == "forever"
         fastest = characters.fastest(self.player_stats, self.monster_stats.ravel())
         row["body_reach"] = 2 * (self._largest_body() + fastest * characters.TICKS_PER_STEP) + 1.0
         if fastest > self.level.tile:
-            raise UserError(f"a speed of {fastest * 60:g} px/s jumps over tiles of {self.level.tile:g} px")
+            speed = fastest * characters.TICKS_PER_SECOND
+            raise UserError(f"a speed of {speed:g} px/s jumps over tiles of {self.level.tile:g} px")
         return settings
 
     def _largest_body(self) -> float:
         """Return how far a body reaches from its position, on x or y, in pixels."""
-        return max(
-            float((abs(stats[middle]) + stats[half]).max(initial=0.0))
-            for stats in (self.player_stats, self.monster_stats)
-            for middle, half in (("body_x", "half_width"), ("body_y", "half_height"))
-        )
+        largest = 0.0
+        for stats in (self.player_stats, self.monster_stats):
+            for middle, half in (("body_x", "half_width"), ("body_y", "half_height")):
+                reach = abs(stats[middle]) + stats[half]
+                largest = max(largest, float(reach.max(initial=0.0)))
+        return largest
 
     def seed(self, seeds: Sequence[int], mask: np.ndarray | None = None) -> None:
         """Seed the random stream of all worlds, or of those in `mask`.
 
         Equal seeds make equal worlds; XP that outlives episodes starts again from 0.
         """
-        chosen = self._every if mask is None else mask
-        for world in np.flatnonzero(chosen):
+        if mask is None:
+            mask = self._all_worlds
+        for world in np.flatnonzero(mask):
             generator, _ = seeding.np_random(int(seeds[int(world)]))
             self.worlds["key"][world] = generator.integers(2**64, dtype=np.uint64)
             self.worlds["draws"][world] = 0
-        self.players["xp"][chosen] = 0.0
+        self.players["xp"][mask] = 0.0
 
     def reset(self, mask: np.ndarray | None = None, starts: np.ndarray | None = None) -> None:
         """Start an episode in all worlds, or in those of `mask`, and observe all.
@@ -197,11 +233,20 @@ class Worlds:
         Raises:
             ValueError: for a mask or starts of a wrong shape or type, or an unknown start place.
         """
-        which = self._every if mask is None else _checked(mask, (len(self),), "b", "mask")
-        usual = self.usual_starts if starts is None else _checked(starts, (len(self),), "iu", "starts")
-        if usual.max(initial=0) >= (count := len(self.level.starts)):
-            raise ValueError(f"start {usual.max()} is none of the level's {count}")
-        self._begin(np.where(which, usual, kernel.GO_ON))
+        if mask is None:
+            mask = self._all_worlds
+        if starts is None:
+            starts = self.usual_starts
+        mask = np.asarray(mask)
+        starts = np.asarray(starts)
+        if mask.shape != (len(self),) or mask.dtype != np.bool_:
+            raise ValueError(_wrong_array("mask", mask, f"booleans of shape {(len(self),)}"))
+        if starts.shape != (len(self),) or starts.dtype.kind not in "iu":
+            raise ValueError(_wrong_array("starts", starts, f"whole numbers of shape {(len(self),)}"))
+        count = len(self.level.starts)
+        if starts.max(initial=0) >= count:
+            raise ValueError(f"start {starts.max()} is none of the level's {count}")
+        self._begin(np.where(mask, starts, kernel.GO_ON))
 
     def step(self, actions: np.ndarray) -> int:
         """Advance all running worlds; return how many episodes ended.
@@ -212,21 +257,21 @@ class Worlds:
         Raises:
             ValueError: for anything else.
         """
-        given = np.asarray(actions)
-        if given.dtype.kind in "iu" and given.size == self.players.size:
-            whole = np.ascontiguousarray(given, np.int64).reshape(self.players.shape)
-            if whole.view(np.uint64).max() < self._actions:  # negative numbers are huge as unsigned ones
-                return self.advance(whole)
-        raise ValueError(f"actions {given} are outside {self.players.size} of {self.action_space}")
+        array = np.asarray(actions)
+        if array.dtype.kind in "iu" and array.size == self.players.size:
+            by_player = np.ascontiguousarray(array, np.int64).reshape(self.players.shape)
+            if by_player.view(np.uint64).max() < self._actions:  # negative numbers are huge as unsigned ones
+                return self.advance(by_player)
+        raise ValueError(f"actions {array} are outside {self.players.size} of {self.action_space}")
 
     def advance(self, actions: np.ndarray) -> int:
         """Do the same as `step` for actions that are known to be valid, (N, P) int64."""
-        if not self._custom:
+        if not self._own_rewards:
             return int(kernel.call_rules(self._address, actions, kernel.STEP | kernel.RECORD))
         ended = int(kernel.call_rules(self._address, actions, kernel.STEP))
-        for name, function, players in self._custom:
-            rewards = custom_rewards(function, name, *self._shown)
-            self.events["reward"][:, players] = rewards[:, players]
+        for own_reward in self._own_rewards:
+            rewards = custom_rewards(own_reward.function, own_reward.name, *self._read_only)
+            self.events["reward"][:, own_reward.players] = rewards[:, own_reward.players]
         if self.config.shared_reward:
             mean = self.events["reward"].sum(axis=1) / self.players.shape[1]
             self.events["reward"] = np.where(self.present, mean[:, None], 0.0)
@@ -235,23 +280,26 @@ class Worlds:
 
     def counts(self) -> dict[str, np.ndarray]:
         """Return what `slots` has of episodes in progress, to save and restore: (N * P,) arrays by name."""
-        book = self.slots.reshape(-1)
-        names = ("returns", "lengths", "episodes", "idle")[: 3 + (self.players.shape[1] > 1)]
-        return {name: book[name] for name in names}
+        names = ["returns", "lengths", "episodes"]
+        if self.players.shape[1] > 1:
+            names.append("idle")
+        return {name: self.slots.reshape(-1)[name] for name in names}
 
-    def _begin(self, places: Any) -> None:
+    def _begin(self, starts: Any) -> None:
         """Reset worlds at these start places, those with `kernel.GO_ON` excepted, and observe all."""
-        self._arrays.begins[:] = places
-        kernel.call_rules(self._address, self._none, kernel.RESET)
+        self._arrays.begins[:] = starts
+        kernel.call_rules(self._address, self._no_actions, kernel.RESET)
 
     def _try_rewards(self) -> None:
         """Call each user's reward once, as after a reset, with no events."""
-        events, players = self.events.copy(), np.tile(self._arrays.first_players, (len(self), 1))
+        events = self.events.copy()
         events["present"] = self.settings["ticks"][0]
-        places = np.arange(players.shape[1]) % len(self.level.starts)
-        players["x"], players["y"] = self.level.starts[places].T
-        for name, function, _ in self._custom:
-            custom_rewards(function, name, *map(state.read_only, (events, players, self.player_stats)))
+        players = np.tile(self._arrays.first_players, (len(self), 1))
+        starts = np.arange(players.shape[1]) % len(self.level.starts)
+        players["x"], players["y"] = self.level.starts[starts].T
+        for own_reward in self._own_rewards:
+            arrays = (state.read_only(events), state.read_only(players), state.read_only(self.player_stats))
+            custom_rewards(own_reward.function, own_reward.name, *arrays)
 
     @property
     def present(self) -> np.ndarray:
@@ -261,8 +309,10 @@ class Worlds:
     @property
     def truncated(self) -> np.ndarray:
         """Which worlds ended by a time limit that truncates, (N,)."""
-        limit = self.worlds["ending"] == rules.TIME_LIMIT
-        return limit if self.config.time_limit == "truncate" else np.zeros_like(limit)
+        at_limit = self.worlds["ending"] == rules.TIME_LIMIT
+        if self.config.time_limit == "truncate":
+            return at_limit
+        return np.zeros_like(at_limit)
 
     def ending(self, world: int) -> str:
         """Return how a world's episode ended, or 'running'."""
@@ -283,28 +333,28 @@ class Worlds:
 
     def _refuse_nowhere(self) -> None:
         """Refuse positions that are none. Dead monsters may be anywhere."""
-        left, top, right, bottom = self.level.grid
-        for name, bodies in (("players", self.players), ("monsters", self.monsters[self.monsters["hp"] > 0])):
+        grid = self.level.grid
+        living = self.monsters[self.monsters["hp"] > 0]
+        for name, bodies in (("players", self.players), ("monsters", living)):
             x, y = bodies["x"], bodies["y"]
-            if not ((left <= x) & (x < right) & (top <= y) & (y < bottom)).all():  # nor NaN
-                grid = f"{left:g} to {right:g}, {top:g} to {bottom:g}"
-                raise ValueError(f"{name}: x or y lies off the grid, {grid}")
+            inside = (grid.left <= x) & (x < grid.right) & (grid.top <= y) & (y < grid.bottom)  # NaN is not
+            if not inside.all():
+                area = f"{grid.left:g} to {grid.right:g}, {grid.top:g} to {grid.bottom:g}"
+                raise ValueError(f"{name}: x or y lies off the grid, {area}")
         if not np.isin(self.players["facing"], range(4)).all():
             raise ValueError("players: facing is none of 0 to 3")
 
 
-def _checked(given: np.ndarray, shape: tuple[int, ...], kinds: str, what: str) -> np.ndarray:
-    """Return actions or masks in the compiled rules' type, after checking their shape and type."""
-    array = np.asarray(given)
-    if array.shape != shape or array.dtype.kind not in kinds:
-        of = "booleans" if kinds == "b" else "whole numbers"
-        raise ValueError(f"{what}: must be {of} of shape {shape}, not {array.dtype} of {array.shape}")
-    return np.ascontiguousarray(array, np.bool_ if kinds == "b" else np.int64)
+def _wrong_array(name: str, array: np.ndarray, expected: str) -> str:
+    return f"{name}: must be {expected}, not {array.dtype} of {array.shape}"
 
 
-def _one_each(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:
-    return names * config.players if len(names) == 1 else names
+def _by_player(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:
+    """Return one name for each player."""
+    if len(names) == 1:
+        return names * config.players
+    return names
 
 
-_ADDRESSES = ("handle", "_address", "_shown")
+_ADDRESSES = ("handle", "_address", "_read_only")
 """Attributes of `Worlds` that are valid in one process only."""
