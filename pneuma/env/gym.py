@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 
 from pneuma.env.fields import ENVIRONMENTS, arguments_table, make_env_config
-from pneuma.env.slots import WithSpec, chosen_starts, ending_info, read_options
+from pneuma.env.slots import WithSpec, ending_info, read_options, read_starts
 from pneuma.env.watch import Rendering, keys_to_action
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
@@ -118,28 +118,30 @@ class PneumaEnv(WithSpec, Rendering, gymnasium.Env[np.ndarray, np.int64]):
     ) -> None:
         config = make_env_config(settings, env_id)
         if config.players != 1:
-            others = "make the vector environment, or pneuma.env.pettingzoo.parallel_env"
-            raise UserError(f"players = {config.players}: this face has one player; {others}")
+            alternative = "make the vector environment, or pneuma.env.pettingzoo.parallel_env"
+            raise UserError(f"players = {config.players}: this face has one player; {alternative}")
         self.state = Worlds(1, config)
         self.observation_space = self.state.space
         self.action_space = self.state.action_space
         self._set_up_rendering(self.state, env_id, render_mode, camera)
         self._actions = np.zeros((1, 1), np.int64)
-        self._keyed = False
+        self._has_begun = False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start an episode; see `gymnasium.Env.reset`. The same seed starts the same world."""
-        start = chosen_starts(self.state, read_options(options, "start").get("start"))
+        starts = read_starts(self.state, read_options(options, "start").get("start"))
         super().reset(seed=seed)
-        if seed is not None or not self._keyed:
-            self.state.seed([seed if seed is not None else int(self.np_random.integers(2**63))])
-            self._keyed = True
-        self.state.reset(starts=start)
-        return self._seen()
+        if seed is None and not self._has_begun:
+            seed = int(self.np_random.integers(2**63))
+        if seed is not None:
+            self.state.seed([seed])
+        self._has_begun = True
+        self.state.reset(starts=starts)
+        return self._observation_and_info()
 
-    def _seen(self) -> tuple[np.ndarray, dict[str, Any]]:
+    def _observation_and_info(self) -> tuple[np.ndarray, dict[str, Any]]:
         return self.state.observations[0, 0].copy(), {"action_mask": self.state.masks[0, 0].copy()}
 
     def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
@@ -147,12 +149,12 @@ class PneumaEnv(WithSpec, Rendering, gymnasium.Env[np.ndarray, np.int64]):
         index = operator.index(action)
         if not 0 <= index < self.state.action_space.n:
             raise ValueError(f"action {action!r} is outside {self.action_space}")
-        if not self._keyed:
+        if not self._has_begun:
             raise ResetNeeded("no episode has begun: call reset first")
         state = self.state
         self._actions[0, 0] = index
         ended = state.advance(self._actions)
-        observation, info = self._seen()
+        observation, info = self._observation_and_info()
         reward = state.events["reward"].item()
         if not ended:
             if state.worlds["ending"][0]:

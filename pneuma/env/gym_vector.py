@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.slots import WithSpec, chosen_starts, ending_info, make_slots, read_options
+from pneuma.env.slots import WithSpec, ending_info, make_slots, read_options, read_starts
 from pneuma.env.watch import Rendering
 
 
@@ -70,29 +70,39 @@ class PneumaVectorEnv(WithSpec, Rendering, VectorEnv[np.ndarray, np.ndarray, np.
         Raises:
             ResetNeeded: when the first reset leaves out some worlds.
         """
-        given = read_options(options, "start", "reset_mask")
-        starts = chosen_starts(self.state, given.get("start"))
+        own_options = read_options(options, "start", "reset_mask")
+        starts = read_starts(self.state, own_options.get("start"))
         seeds = self._seeds(seed)
-        mask = self._reset_mask(given.get("reset_mask"))
+        mask = self._reset_mask(own_options.get("reset_mask"))
         if not self.slots.begun and not mask.all():
             raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
         super().reset(seed=seeds[0])
         if not self.slots.begun and None in seeds:
             first = int(self.np_random.integers(2**62))
-            seeds = [first + i if own is None else own for i, own in enumerate(seeds)]
-        self.state.seed([own or 0 for own in seeds], mask & [own is not None for own in seeds])
+            for world, world_seed in enumerate(seeds):
+                if world_seed is None:
+                    seeds[world] = first + world
+        seeded = np.array([world_seed is not None for world_seed in seeds])
+        self.state.seed([world_seed or 0 for world_seed in seeds], mask & seeded)
         self.slots.begun = True
         self.state.reset(mask, starts)
         return self.slots.observations, self._infos()
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         """Return a seed for each world, None where its random stream goes on."""
+        count = len(self.state)
+        if seed is None:
+            return [None] * count
         if isinstance(seed, int | np.integer):
-            return [int(seed) + i for i in range(len(self.state))]
-        given: Any = [None] * len(self.state) if seed is None else seed
-        seeds = [None if own is None else operator.index(own) for own in given]
-        if len(seeds) != len(self.state):
-            raise ValueError(f"{len(seeds)} seeds for {len(self.state)} worlds")
+            return [int(seed) + world for world in range(count)]
+        if len(seed) != count:
+            raise ValueError(f"{len(seed)} seeds for {count} worlds")
+        seeds: list[int | None] = []
+        for world_seed in seed:
+            if world_seed is None:
+                seeds.append(None)
+            else:
+                seeds.append(operator.index(world_seed))
         return seeds
 
     def _reset_mask(self, mask: object) -> np.ndarray:
@@ -110,29 +120,28 @@ class PneumaVectorEnv(WithSpec, Rendering, VectorEnv[np.ndarray, np.ndarray, np.
         waiting = slots.world_over
         if self.autoreset_mode == AutoresetMode.DISABLED and waiting.any():
             raise ValueError("some worlds have ended: reset them with options={'reset_mask': …} first")
-        infos = self._final(slots.step(actions))
+        infos = self._final_infos(slots.step(actions))
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
             waiting = slots.world_over
         rewards = slots.rewards.copy()
         if waiting.any():  # in NEXT_STEP this step resets what the last one ended
             self.state.reset(waiting)
-        return slots.observations, rewards, slots.terminated, slots.truncated, self._infos(infos)
+        infos = self._infos() | infos
+        return slots.observations, rewards, slots.terminated, slots.truncated, infos
 
     def render(self) -> Any:
         """Return a frame for each slot, if there is a render mode."""
-        return self._frames() if self.render_mode else None
+        if self.render_mode is None:
+            return None
+        return self._frames()
 
-    def _infos(self, infos: dict[str, Any] | None = None) -> dict[str, Any]:
-        return {
-            "action_mask": self.slots.masks,
-            "_action_mask": np.ones(self.num_envs, np.bool_),
-            **(infos or {}),
-        }
+    def _infos(self) -> dict[str, Any]:
+        return {"action_mask": self.slots.masks, "_action_mask": np.ones(self.num_envs, np.bool_)}
 
-    def _final(self, over: np.ndarray) -> dict[str, Any]:
+    def _final_infos(self, ended: np.ndarray) -> dict[str, Any]:
         """Return the infos of the slots that ended, in Gymnasium's form for this autoreset mode."""
         infos: dict[str, Any] = {}
-        for slot in np.flatnonzero(over).tolist():
+        for slot in np.flatnonzero(ended).tolist():
             info = ending_info(self.state, slot)
             if self.autoreset_mode == AutoresetMode.SAME_STEP:
                 world, player = divmod(slot, self.slots.players)

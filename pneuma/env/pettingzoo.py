@@ -11,7 +11,7 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.slots import Slots, chosen_starts, ending_info, read_options
+from pneuma.env.slots import Slots, ending_info, read_options, read_starts
 from pneuma.env.watch import Rendering
 from pneuma.env.worlds import Worlds
 
@@ -39,19 +39,19 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
     ) -> None:
         self.worlds = Worlds(1, make_env_config({"players": players, **settings}, env_id))
         self.slots = Slots(self.worlds)
-        self.possible_agents = [f"player_{i}" for i in range(self.slots.players)]
+        self.possible_agents = [f"player_{index}" for index in range(self.slots.players)]
         self.agents: list[str] = []
-        self._index = {agent: i for i, agent in enumerate(self.possible_agents)}
+        self._index_by_agent = {agent: index for index, agent in enumerate(self.possible_agents)}
         self._actions = np.zeros(self.slots.players, np.int64)
-        count = int(self.worlds.action_space.n)
-        self._action_spaces = {agent: spaces.Discrete(count) for agent in self.possible_agents}
+        action_count = int(self.worlds.action_space.n)
+        self._action_spaces = {agent: spaces.Discrete(action_count) for agent in self.possible_agents}
         low = np.concatenate([space.low for space in self.worlds.spaces])
         high = np.concatenate([space.high for space in self.worlds.spaces])
         self.state_space = spaces.Box(low, high, dtype=np.float32)  # the space of `state`
         self._set_up_rendering(self.worlds, env_id, render_mode, camera)
 
     def observation_space(self, agent: str) -> spaces.Box:
-        return self.worlds.spaces[self._index[agent]]
+        return self.worlds.spaces[self._index_by_agent[agent]]
 
     def action_space(self, agent: str) -> spaces.Discrete:
         """Return a player's actions; each player has a space of its own to seed."""
@@ -64,13 +64,17 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
 
         `options={"start": i}` puts player 0 at start place i, and the others at the following ones.
         """
-        given = dict(options or {})
-        given.pop("options", None)  # which PettingZoo's checker passes to every environment
-        start = chosen_starts(self.worlds, read_options(given, "start").get("start"))
-        if seed is not None or not self.slots.begun:
-            self.worlds.seed([seed if seed is not None else int(seeding.np_random()[0].integers(2**63))])
-        self.worlds.reset(starts=start)
-        self.agents, self.slots.begun = list(self.possible_agents), True
+        own_options = dict(options or {})
+        own_options.pop("options", None)  # which PettingZoo's checker passes to every environment
+        starts = read_starts(self.worlds, read_options(own_options, "start").get("start"))
+        if seed is None and not self.slots.begun:
+            generator, _ = seeding.np_random()
+            seed = int(generator.integers(2**63))
+        if seed is not None:
+            self.worlds.seed([seed])
+        self.worlds.reset(starts=starts)
+        self.slots.begun = True
+        self.agents = list(self.possible_agents)
         return self._observations(self.agents), self._masks(self.agents)
 
     def step(self, actions: dict[str, np.int64]) -> tuple[dict[str, Any], ...]:
@@ -87,30 +91,34 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
             if agent not in actions or not self._action_spaces[agent].contains(actions[agent]):
                 problem = f"action {actions.get(agent)!r} of {agent}, who is alive,"
                 raise ValueError(f"{problem} is outside {self.action_space(agent)}")
-            self._actions[self._index[agent]] = actions[agent]
+            self._actions[self._index_by_agent[agent]] = actions[agent]
         self.slots.step(self._actions)
-        rewards = self._of_each(acting, self.slots.rewards)
-        terminations = self._of_each(acting, self.slots.terminated)
-        truncations = self._of_each(acting, self.slots.truncated)
+        rewards = self._by_agent(acting, self.slots.rewards)
+        terminations = self._by_agent(acting, self.slots.terminated)
+        truncations = self._by_agent(acting, self.slots.truncated)
         infos = self._masks(acting)
+        self.agents = []
         for agent in acting:
             if terminations[agent] or truncations[agent]:
-                infos[agent] |= ending_info(self.worlds, self._index[agent])
-        self.agents = [agent for agent in acting if not (terminations[agent] or truncations[agent])]
+                infos[agent] |= ending_info(self.worlds, self._index_by_agent[agent])
+            else:
+                self.agents.append(agent)
         return self._observations(acting), rewards, terminations, truncations, infos
 
     def state(self) -> np.ndarray:
         """Return the observations of all players, one after the other."""
         return self.worlds.observations[0].ravel().copy()
 
-    def _of_each(self, agents: list[str], values: np.ndarray) -> dict[str, Any]:
-        return {agent: values[self._index[agent]].item() for agent in agents}
+    def _by_agent(self, agents: list[str], values: np.ndarray) -> dict[str, Any]:
+        return {agent: values[self._index_by_agent[agent]].item() for agent in agents}
 
     def _observations(self, agents: list[str]) -> dict[str, np.ndarray]:
-        return {agent: self.worlds.observations[0, self._index[agent]].copy() for agent in agents}
+        observations = self.worlds.observations[0]
+        return {agent: observations[self._index_by_agent[agent]].copy() for agent in agents}
 
     def _masks(self, agents: list[str]) -> dict[str, dict[str, Any]]:
-        return {agent: {"action_mask": self.worlds.masks[0, self._index[agent]].copy()} for agent in agents}
+        masks = self.worlds.masks[0]
+        return {agent: {"action_mask": masks[self._index_by_agent[agent]].copy()} for agent in agents}
 
 
 parallel_env = PneumaParallelEnv

@@ -12,7 +12,7 @@ from gymnasium.utils import seeding
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.slots import WithSpec, chosen_starts, ending_info, make_slots, read_options
+from pneuma.env.slots import WithSpec, ending_info, make_slots, read_options, read_starts
 from pneuma.env.state import LAYOUT_DIGEST, as_bytes
 from pneuma.env.watch import Rendering
 from pneuma.errors import UserError
@@ -72,8 +72,9 @@ class PneumaVecEnv(WithSpec, Rendering, WholeVecEnv):
         config = make_env_config(settings, env_id)
         if isinstance(seeds, int | np.integer):
             self.slots = make_slots(int(seeds), config)
-            first = int(seeding.np_random()[0].integers(2**62)) if seed is None else int(seed)
-            seeds = range(first, first + len(self.slots.worlds))
+            if seed is None:
+                seed = _random_seed(2**62)
+            seeds = range(int(seed), int(seed) + len(self.slots.worlds))
         elif seed is None:
             self.slots = make_slots(len(seeds) * config.players, config)
         else:
@@ -92,8 +93,9 @@ class PneumaVecEnv(WithSpec, Rendering, WholeVecEnv):
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed world i with seed + i at the next reset; return each slot's seed."""
-        first = int(seeding.np_random()[0].integers(2**32)) if seed is None else seed
-        self._seeds = [first + slot // self.slots.players for slot in range(self.num_envs)]
+        if seed is None:
+            seed = _random_seed(2**32)
+        self._seeds = [seed + slot // self.slots.players for slot in range(self.num_envs)]
         return self._seeds
 
     def reset(self) -> np.ndarray:
@@ -102,14 +104,13 @@ class PneumaVecEnv(WithSpec, Rendering, WholeVecEnv):
         `set_options({"start": i})` chooses the start place. In a list with one entry per slot, those of the
         first player of each world count.
         """
-        every = slice(None, None, self.slots.players)
-        asked = [read_options(options, "start").get("start") for options in self._options[every]]
-        starts = chosen_starts(self.state, asked)
+        first_players = slice(None, None, self.slots.players)
+        starts = [read_options(options, "start").get("start") for options in self._options[first_players]]
         if self._seeds[0] is not None:
-            self.state.seed([int(seed) for seed in self._seeds[every] if seed is not None])
+            self.state.seed([int(seed) for seed in self._seeds[first_players] if seed is not None])
         self._reset_seeds()
         self._reset_options()
-        self.state.reset(starts=starts)
+        self.state.reset(starts=read_starts(self.state, starts))
         self.slots.begun = True
         return self.slots.observations
 
@@ -121,45 +122,60 @@ class PneumaVecEnv(WithSpec, Rendering, WholeVecEnv):
         dones = slots.step(self._actions)
         rewards = slots.rewards.astype(np.float32)  # a copy: the learner adds to it at time limits
         self._steps_taken += 1
-        infos = [self._end(slot) if done else {} for slot, done in enumerate(dones)]
-        if (over := slots.world_over).any():
-            self.state.reset(over)
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for slot in np.flatnonzero(dones).tolist():
+            infos[slot] = self._final_info(slot)
+        ended = slots.world_over
+        if ended.any():
+            self.state.reset(ended)
         return slots.observations, rewards, dones, infos
 
-    def _end(self, slot: int) -> dict[str, Any]:
-        info = ending_info(self.state, slot)
+    def _final_info(self, slot: int) -> dict[str, Any]:
+        """Return the info of a slot's last step, and note its episode with `keep_finished`."""
+        ending = ending_info(self.state, slot)
         book = self.slots.book[slot]
-        length, total = int(book["lengths"]), float(book["returns"])
+        length = int(book["lengths"])
+        episode_return = float(book["returns"])
         if self.keep_finished:
-            place = {"slot": slot, "episode": int(book["episodes"]) - 1}
-            step = int(self._steps_taken[0]) * self.num_envs
-            self.finished.append({**place, "step": step, "return": total, "length": length, **info})
-        info["terminal_observation"] = self.state.observations[divmod(slot, self.slots.players)].copy()
-        info["TimeLimit.truncated"] = bool(self.slots.truncated[slot])
-        info["episode"] = {"r": total, "l": length}
-        return info
+            episode = {
+                "slot": slot,
+                "episode": int(book["episodes"]) - 1,
+                "step": int(self._steps_taken[0]) * self.num_envs,
+                "return": episode_return,
+                "length": length,
+            }
+            self.finished.append(episode | ending)
+        world, player = divmod(slot, self.slots.players)
+        return {
+            **ending,
+            "terminal_observation": self.state.observations[world, player].copy(),
+            "TimeLimit.truncated": bool(self.slots.truncated[slot]),
+            "episode": {"r": episode_return, "l": length},
+        }
 
     def saved_state(self) -> dict[str, np.ndarray]:
         """Copy everything that the next step depends on, including episodes in progress: arrays by name.
 
         Worlds, players, monsters and events are bytes; `layout` describes them.
         """
-        layout = np.frombuffer(LAYOUT_DIGEST.encode(), np.uint8)
-        return {"layout": layout} | {name: array.copy() for name, array in self._state_arrays()}
+        saved = {"layout": np.frombuffer(LAYOUT_DIGEST.encode(), np.uint8)}
+        for name, array in self._state_arrays().items():
+            saved[name] = array.copy()
+        return saved
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
         if saved["layout"].tobytes() != LAYOUT_DIGEST.encode():
             raise ValueError("the state of the worlds was laid out otherwise")
-        for name, array in self._state_arrays():
+        for name, array in self._state_arrays().items():
             if saved[name].shape != array.shape:
                 raise ValueError(f"{name} is of shape {saved[name].shape}, not {array.shape}")
             array[:] = saved[name]
         self.slots.begun = True
 
-    def _state_arrays(self) -> list[tuple[str, np.ndarray]]:
+    def _state_arrays(self) -> dict[str, np.ndarray]:
         names = ("worlds", "players", "monsters", "events", "observations", "masks")
-        counts = [*self.state.counts().items(), ("steps_taken", self._steps_taken)]
-        return [(name, as_bytes(getattr(self.state, name))) for name in names] + counts
+        arrays = {name: as_bytes(getattr(self.state, name)) for name in names}
+        return arrays | self.state.counts() | {"steps_taken": self._steps_taken}
 
     def action_masks(self) -> np.ndarray:
         """Return which actions would have an effect, (slots, actions) booleans."""
@@ -175,3 +191,8 @@ class PneumaVecEnv(WithSpec, Rendering, WholeVecEnv):
     def get_images(self) -> Sequence[np.ndarray]:
         """Return a picture for each slot, of its world with its player in view."""
         return self._frames()
+
+
+def _random_seed(bound: int) -> int:
+    generator, _ = seeding.np_random()
+    return int(generator.integers(bound))

@@ -115,37 +115,39 @@ def make_slots(count: int, config: EnvConfig) -> Slots:
     return Slots(Worlds(count // config.players, config))
 
 
-def ending_info(state: Worlds, slot: int = 0) -> dict[str, Any]:
+def ending_info(worlds: Worlds, slot: int = 0) -> dict[str, Any]:
     """Describe how a slot's episode ended."""
-    row = state.players.reshape(-1)[slot]
+    player = worlds.players.reshape(-1)[slot]
     return {
-        "ending": ENDINGS[state.slots.reshape(-1)["ending"][slot]],
-        "kills": int(row["kills"]),
-        "xp": float(row["xp"]),
-        "hp": float(row["hp"]),
+        "ending": ENDINGS[worlds.slots.reshape(-1)["ending"][slot]],
+        "kills": int(player["kills"]),
+        "xp": float(player["xp"]),
+        "hp": float(player["hp"]),
     }
 
 
 def read_options(options: Mapping[str, Any] | None, *allowed: str) -> dict[str, Any]:
     """Return the options of a reset, of which some are allowed."""
-    given = dict(options or {})
-    for name in given:
+    checked = dict(options or {})
+    for name in checked:
         if name not in allowed:
             raise unknown_name("option of reset", name, allowed)
-    return given
+    return checked
 
 
-def chosen_starts(worlds: Worlds, start: Any) -> np.ndarray | None:
-    """Return the start places that `reset` was asked for, shape (N,), or None for the usual ones.
+def read_starts(worlds: Worlds, start: Any) -> np.ndarray | None:
+    """Return the start places that `reset` is asked for, shape (N,), or None for the default ones.
 
     `start` is None, the index of a start place, or a list with one of these for each world.
     """
     if start is None:
         return None
+    starts = worlds.usual_starts.copy()
     try:
-        asked = np.broadcast_to(np.array(start, object), len(worlds))
-        both = zip(asked, worlds.usual_starts, strict=True)
-        return np.array([usual if one is None else operator.index(one) for one, usual in both], np.int64)
+        for world, index in enumerate(np.broadcast_to(np.array(start, object), len(worlds))):
+            if index is not None:
+                starts[world] = operator.index(index)
     except (TypeError, ValueError, OverflowError):
-        wanted = f"the index of a start place, or one for each of {len(worlds)} worlds"
-        raise ValueError(f"start = {start!r}: must be {wanted}") from None
+        allowed = f"the index of a start place, or one for each of {len(worlds)} worlds"
+        raise ValueError(f"start = {start!r}: must be {allowed}") from None
+    return starts
