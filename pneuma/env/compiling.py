@@ -36,23 +36,30 @@ def cached(*signature: Any, using: Any = njit, notice: str = "", **options: Any)
     """Return `njit`, or `cfunc`, with its cache; where no folder can be written, each process compiles anew.
 
     Numba writes beside the code, in the user's cache, or in NUMBA_CACHE_DIR; in some containers it can write
-    to none of them. A person at a terminal is shown the notice if nothing was kept.
+    to none of them.
+
+    Args:
+        signature: of the function, if it is compiled at once.
+        using: numba's decorator.
+        notice: what a person at a terminal is shown if nothing is in the cache.
+        options: of the decorator.
     """
 
     def compiled(function: Any) -> Any:
-        kept, can_keep = {}, True
+        index: Any = {}
+        can_cache = True
         try:
             cache = typed_cache(function)
         except RuntimeError:  # no such folder
-            can_keep = False
+            can_cache = False
         else:
             try:
-                kept = cache._cache_file._load_index()
+                index = cache._cache_file._load_index()
             except Exception:  # it names a class that is gone, and is read whole before its age is seen
                 cache.flush()
-        if notice and not kept and sys.stderr.isatty():
+        if notice and not index and sys.stderr.isatty():
             print(notice, file=sys.stderr)
-        return using(*signature, cache=can_keep, **options)(function)
+        return using(*signature, cache=can_cache, **options)(function)
 
     return compiled
 
@@ -81,14 +88,17 @@ def seed_compiled(seed: int) -> None:
     np.random.seed(seed)
 
 
-def array_from(codegen: Any, builder: Any, kind: Any, address: Any, lengths: Any) -> Any:
+def array_from(codegen: Any, builder: Any, array_type: Any, address: Any, lengths: Any) -> Any:
     """Generate the array of a type and lengths at an address, or a pointer."""
-    array = typed_arrays.make_array(kind)(codegen, builder)
-    item = codegen.get_constant(types.intp, codegen.get_abi_sizeof(codegen.get_data_type(kind.dtype)))
-    strides = [item]
+    array = typed_arrays.make_array(array_type)(codegen, builder)
+    item_bytes = codegen.get_abi_sizeof(codegen.get_data_type(array_type.dtype))
+    item_size = codegen.get_constant(types.intp, item_bytes)
+    strides = [item_size]
     for length in reversed(lengths[1:]):
         strides.insert(0, builder.mul(strides[0], length))
-    from_there = builder.inttoptr if isinstance(address.type, ir.IntType) else builder.bitcast
-    data = from_there(address, array.data.type)
-    typed_arrays.populate_array(array, data, lengths, strides, item, None)
+    if isinstance(address.type, ir.IntType):
+        data = builder.inttoptr(address, array.data.type)
+    else:
+        data = builder.bitcast(address, array.data.type)
+    typed_arrays.populate_array(array, data, lengths, strides, item_size, None)
     return array._getvalue()

@@ -41,7 +41,7 @@ class EnvConfig:
     """The fields of one environment; each is a keyword of `gymnasium.make` and a key of a study.
 
     The defaults are those of `pneuma/Pneuma-v0`, the environment of the thesis's text; empty texts are filled
-    by `make_env_config`. What each means is told by the table of `pneuma.env.gym.PneumaEnv`, too.
+    by `make_env_config`. The table of `pneuma.env.gym.PneumaEnv` explains each.
     """
 
     level: Annotated[
@@ -150,56 +150,69 @@ OBSERVATION_FIELDS = {
 
 def action_names(config: EnvConfig) -> tuple[str, ...]:
     """Return the names of a world's actions, in order."""
-    return ACTION_NAMES + SPELL_NAMES if config.magic else ACTION_NAMES
+    if config.magic:
+        return ACTION_NAMES + SPELL_NAMES
+    return ACTION_NAMES
 
 
 # --- Resolving -----------------------------------------------------------------------------------
 
 
-def make_env_config(given: Mapping[str, object], env: str = ENVIRONMENTS[0]) -> EnvConfig:
+def make_env_config(settings: Mapping[str, object], env: str = ENVIRONMENTS[0]) -> EnvConfig:
     """Resolve the fields of an environment to a complete configuration."""
     if env not in ENVIRONMENT_FIELDS:
         raise unknown_name("environment", env, ENVIRONMENTS)
-    return EnvConfig(**resolve_world(read_fields(EnvConfig, with_environment(env, given))))
+    values = read_fields(EnvConfig, with_environment(env, settings))
+    return EnvConfig(**resolve_world(values))
 
 
-def with_environment(env: str, given: Mapping[str, object]) -> dict[str, Any]:
-    """Return an environment's fields with given ones over them."""
-    return {**ENVIRONMENT_FIELDS.get(env, {}), **given}
+def with_environment(env: str, settings: Mapping[str, object]) -> dict[str, Any]:
+    """Return an environment's fields with the settings over them."""
+    return {**ENVIRONMENT_FIELDS.get(env, {}), **settings}
 
 
 def with_layout(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return fields with those that their observation layout implies, where they leave them open."""
-    layout = OBSERVATION_FIELDS[values.get("observation", "thesis")]
-    return {**values, **{key: values.get(key) or implied for key, implied in layout.items()}}
+    filled = dict(values)
+    for key, implied in OBSERVATION_FIELDS[values.get("observation", "thesis")].items():
+        filled[key] = values.get(key) or implied
+    return filled
 
 
 OF_PLAYERS = ("classes", "reward")
 """Fields with one name, or one for each player."""
 
 
-def resolve_world(values: dict[str, Any]) -> dict[str, Any]:
+def resolve_world(values: Mapping[str, Any]) -> dict[str, Any]:
     """Fill in what an observation layout implies, and check fields that depend on each other."""
-    values = with_layout(values)
-    players = values.get("players", 1)
+    resolved = with_layout(values)
+    players = resolved.get("players", 1)
     for key in OF_PLAYERS:
-        if len(values.get(key, ("",))) not in (1, players):
-            raise UserError(
-                f"{key} has {len(values[key])} names for {players} players: give one, or one each"
-            )
-        if len(set(values.get(key, ()))) == 1:
-            values[key] = values[key][:1]
+        names = resolved.get(key)
+        if not names:
+            continue
+        if len(names) not in (1, players):
+            problem = f"{key} has {len(names)} names for {players} players"
+            raise UserError(f"{problem}: give one, or one each")
+        if len(set(names)) == 1:
+            resolved[key] = names[:1]
     if players == 1:
-        values.pop("shared_reward", None)
-    if values.get("random_levels", 1) > 1 and not is_random_level(values.get("level", "")):
-        raise UserError(
-            f"random_levels = {values['random_levels']} is not allowed: only random levels come in numbers"
-        )
-    if values.get("monsters", "bamboo") != "bamboo" and not is_random_level(values.get("level", "")):
-        raise UserError(
-            f"monsters = {values['monsters']} is not allowed: levels that are not random have their own"
-        )
-    return values
+        resolved.pop("shared_reward", None)
+    if not is_random_level(resolved.get("level", "")):
+        _refuse_random_fields(resolved)
+    return resolved
+
+
+def _refuse_random_fields(values: Mapping[str, Any]) -> None:
+    """Refuse fields of random levels for another level."""
+    random_levels = values.get("random_levels", 1)
+    if random_levels > 1:
+        message = f"random_levels = {random_levels} is not allowed"
+        raise UserError(f"{message}: only random levels come in numbers")
+    monsters = values.get("monsters", "bamboo")
+    if monsters != "bamboo":
+        message = f"monsters = {monsters} is not allowed"
+        raise UserError(f"{message}: levels that are not random have their own")
 
 
 def is_own_level(name: str) -> bool:
@@ -229,24 +242,28 @@ def read_field(config: type[EnvConfig], key: str, value: object) -> Any:
     return schema.read_field(config, key, value)
 
 
-# --- Told ----------------------------------------------------------------------------------------
+# --- The table of arguments ----------------------------------------------------------------------
 
 
 def arguments_table() -> str:
     """Return a Markdown table of all fields: their defaults, in the three worlds where they differ."""
     worlds = [vars(make_env_config({}, env)) for env in ENVIRONMENTS]
     rows = ["| argument | default | meaning |", "| --- | --- | --- |"]
-    for name, kind in get_type_hints(EnvConfig, include_extras=True).items():
-        defaults = [_told_default(world[name]) for world in worlds]
-        told = ", ".join(defaults) if len({*defaults}) > 1 else defaults[0]
-        (meaning,) = (each.documentation for each in kind.__metadata__ if isinstance(each, DocInfo))
-        rows.append(f"| `{name}` | {told} | {meaning} |")
+    for name, hint in get_type_hints(EnvConfig, include_extras=True).items():
+        defaults = [_default_text(world[name]) for world in worlds]
+        if len(set(defaults)) == 1:
+            defaults = defaults[:1]
+        for note in hint.__metadata__:
+            if isinstance(note, DocInfo):
+                rows.append(f"| `{name}` | {', '.join(defaults)} | {note.documentation} |")
     return "\n".join(rows)
 
 
-def _told_default(value: Any) -> str:
+def _default_text(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int | float):
         return f"{value:g}"
-    return ", ".join(value if isinstance(value, tuple) else [value]) or "none"
+    if isinstance(value, tuple):
+        value = ", ".join(value)
+    return value or "none"

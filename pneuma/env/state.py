@@ -241,14 +241,17 @@ class State(NamedTuple):
     no_events: Annotated[Array, EVENTS, "1"]  # of a step in which nothing happens
 
 
-def _kinds() -> dict[str, tuple[np.dtype[Any], list[str]]]:
-    hints = get_type_hints(State, include_extras=True)
-    return {name: (np.dtype(of.__metadata__[0]), of.__metadata__[1].split()) for name, of in hints.items()}
+def _read_annotations() -> dict[str, tuple[np.dtype[Any], list[str]]]:
+    layouts = {}
+    for name, hint in get_type_hints(State, include_extras=True).items():
+        dtype, axes = hint.__metadata__
+        layouts[name] = (np.dtype(dtype), axes.split())
+    return layouts
 
 
-KINDS = _kinds()
+ARRAYS = _read_annotations()
 """Dtype and axes of each array."""
-_SAVED = repr([each.descr for each in (WORLD, PLAYER, MONSTER)])
+_SAVED = repr([dtype.descr for dtype in (WORLD, PLAYER, MONSTER)])
 LAYOUT_DIGEST = hashlib.sha256(_SAVED.encode()).hexdigest()[:16]
 """Identifies the layout of the parts of a `State` that are saved."""
 _CODE = f"code_{DIGEST}"
@@ -256,24 +259,34 @@ HANDLE = np.dtype([(_CODE, "i8", (4,))])
 """Address and shape of an array of a `State`; the name is the sources' digest: an edit recompiles."""
 
 
-def allocate(given: Mapping[str, np.ndarray], **sizes: int) -> State:
-    """Return a state of the arrays that are given, and zeros for the others, by the sizes of their axes."""
-    arrays = dict(given)
-    for name, (dtype, axes) in KINDS.items():
-        if name not in given:
-            arrays[name] = np.zeros([sizes[axis] if axis in sizes else int(axis) for axis in axes], dtype)
-    return State(**{name: np.ascontiguousarray(arrays[name], dtype) for name, (dtype, _) in KINDS.items()})
+def allocate(constants: Mapping[str, np.ndarray], **sizes: int) -> State:
+    """Return a state of constant arrays, and of zeros for the others, by the sizes of their axes."""
+    arrays = {}
+    for name, (dtype, axes) in ARRAYS.items():
+        if name in constants:
+            arrays[name] = np.ascontiguousarray(constants[name], dtype)
+        else:
+            arrays[name] = np.zeros([_length(axis, sizes) for axis in axes], dtype)
+    return State(**arrays)
+
+
+def _length(axis: str, sizes: Mapping[str, int]) -> int:
+    """Return the length of an axis, which is a letter or a number."""
+    if axis in sizes:
+        return sizes[axis]
+    return int(axis)
 
 
 def make_handle(state: State) -> np.ndarray:
-    """Return addresses and shapes of all arrays, (22,) HANDLE, with which the kernels are called.
+    """Return addresses and shapes of all arrays, (arrays,) HANDLE, with which the kernels are called.
 
     Passing one small array to a compiled function instead of all arrays saves most of the time of a call. The
     arrays must outlive the handle.
     """
     handle = np.zeros(len(state), HANDLE)
     for numbers, array in zip(handle[_CODE], state, strict=True):
-        numbers[: 1 + array.ndim] = array.ctypes.data, *array.shape
+        numbers[0] = array.ctypes.data
+        numbers[1 : 1 + array.ndim] = array.shape
     return handle
 
 
@@ -294,27 +307,26 @@ def as_bytes(array: np.ndarray) -> np.ndarray:
 @typed_intrinsic
 def open_state(context: Any, handle: Any) -> Any:
     """Return the `State` of a handle, or of a pointer to one; the reverse of `make_handle`."""
-    kinds = [types.Array(from_dtype(dtype), len(axes), "C") for dtype, axes in KINDS.values()]
-    opened = typed_tuple(kinds, State)
+    array_types = [types.Array(from_dtype(dtype), len(axes), "C") for dtype, axes in ARRAYS.values()]
+    state_type = typed_tuple(array_types, State)
 
     def generate(codegen: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        start = arguments[0]
+        address = arguments[0]
         if isinstance(handle, types.Array):
-            start = typed_arrays.make_array(handle)(codegen, builder, start).data
-        start = builder.bitcast(start, ir.IntType(64).as_pointer())
+            address = typed_arrays.make_array(handle)(codegen, builder, address).data
+        numbers = builder.bitcast(address, ir.IntType(64).as_pointer())
 
-        def number(place: int) -> Any:
-            return builder.load(builder.gep(start, [ir.IntType(64)(place)]))
+        def load(index: int) -> Any:
+            return builder.load(builder.gep(numbers, [ir.IntType(64)(index)]))
 
-        arrays = [
-            array_from(
-                codegen, builder, kind, number(at), [number(at + 1 + axis) for axis in range(kind.ndim)]
-            )
-            for at, kind in zip(range(0, 4 * len(kinds), 4), kinds, strict=True)
-        ]
-        return codegen.make_tuple(builder, opened, arrays)
+        arrays = []
+        for index, array_type in enumerate(array_types):
+            first = 4 * index
+            lengths = [load(first + 1 + axis) for axis in range(array_type.ndim)]
+            arrays.append(array_from(codegen, builder, array_type, load(first), lengths))
+        return codegen.make_tuple(builder, state_type, arrays)
 
-    return opened(handle), generate
+    return state_type(handle), generate
 
 
 @typed_intrinsic
@@ -323,10 +335,10 @@ def array_at(context: Any, pointer: Any, shape: Any) -> Any:
 
     `numba.carray` does the same, but compiles slowly, and with reference counts.
     """
-    kind = types.Array(pointer.dtype, len(shape), "C")
+    array_type = types.Array(pointer.dtype, len(shape), "C")
 
     def generate(codegen: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         lengths = typed_codegen.unpack_tuple(builder, arguments[1], len(shape))
-        return array_from(codegen, builder, kind, arguments[0], lengths)
+        return array_from(codegen, builder, array_type, arguments[0], lengths)
 
-    return kind(pointer, shape), generate
+    return array_type(pointer, shape), generate
