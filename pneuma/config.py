@@ -12,30 +12,34 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Annotated, Any, Literal, NoReturn
 
 from annotated_types import Interval, Len
 
 from pneuma.algorithms import (
-    ALGORITHM_FIELDS,
     ALGORITHMS,
-    OF_ALGORITHMS,
-    OF_OPEN_LEARNERS,
-    OF_OPTIMIZERS,
-    OPTIMIZER_DEFAULTS,
-    OPTIMIZER_ENGINES,
+    OPTIMIZERS,
     ROLLOUT_LEARNERS,
     VALUE_BASED,
     default_fields,
-    engines_of,
-    has_fields,
+    find_algorithm,
 )
 from pneuma.env.fields import ENVIRONMENTS, MODULE, EnvConfig, read_fields, resolve_world, with_environment
 from pneuma.errors import UserError
 from pneuma.schema import plain
-from pneuma.values import OneOf, Reads, Share, matching
+from pneuma.values import (
+    OF_GYMNASIUM_ENV,
+    OF_OPEN_LEARNER,
+    OF_OPTIMIZER,
+    OneOf,
+    Reads,
+    Share,
+    about_fields,
+    declare,
+    matching,
+)
 
 RULES_VERSION = 3
 """Raised by hand when the same seed and actions give a different world; part of every run id."""
@@ -48,8 +52,6 @@ ENGINES = tuple(ENGINE_VERSIONS)
 
 ACTIVATIONS = ("tanh", "relu", "leaky-relu")
 Schedule = Literal["constant", "linear"]
-ANNEALED = ("learning_rate", "clip_range")
-"""Fields that may fall over a run, each by a schedule of its own, as rl-baselines3-zoo's settings need."""
 
 
 # --- The configuration ---------------------------------------------------------------------------
@@ -79,12 +81,8 @@ def _read_limit(value: object) -> float | None:
     return float(value)
 
 
-OF_WORLDS = tuple(item.name for item in fields(EnvConfig))
 _FOREIGN = re.compile(r"(?!(?i:pneuma))([\w.-]+/)?[\w.-]+-v\d+")
 """The form of an id of other environments that are registered with Gymnasium."""
-NORMALIZING = ("normalize_observations", "normalize_rewards")
-OF_GYMNASIUM = ("env_module", "env_kwargs", "wrappers", *NORMALIZING)
-"""Fields of environments other than Pneuma's, in place of those of `EnvConfig`."""
 
 
 def is_gymnasium_id(env: object) -> bool:
@@ -139,98 +137,139 @@ _ALGORITHM_ALLOWED = (
 _ENV_ALLOWED = f"one of {', '.join(ENVIRONMENTS)}, or the id of a Gymnasium environment, as CartPole-v1"
 
 
+_ACTOR_CRITIC = "ppo, a2c, trpo"
+_DQN = "dqn, double-dqn"
+_WITH_FIELDS = f"{_ACTOR_CRITIC}, {_DQN}"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Run(EnvConfig):
     """One training: environment, learner, budget and seed. Equal runs end with equal bits."""
 
-    env: Annotated[str, Reads(_read_env, _ENV_ALLOWED, ENVIRONMENTS)] = ENVIRONMENTS[0]
-    env_module: Annotated[str, matching(rf"|{MODULE}", "a module that registers environments")] = ""
+    env: Annotated[str, Reads(_read_env, _ENV_ALLOWED, ENVIRONMENTS)] = declare(
+        ENVIRONMENTS[0], shapes=True, paces=True
+    )
+    env_module: Annotated[str, matching(rf"|{MODULE}", "a module that registers environments")] = declare(
+        "", read_by=OF_GYMNASIUM_ENV
+    )
     """Imported before the environment is made: a module, or the path of its file."""
-    env_kwargs: Annotated[str, Reads(_read_arguments, "a table of keyword arguments")] = ""
+    env_kwargs: Annotated[str, Reads(_read_arguments, "a table of keyword arguments")] = declare(
+        "", read_by=OF_GYMNASIUM_ENV
+    )
     wrappers: Annotated[
         tuple[str, ...], Reads(_read_wrappers, "module:Class, or a list of such, or of { name, arguments }")
-    ] = ()
+    ] = declare((), read_by=OF_GYMNASIUM_ENV)
     """Wrapper classes, the innermost first; followed by their arguments as JSON, if they have some."""
-    normalize_observations: bool = False
+    normalize_observations: bool = declare(False, read_by=OF_GYMNASIUM_ENV)
     """By their running mean and variance in training, as Stable-Baselines3's VecNormalize does."""
-    normalize_rewards: bool = False
+    normalize_rewards: bool = declare(False, read_by=OF_GYMNASIUM_ENV)
     """By the running deviation of the discounted return, for the learner only; likewise."""
-    engine: Annotated[str, OneOf(ENGINES)] = ENGINES[0]
-    algorithm: Annotated[str, Reads(_read_algorithm, _ALGORITHM_ALLOWED, ALGORITHMS)] = "ppo"
-    policy: Annotated[str, matching(r"|\w+Policy", "a policy of the learner, as CnnPolicy")] = ""
+    engine: Annotated[str, OneOf(ENGINES)] = declare(ENGINES[0], shapes=True, paces=True)
+    algorithm: Annotated[str, Reads(_read_algorithm, _ALGORITHM_ALLOWED, tuple(ALGORITHMS))] = declare(
+        "ppo", shapes=True, paces=True
+    )
+    policy: Annotated[str, matching(r"|\w+Policy", "a policy of the learner, as CnnPolicy")] = declare(
+        "", read_by=OF_OPEN_LEARNER
+    )
     """Stable-Baselines3's name of the learner's policy, if it is not MlpPolicy."""
-    algorithm_kwargs: Annotated[str, Reads(_read_arguments, "a table of arguments of the learner")] = ""
+    algorithm_kwargs: Annotated[str, Reads(_read_arguments, "a table of arguments of the learner")] = declare(
+        "", read_by=OF_OPEN_LEARNER
+    )
     seed: Annotated[int, Interval(ge=0, le=2**32 - 1)] = 0
-    steps: Steps = 50_000
+    steps: Steps = declare(50_000, arguments="n_timesteps", paces=True)
     """Budget in agent steps, summed over slots."""
-    slots: Annotated[int, Interval(ge=1, le=1024)] = 1
+    slots: Annotated[int, Interval(ge=1, le=1024)] = declare(1, arguments="n_envs", shapes=True, paces=True)
     """Worlds that collect a rollout in parallel."""
-    learners: Literal["shared", "independent"] = "shared"
+    learners: Literal["shared", "independent"] = declare("shared", read_by="ppo")
     """Whether all players of a world learn one policy, or each a policy of its own (independent PPO)."""
 
-    actor: Layers = (128,)
-    critic: Layers = (256,)
-    activation: Annotated[str, OneOf(ACTIVATIONS)] = "tanh"
-    first_layer_scale: Annotated[float, Interval(gt=0, le=1e6)] = 1.0
+    actor: Layers = declare((128,), read_by=_WITH_FIELDS, shapes=True, paces=True)
+    critic: Layers = declare((256,), read_by=_ACTOR_CRITIC, shapes=True, paces=True)
+    activation: Annotated[str, OneOf(ACTIVATIONS)] = declare("tanh", read_by=_WITH_FIELDS, shapes=True)
+    first_layer_scale: Annotated[float, Interval(gt=0, le=1e6)] = declare(1.0, read_by="ppo")
     """Factor on the initial weights of both first layers."""
 
-    gamma: Share = 0.99
-    gae_lambda: Share = 0.95
-    learning_rate: Annotated[float, Interval(gt=0, le=100)] = 3e-4
-    learning_rate_schedule: Schedule = "constant"
+    gamma: Share = declare(0.99, read_by=_WITH_FIELDS)
+    gae_lambda: Share = declare(0.95, read_by=_ACTOR_CRITIC)
+    learning_rate: Annotated[float, Interval(gt=0, le=100)] = declare(3e-4, read_by=_WITH_FIELDS)
+    learning_rate_schedule: Schedule = declare("constant", read_by=_WITH_FIELDS)
     """With "linear" it falls from its value to 0 over the budget, as Stable-Baselines3 counts progress."""
-    clip_range: Annotated[float, Interval(gt=0, le=100)] = 0.1
-    clip_range_schedule: Schedule = "constant"
-    horizon: Annotated[int, Interval(ge=2, le=10**6)] = 256
-    """Steps per slot in a rollout, Stable-Baselines3's n_steps; for value-based learners, in one report."""
-    minibatch: Annotated[int, Interval(ge=2, le=10**6)] = 64
-    epochs: Annotated[int, Interval(ge=1, le=1000)] = 10
-    value_coefficient: Annotated[float, Interval(ge=0, le=1e6)] = 0.5
-    entropy_coefficient: Annotated[float, Interval(ge=0, le=1e6)] = 0.01
-    gradient_limit: Annotated[float | None, Reads(_read_limit, 'a number above 0, or "none"')] = 0.5
+    clip_range: Annotated[float, Interval(gt=0, le=100)] = declare(0.1, read_by="ppo")
+    clip_range_schedule: Schedule = declare("constant", read_by="ppo")
+    horizon: Annotated[int, Interval(ge=2, le=10**6)] = declare(
+        256, arguments="n_steps", shapes=True, paces=True
+    )
+    """Steps per slot in a rollout; of learners without rollouts, between two records."""
+    minibatch: Annotated[int, Interval(ge=2, le=10**6)] = declare(
+        64, read_by=f"ppo, trpo, {_DQN}", arguments="batch_size", shapes=True, paces=True
+    )
+    epochs: Annotated[int, Interval(ge=1, le=1000)] = declare(
+        10, read_by="ppo, trpo", arguments="n_epochs, n_critic_updates", shapes=True, paces=True
+    )
+    value_coefficient: Annotated[float, Interval(ge=0, le=1e6)] = declare(
+        0.5, read_by="ppo, a2c", arguments="vf_coef"
+    )
+    entropy_coefficient: Annotated[float, Interval(ge=0, le=1e6)] = declare(
+        0.01, read_by="ppo, a2c", arguments="ent_coef"
+    )
+    gradient_limit: Annotated[float | None, Reads(_read_limit, 'a number above 0, or "none"')] = declare(
+        0.5, read_by=f"ppo, a2c, {_DQN}", arguments="max_grad_norm"
+    )
     """Greatest L2 norm of the gradient; None for no limit (thesis section 6.2)."""
-    clip: Literal["joint", "separate"] = "joint"
+    clip: Literal["joint", "separate"] = declare("joint", read_by="ppo, a2c")
     """One norm over actor and critic together, as in Stable-Baselines3, or one for each."""
-    value_baseline: bool = True
+    value_baseline: bool = declare(True, read_by=_ACTOR_CRITIC)
     """Whether the critic's values are subtracted from returns to make advantages (thesis section 4.2)."""
-    normalize_advantage: bool = True
+    normalize_advantage: bool = declare(True, read_by="ppo")
     """Whether each minibatch's advantages are given mean 0 and standard deviation 1."""
 
-    target_kl: Annotated[float, Interval(gt=0, le=100)] | None = None
+    target_kl: Annotated[float, Interval(gt=0, le=100)] | None = declare(None, read_by="trpo")
     """TRPO's trust region: the greatest mean KL divergence of one update (thesis Eq. 4.12)."""
-    conjugate_steps: Annotated[int, Interval(ge=1, le=1000)] | None = None
-    line_search_steps: Annotated[int, Interval(ge=1, le=1000)] | None = None
+    conjugate_steps: Annotated[int, Interval(ge=1, le=1000)] | None = declare(
+        None, read_by="trpo", arguments="cg_max_steps"
+    )
+    line_search_steps: Annotated[int, Interval(ge=1, le=1000)] | None = declare(
+        None, read_by="trpo", arguments="line_search_max_iter"
+    )
 
-    exploration: Share | None = None
+    exploration: Share | None = declare(None, read_by=_DQN, arguments="exploration_final_eps")
     """Probability of a random action, for learners that choose actions by value (thesis Eq. 4.4)."""
-    exploration_fraction: Share | None = None
+    exploration_fraction: Share | None = declare(None, read_by=_DQN)
     """Share of the budget over which this probability falls from 1 to `exploration`."""
-    buffer_size: Annotated[int, Interval(ge=1, le=10**8)] | None = None
+    buffer_size: Annotated[int, Interval(ge=1, le=10**8)] | None = declare(None, read_by=_DQN, paces=True)
     """Transitions that DQN keeps for replay, over all slots."""
-    learning_starts: Annotated[int, Interval(ge=0, le=10**9)] | None = None
+    learning_starts: Annotated[int, Interval(ge=0, le=10**9)] | None = declare(None, read_by=_DQN)
     """Agent steps of random actions before the first gradient."""
-    train_every: Annotated[int, Interval(ge=1, le=10**6)] | None = None
+    train_every: Annotated[int, Interval(ge=1, le=10**6)] | None = declare(
+        None, read_by=_DQN, arguments="train_freq"
+    )
     """Steps per slot between gradients."""
-    gradient_steps: Annotated[int, Interval(ge=1, le=10_000)] | None = None
-    target_every: Annotated[int, Interval(ge=1, le=10**12)] | None = None
+    gradient_steps: Annotated[int, Interval(ge=1, le=10_000)] | None = declare(None, read_by=_DQN)
+    target_every: Annotated[int, Interval(ge=1, le=10**12)] | None = declare(
+        None, read_by=_DQN, arguments="target_update_interval"
+    )
     """Agent steps between copies to the target network; 1 is as good as no target network."""
 
-    optimizer: Annotated[str, OneOf(tuple(OPTIMIZER_DEFAULTS))] = "adam"
-    betas: Annotated[tuple[Fraction, ...], Len(2, 2)] | None = None
-    epsilon: Annotated[float, Interval(gt=0, le=1)] | None = None
-    momentum: Fraction | None = None
-    dampening: Share | None = None
+    optimizer: Annotated[str, OneOf(tuple(OPTIMIZERS))] = declare(
+        "adam", read_by=_WITH_FIELDS, shapes=True, paces=True
+    )
+    betas: Annotated[tuple[Fraction, ...], Len(2, 2)] | None = declare(None, read_by=OF_OPTIMIZER)
+    epsilon: Annotated[float, Interval(gt=0, le=1)] | None = declare(
+        None, read_by=OF_OPTIMIZER, arguments="eps"
+    )
+    momentum: Fraction | None = declare(None, read_by=OF_OPTIMIZER)
+    dampening: Share | None = declare(None, read_by=OF_OPTIMIZER)
     """Equal to `momentum`, it weighs a new gradient by 1 - beta as the thesis does (torch: but the first)."""
-    smoothing: Fraction | None = None
-    """Decay of RMSProp's mean square, torch's alpha."""
-    utility_decay: Fraction | None = None
+    smoothing: Fraction | None = declare(None, read_by=OF_OPTIMIZER, arguments="alpha")
+    """Decay of RMSProp's mean square."""
+    utility_decay: Fraction | None = declare(None, read_by=OF_OPTIMIZER)
     """Decay of UPGD's mean utility of a weight."""
-    noise: Annotated[float, Interval(ge=0, le=1000)] | None = None
+    noise: Annotated[float, Interval(ge=0, le=1000)] | None = declare(None, read_by=OF_OPTIMIZER)
     """Standard deviation of the noise that UPGD adds to Adam's step, before protection."""
-    weight_decay: Share = 0.0
+    weight_decay: Share = declare(0.0, read_by=_WITH_FIELDS)
     """L2 regularisation: added to the gradient, as torch defines it; UPGD shrinks weights by it instead."""
 
-    evaluation_episodes: Annotated[int, Interval(ge=1, le=10_000)] = 50
+    evaluation_episodes: Annotated[int, Interval(ge=1, le=10_000)] = declare(50, paces=True)
     held_out_levels: Annotated[int, Interval(ge=0, le=10_000)] = 0
     """Number of random islands, never trained on, for evaluation; 0 evaluates on the training level."""
 
@@ -249,6 +288,17 @@ class Run(EnvConfig):
         return self.steps // self.steps_per_update
 
 
+FIELDS = about_fields(Run)
+"""What is known of each field of a run."""
+OF_WORLDS = tuple(about_fields(EnvConfig))
+OF_GYMNASIUM = tuple(name for name, about in FIELDS.items() if about.read_by == (OF_GYMNASIUM_ENV,))
+"""Fields of environments other than Pneuma's, in place of those of `EnvConfig`."""
+OF_OPEN_LEARNERS = tuple(name for name, about in FIELDS.items() if about.read_by == (OF_OPEN_LEARNER,))
+"""Fields by which Stable-Baselines3 trains as a script of one's own would, without exact resume."""
+ANNEALED = tuple(name for name in FIELDS if f"{name}_schedule" in FIELDS)
+"""Fields that may fall over a run, each by a schedule of its own, as rl-baselines3-zoo's settings need."""
+
+
 def make_run(given: Mapping[str, object]) -> Run:
     """Resolve fields to a complete run: checked, rounded, with all defaults filled in.
 
@@ -257,10 +307,14 @@ def make_run(given: Mapping[str, object]) -> Run:
     give the same run. The budget is rounded up to whole horizons.
     """
     env = str(given.get("env", ENVIRONMENTS[0]))
-    read = read_fields(Run, with_environment(env, given))
-    usual = {item.name: item.default for item in fields(Run)}
-    values = {key: value for key, value in read.items() if value is not None or usual[key] is not None}
-    values = values if is_gymnasium_id(env) else resolve_world(values)
+    usual = vars(Run())
+    values: dict[str, Any] = {}
+    for name, value in read_fields(Run, with_environment(env, given)).items():
+        if value is not None or usual[name] is not None:
+            values[name] = value
+    if not is_gymnasium_id(env):
+        values = resolve_world(values)
+
     named = Run(**{key: values[key] for key in ("env", "algorithm", *OF_OPEN_LEARNERS) if key in values})
     values |= _rollout_steps(named, values)
     defaults = default_fields(named.algorithm, values.get("optimizer", ""))
@@ -268,9 +322,11 @@ def make_run(given: Mapping[str, object]) -> Run:
     known = _read_by(named.env, named.algorithm, named.optimizer, is_open(named))
     if values.get("learners") == "independent" and "learners" not in known:
         _refuse("learners = independent", f"{named.algorithm} trains one policy for all players")
-    defaults = {key: value for key, value in defaults.items() if key in known}
-    run = Run(**{**defaults, **{key: values[key] for key in values.keys() & known}})
-    run = Run(**{**defaults, **{key: values[key] for key in values.keys() & reads(run)}})
+
+    complete = {**defaults, **values}
+    run = Run(**{name: value for name, value in complete.items() if name in known})
+    idle = known - reads(run)
+    run = replace(run, **{name: defaults.get(name, usual[name]) for name in idle})
     run = replace(run, engine=_engine(run, values.get("engine", "")))
     _check_learner(run)
     return replace(run, steps=round_up(run, run.steps))
@@ -294,31 +350,45 @@ def round_up(run: Run, steps: int) -> int:
 
 def reads(run: Run) -> frozenset[str]:
     """Return the names of the fields that affect a run, given its other fields."""
-    idle = {"dampening": not run.momentum, "clip": run.gradient_limit is None}
-    idle |= {"learners": run.players == 1, **{key: not getattr(run, key) for key in OF_OPEN_LEARNERS}}
+    policy_kwargs = json.loads(run.algorithm_kwargs or "{}").get("policy_kwargs", {})
+    idle = {
+        "dampening": not run.momentum,
+        "clip": run.gradient_limit is None,
+        "learners": run.players == 1,
+        "activation": "activation_fn" in policy_kwargs,
+        "policy": not run.policy,
+        "algorithm_kwargs": not run.algorithm_kwargs,
+    }
     known = _read_by(run.env, run.algorithm, run.optimizer, is_open(run))
-    return known - {key for key, unread in idle.items() if unread}
+    return known - {name for name, is_idle in idle.items() if is_idle}
 
 
 @cache
 def _read_by(env: str, algorithm: str, optimizer: str, is_open_run: bool) -> frozenset[str]:
-    read = {"slots", *OF_OPEN_LEARNERS, *(OF_GYMNASIUM if is_gymnasium_id(env) else OF_WORLDS)}
+    readers = {OF_OPEN_LEARNER}
+    read: set[str] = set()
+    if is_gymnasium_id(env):
+        readers.add(OF_GYMNASIUM_ENV)
     if algorithm == "ppo" or not is_open_run:  # others are told all else by `algorithm_kwargs`
-        read |= {*ALGORITHM_FIELDS[algorithm], *OPTIMIZER_DEFAULTS[optimizer]}
-    if algorithm in VALUE_BASED and not is_open_run:
-        read -= {*NORMALIZING}  # what is replayed was seen otherwise
-    by_some = {*OF_WORLDS, *OF_GYMNASIUM, *OF_OPTIMIZERS, *OF_ALGORITHMS, *OF_OPEN_LEARNERS}
-    return frozenset({item.name for item in fields(Run)} - by_some | read)
+        readers.add(algorithm)
+        read |= OPTIMIZERS[optimizer].defaults.keys()
+    for name, about in FIELDS.items():
+        is_of_another_world = name in OF_WORLDS and is_gymnasium_id(env)
+        if not is_of_another_world and (not about.read_by or readers & {*about.read_by}):
+            read.add(name)
+    if algorithm in VALUE_BASED and not is_open_run:  # what is replayed was seen otherwise
+        read -= {"normalize_observations", "normalize_rewards"}
+    return frozenset(read)
 
 
 def is_open(run: Run) -> bool:
     """Return whether Stable-Baselines3 trains a run as a script of one's own would: no exact resume."""
-    return not has_fields(run.algorithm) or any(getattr(run, key) for key in OF_OPEN_LEARNERS)
+    return bool(find_algorithm(run.algorithm).learner or run.policy or run.algorithm_kwargs)
 
 
 def beyond_engine(run: Run) -> str:
     """Return what the compiled engine cannot do for a run; empty if it can train it."""
-    if ENGINES[0] not in engines_of(run.algorithm):
+    if ENGINES[0] not in find_algorithm(run.algorithm).engines:
         return f"the algorithm {run.algorithm}"
     if given := [key for key in OF_OPEN_LEARNERS if getattr(run, key)]:
         return f"a run with {given[0]}"
@@ -328,7 +398,7 @@ def beyond_engine(run: Run) -> str:
 def _engine(run: Run, asked: str) -> str:
     """Return the engine that was asked for, or the first one that can train a run."""
     reason = beyond_engine(run)
-    able = [name for name in engines_of(run.algorithm) if not reason or name != ENGINES[0]]
+    able = [name for name in find_algorithm(run.algorithm).engines if not reason or name != ENGINES[0]]
     if asked and asked not in able:
         cannot = f"it cannot train {reason or f'the algorithm {run.algorithm}'}; {' and '.join(able)} can"
         raise UserError(f'engine = "{asked}" is not allowed: {cannot}')
@@ -345,8 +415,8 @@ def _check_learner(run: Run) -> None:
         raise UserError(f"{given} is not allowed in {run.env}: only in other environments of Gymnasium")
     if run.learners == "independent" and run.engine != ENGINES[0]:
         _refuse("learners = independent", f"{run.engine} trains one policy for all players")
-    if "optimizer" in reads(run) and run.engine not in OPTIMIZER_ENGINES[run.optimizer]:
-        able = " or ".join(OPTIMIZER_ENGINES[run.optimizer])
+    if "optimizer" in reads(run) and run.engine not in OPTIMIZERS[run.optimizer].engines:
+        able = " or ".join(OPTIMIZERS[run.optimizer].engines)
         _refuse(f"optimizer = {run.optimizer}", f"the engine {run.engine} lacks it; {able} has it")
     if run.train_every and run.horizon % run.train_every:
         _refuse(f"train_every = {run.train_every}", f"horizon = {run.horizon} is no multiple of it")

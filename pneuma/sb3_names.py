@@ -11,18 +11,15 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from pneuma.config import FIELDS
 from pneuma.errors import UserError
 
 NAMES = {
-    "n_timesteps": "steps",
-    "n_envs": "slots",
-    "n_steps": "horizon",
-    "batch_size": "minibatch",
-    "n_epochs": "epochs",
-    "ent_coef": "entropy_coefficient",
-    "vf_coef": "value_coefficient",
-    "max_grad_norm": "gradient_limit",
+    about.arguments[0]: name
+    for name, about in FIELDS.items()
+    if about.arguments and (not about.read_by or "ppo" in about.read_by)
 }
+"""The fields that PPO has by another name."""
 
 PASSED_ON = "algorithm_kwargs"
 _ACTIVATIONS = {"nn.Tanh": "tanh", "nn.ReLU": "relu", "nn.LeakyReLU": "leaky-relu"}

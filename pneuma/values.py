@@ -8,7 +8,7 @@ import re
 import tomllib
 from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Annotated, Any
 
 from annotated_types import Interval
@@ -54,6 +54,50 @@ class Reads:
                 raise PydanticCustomError("allowed", "{allowed}", context) from None
 
         return core_schema.no_info_plain_validator_function(read)
+
+
+OF_OPTIMIZER, OF_GYMNASIUM_ENV, OF_OPEN_LEARNER = "optimizer", "gymnasium", "open learner"
+
+
+@dataclass(frozen=True)
+class About:
+    """What is known of a field of a run beside its type and default.
+
+    Attributes:
+        read_by: the algorithms that read it. Or `OF_OPTIMIZER`, if the optimizer decides that;
+            `OF_GYMNASIUM_ENV`, for environments other than Pneuma's; `OF_OPEN_LEARNER`, for learners of
+            Stable-Baselines3 as a script would set them up. Empty if every run reads it.
+        arguments: what Stable-Baselines3's learners or torch's optimizers call it, if otherwise; PPO first.
+        shapes: whether runs that differ in it likely have compiled programs of their own.
+        paces: whether it affects how long a step takes.
+    """
+
+    read_by: tuple[str, ...] = ()
+    arguments: tuple[str, ...] = ()
+    shapes: bool = False
+    paces: bool = False
+
+
+def declare(
+    default: Any,
+    *,
+    read_by: str = "",
+    arguments: str = "",
+    shapes: bool = False,
+    paces: bool = False,
+) -> Any:
+    """Return the default of a dataclass's field with its `About`; several names are separated by commas."""
+    about = About(_names(read_by), _names(arguments), shapes, paces)
+    return field(default=default, metadata={"about": about})
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(text.split(", ")) if text else ()
+
+
+def about_fields(owner: type) -> dict[str, About]:
+    """Return what is known of each field of a dataclass."""
+    return {item.name: item.metadata.get("about", About()) for item in fields(owner)}
 
 
 def matching(pattern: str, allowed: str) -> Reads:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.algorithms import ALGORITHMS, OPEN_LEARNERS, VALUE_BASED
+from pneuma.algorithms import ALGORITHMS, VALUE_BASED
 from pneuma.config import as_fields, make_run, stream_seed
 from pneuma.errors import UserError
 from pneuma.presets import BASES
@@ -67,7 +67,7 @@ def test_an_optimizer_has_its_own_fields_and_no_others(optimizer: str, read: dic
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_an_algorithm_has_its_own_fields_and_no_others(algorithm: str) -> None:
     """What it does not read is at its default, whatever was said; None where only others have it."""
-    is_open = algorithm in OPEN_LEARNERS
+    is_open = bool(ALGORITHMS[algorithm].learner)
     said = {"critic": [64], "clip_range": 0.3, "buffer_size": 32, "target_kl": 0.5}
     env = "CartPole-v1" if is_open else "pneuma/Pneuma-v0"
     run = make_run({**said, "algorithm": algorithm, "env": env})

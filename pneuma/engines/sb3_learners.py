@@ -23,30 +23,21 @@ from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
-from pneuma.algorithms import ALGORITHM_FIELDS, OPTIMIZER_DEFAULTS
-from pneuma.config import ANNEALED, Run, stream_seed
+from pneuma.algorithms import OPTIMIZERS
+from pneuma.config import ANNEALED, FIELDS, Run, stream_seed
 from pneuma.engines.records import NAN, Checkpoint, Records
-from pneuma.sb3_names import NAMES
 
-FIELDS = {
-    **NAMES,
-    "train_freq": "train_every",
-    "target_update_interval": "target_every",
-    "exploration_final_eps": "exploration",
-    "n_critic_updates": "epochs",
-    "cg_max_steps": "conjugate_steps",
-    "line_search_max_iter": "line_search_steps",
+ACTIVATION_CLASSES: dict[str, type[nn.Module]] = {
+    "tanh": nn.Tanh,
+    "relu": nn.ReLU,
+    "leaky-relu": nn.LeakyReLU,
 }
-"""The field of each argument of a learner of `LEARNERS` that is not called alike."""
-
-ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": nn.Tanh, "relu": nn.ReLU, "leaky-relu": nn.LeakyReLU}
 """Classes that unpickle without Pneuma; torch's own slope of LeakyReLU is the thesis's, 0.01."""
-OPTIMIZERS: dict[str, type[torch.optim.Optimizer]] = {
+OPTIMIZER_CLASSES: dict[str, type[torch.optim.Optimizer]] = {
     "adam": torch.optim.Adam,
     "sgd": torch.optim.SGD,
     "rmsprop": torch.optim.RMSprop,
 }
-_TORCH_NAMES = {"epsilon": "eps", "smoothing": "alpha"}
 
 Learner = PPO | A2C | TRPO | DQN
 
@@ -86,8 +77,8 @@ def learner_arguments(run: Run, slots: int) -> dict[str, Any]:
         arguments["max_grad_norm"] = float("inf")
     arguments["policy_kwargs"] = {
         "net_arch": layers,
-        "activation_fn": ACTIVATIONS[run.activation],
-        "optimizer_class": OPTIMIZERS[run.optimizer],
+        "activation_fn": ACTIVATION_CLASSES[run.activation],
+        "optimizer_class": OPTIMIZER_CLASSES[run.optimizer],
         "optimizer_kwargs": optimizer_arguments(run),
     }
     return arguments
@@ -137,9 +128,11 @@ def optimizer_arguments(run: Run) -> dict[str, Any]:
 
     Stable-Baselines3 uses epsilon 1e-5 only if no optimizer arguments are given, otherwise torch's 1e-8.
     """
-    names = OPTIMIZER_DEFAULTS[run.optimizer]
-    arguments = {_TORCH_NAMES.get(name, name): getattr(run, name) for name in names}
-    return {**arguments, "weight_decay": run.weight_decay}
+    arguments = {"weight_decay": run.weight_decay}
+    for name in OPTIMIZERS[run.optimizer].defaults:
+        (argument,) = FIELDS[name].arguments or (name,)
+        arguments[argument] = getattr(run, name)
+    return arguments
 
 
 class DoubleDQN(DQN):
@@ -179,12 +172,16 @@ LEARNERS: dict[str, type[Learner]] = {
 
 def arguments_of(run: Run) -> Iterator[tuple[str, str]]:
     """Yield the arguments of a run's learner that are fields which its algorithm reads, with the fields."""
-    kind, read = LEARNERS[run.algorithm], {*ALGORITHM_FIELDS[run.algorithm]}
+    kind = LEARNERS[run.algorithm]
+    fields: dict[str, str] = {}
+    for name, about in FIELDS.items():
+        if run.algorithm in about.read_by:
+            fields |= dict.fromkeys(about.arguments or (name,), name)
     if not issubclass(kind, DQN):  # whose `n_steps` are those of its returns
-        read.add("horizon")
+        fields["n_steps"] = "horizon"
     for argument in signature(kind).parameters:
-        if (name := FIELDS.get(argument, argument)) in read:
-            yield argument, name
+        if argument in fields:
+            yield argument, fields[argument]
 
 
 LOGGED: dict[str, tuple[tuple[int, str], ...]] = {

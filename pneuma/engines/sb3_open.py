@@ -33,7 +33,7 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
-from pneuma.algorithms import OPEN_LEARNERS
+from pneuma.algorithms import find_algorithm
 from pneuma.config import Run, slot_seeds, stream_seed
 from pneuma.engines.gymnasium_env import blamed, load_class, make_env, refuse_flat_pictures
 from pneuma.engines.gymnasium_evaluation import BEST_EPISODES, Evaluation
@@ -94,7 +94,7 @@ def learner_class(run: Run) -> Any:
     if run.algorithm in LEARNERS:
         return LEARNERS[run.algorithm]
     with blamed(f"algorithm = {run.algorithm}"):
-        kind = load_class(OPEN_LEARNERS.get(run.algorithm, run.algorithm))
+        kind = load_class(find_algorithm(run.algorithm).learner)
     if not isinstance(kind, type) or not issubclass(kind, OnPolicyAlgorithm | OffPolicyAlgorithm):
         raise UserError(
             f"algorithm = {run.algorithm}: is neither an OnPolicyAlgorithm nor an OffPolicyAlgorithm"

@@ -12,7 +12,7 @@ from typing import Annotated, Any, get_type_hints
 from annotated_types import DocInfo, Interval, MinLen, doc
 
 from pneuma.errors import UserError, unknown_name
-from pneuma.values import MOST_NAMES, OneOf, matching, names_like
+from pneuma.values import MOST_NAMES, OneOf, declare, matching, names_like
 
 SHIPPED_LEVELS = ("thesis",)
 SHIPPED_CHARACTERS = ("pygame",)
@@ -46,10 +46,10 @@ class EnvConfig:
 
     level: Annotated[
         str, MinLen(1), doc("a shipped level, a folder of tables, `random:train:N` or `random:test:N`")
-    ] = "thesis"
+    ] = declare("thesis", paces=True)
     random_levels: Annotated[
         int, Interval(ge=1, le=10_000), doc("so many random levels from number N on; each episode draws one")
-    ] = 1
+    ] = declare(1, paces=True)
     monsters: Annotated[
         str,
         OneOf(KINDS_OF_MONSTERS),
@@ -60,28 +60,34 @@ class EnvConfig:
         int,
         Interval(ge=1, le=MAX_PLAYERS),
         doc("1 to 8 in a world; more than one not here, but in the other interfaces"),
-    ] = 1
+    ] = declare(1, shapes=True, paces=True)
     classes: Annotated[
         tuple[str, ...],
         names_like(r"[\w-]+", "a class, or a list of one a player"),
         doc("`base`, `tank`, `mage`, `warrior`, or a list of one per player"),
-    ] = ("base",)
-    magic: Annotated[bool, doc("whether there are the actions flame and heal")] = False
+    ] = declare(("base",), paces=True)
+    magic: Annotated[bool, doc("whether there are the actions flame and heal")] = declare(
+        False, shapes=True, paces=True
+    )
     reward: Annotated[
         tuple[str, ...],
         names_like(_REWARD, _REWARD_ALLOWED, REWARDS),
         doc("a formula, or a list of one per player"),
-    ] = ("thesis",)
+    ] = declare(("thesis",), paces=True)
     shared_reward: Annotated[bool, doc("whether each player gets the mean of all players' rewards")] = False
-    observation: Annotated[str, OneOf(OBSERVATIONS), doc("the layout")] = "thesis"
+    observation: Annotated[str, OneOf(OBSERVATIONS), doc("the layout")] = declare(
+        "thesis", shapes=True, paces=True
+    )
     perceive: Annotated[
         str, matching(_PERCEIVE, PERCEIVE), doc("`all`, `nearest:K`, or `rays:N`, 1 to 64")
-    ] = ""
+    ] = declare("", shapes=True)
     order: Annotated[
         str, OneOf(("", *ORDERS)), doc("dead monsters are left out, or rows of zeros (HP 0 in `godot`)")
     ] = ""
     scale: Annotated[str, OneOf(("", *SCALES)), doc("of what is observed")] = ""
-    observe_facing: Annotated[bool, doc("whether a player observes its facing: four numbers")] = False
+    observe_facing: Annotated[bool, doc("whether a player observes its facing: four numbers")] = declare(
+        False, shapes=True
+    )
     start: Annotated[
         str, OneOf(("random", "first")), doc("a random start place of the level, or always the first")
     ] = "random"
@@ -108,7 +114,9 @@ class EnvConfig:
         Interval(ge=0, le=1000),
         doc("XP lost by death, clearing the level and the time limit"),
     ] = 0.0
-    episode_steps: Annotated[int, Interval(ge=1, le=MOST_STEPS), doc("the world's time limit")] = 1000
+    episode_steps: Annotated[int, Interval(ge=1, le=MOST_STEPS), doc("the world's time limit")] = declare(
+        1000, paces=True
+    )
     time_limit: Annotated[
         str, OneOf(("truncate", "terminate")), doc("whether it truncates or terminates")
     ] = "truncate"

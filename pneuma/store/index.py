@@ -10,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 
-from pneuma.algorithms import engines_of
+from pneuma.algorithms import find_algorithm
 from pneuma.config import Run
 from pneuma.errors import UserError
 from pneuma.files import stored_file
@@ -74,7 +74,7 @@ class RunIndex:
 
     def engine_of(self, run: Run) -> str:
         """Return the engine of a run's configuration, or another by which there are runs of it alone."""
-        engines = dict.fromkeys([run.engine, *engines_of(run.algorithm)])
+        engines = dict.fromkeys([run.engine, *find_algorithm(run.algorithm).engines])
         known = (name for name in engines if config_id(replace(run, engine=name)) in self.places)
         return next(known, run.engine)
 

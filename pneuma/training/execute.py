@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pneuma.config import OF_GYMNASIUM, Run, env_config, is_open
+from pneuma.config import FIELDS, OF_GYMNASIUM, Run, env_config, is_open
 from pneuma.errors import counted
 from pneuma.store.last_queries import note_query
 from pneuma.store.store import Status, Store, run_identity
@@ -31,10 +31,7 @@ class CellResult:
 OnProgress = Callable[[Cell, Event], None]
 """Called with each event of a cell's run; `executors.base` lists the events."""
 
-SHAPED_BY = (
-    "algorithm", "engine", "actor", "critic", "activation", "horizon", "minibatch", "epochs", "slots",
-    "optimizer", "env", "players", "observation", "observe_facing", "perceive", "magic",
-)  # fmt: skip
+SHAPED_BY = tuple(name for name, about in FIELDS.items() if about.shapes)
 """Fields by which runs are grouped: those in which they agree likely share their compiled programs."""
 MOST_IN_GROUP = 8
 """Most runs per worker process. They are locked for other commands until the process ends."""

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from typing import Any
 
-from pneuma.config import Run, as_fields
+from pneuma.config import FIELDS, Run, as_fields
 from pneuma.errors import UserError, print_aside
 from pneuma.store.provenance import machine, processors
 from pneuma.store.store import FINISHED, Store
@@ -23,11 +23,7 @@ from pneuma.training.executors.base import Event
 SAMPLE = 100
 START_SECONDS = 4.0
 """Seconds that a worker takes to start with compiled programs."""
-OF_PACE = (
-    "engine", "algorithm", "env", "level", "players", "slots", "horizon", "minibatch", "epochs",
-    "actor", "critic", "optimizer", "steps", "evaluation_episodes", "episode_steps", "observation", "reward",
-    "random_levels", "magic", "classes", "buffer_size",
-)  # fmt: skip
+OF_PACE = tuple(name for name, about in FIELDS.items() if about.paces)
 """Fields that decide how long a step takes. Steps are one, as every run has the same number of
 evaluations."""
 LINE_SECONDS = 10.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from pneuma.algorithms import OPTIMIZER_DEFAULTS, OPTIMIZER_ENGINES
+from pneuma.algorithms import OPTIMIZERS
 from pneuma.config import ACTIVATIONS
 from pneuma.engines import mlp, policy, sb3_learners
 from pneuma.engines.batched import optimizers, update
@@ -37,7 +37,7 @@ def by_jax(activation: str, inputs: np.ndarray) -> np.ndarray:
 
 
 def by_torch(activation: str, inputs: np.ndarray) -> np.ndarray:
-    outputs: np.ndarray = sb3_learners.ACTIVATIONS[activation]()(torch.from_numpy(inputs)).numpy()
+    outputs: np.ndarray = sb3_learners.ACTIVATION_CLASSES[activation]()(torch.from_numpy(inputs)).numpy()
     return outputs
 
 
@@ -66,9 +66,7 @@ def test_a_code_without_a_branch_gives_no_numbers() -> None:
 
 
 def test_an_engine_has_the_optimizers_that_are_said_to_be_its() -> None:
-    own = {"batched": {*optimizers.STEPS}, "sb3": {*sb3_learners.OPTIMIZERS}}
-    said = {
-        engine: {name for name, engines in OPTIMIZER_ENGINES.items() if engine in engines} for engine in own
-    }
-    assert own == said
-    assert OPTIMIZER_ENGINES.keys() == OPTIMIZER_DEFAULTS.keys() == optimizers.MOMENTS.keys()
+    assert OPTIMIZERS.keys() == optimizers.STEPS.keys() == optimizers.MOMENTS.keys()
+    by_torch = {name for name, optimizer in OPTIMIZERS.items() if "sb3" in optimizer.engines}
+    assert sb3_learners.OPTIMIZER_CLASSES.keys() == by_torch
+    assert all("batched" in optimizer.engines for optimizer in OPTIMIZERS.values())

@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from pneuma.algorithms import ALGORITHM_ENGINES
+from pneuma.algorithms import ALGORITHMS
 from pneuma.config import make_run
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
 
 from .trained import run_of, train
 
-ENGINES = ALGORITHM_ENGINES["ppo"]
+ENGINES = ALGORITHMS["ppo"].engines
 BIG = pytest.param((1024, 1024), (4096, 4096, 4096, 4096), marks=pytest.mark.slow)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from pneuma.algorithms import ALGORITHMS, OPEN_LEARNERS
+from pneuma.algorithms import ALGORITHMS
 from pneuma.config import make_run
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.sb3_learners import make_model
@@ -40,7 +40,7 @@ def settings(model: Any, kind: type) -> dict[str, Any]:
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_what_nobody_sets_is_the_librarys_default(algorithm: str) -> None:
     run = make_run({"algorithm": algorithm, **GIVEN, **OTHERS.get(algorithm, {})})
-    if algorithm in OPEN_LEARNERS:
+    if ALGORITHMS[algorithm].learner:
         ours = OpenTrainer(run)._model
         env = ours.env
     else:

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from pneuma.algorithms import ALGORITHM_FIELDS, VALUE_BASED
-from pneuma.config import Run, make_run
+from pneuma.algorithms import VALUE_BASED
+from pneuma.config import FIELDS, Run, make_run
 from pneuma.engines.sb3_learners import LEARNERS, arguments_of
 from pneuma.errors import UserError
 from pneuma.sb3_names import NAMES, own_fields
@@ -142,7 +142,8 @@ def test_every_field_that_an_algorithm_reads_reaches_its_learner(algorithm: str)
     """As an argument, unless it stands `ELSEWHERE`: in networks, the optimizer or Pneuma's own classes."""
     run = make_run({"algorithm": algorithm, "engine": "sb3"})
     reached = {name for _, name in arguments_of(run)}
-    assert {*ALGORITHM_FIELDS[algorithm]} <= reached | ELSEWHERE
+    read = {name for name, about in FIELDS.items() if algorithm in about.read_by}
+    assert read <= reached | ELSEWHERE
     assert ("horizon" in reached) == (algorithm not in VALUE_BASED)
 
 
