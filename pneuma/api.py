@@ -20,7 +20,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pneuma.config import OF_WORLDS, Run, is_gymnasium_id, make_run
+from pneuma.config import OF_WORLDS, Run, as_fields, is_gymnasium_id, make_run
 from pneuma.env.fields import ENVIRONMENTS, make_env_config, read_field
 from pneuma.errors import UserError, counted
 from pneuma.schema import plain
@@ -29,7 +29,7 @@ from pneuma.store.provenance import available_cores, project
 from pneuma.store.store import Store
 from pneuma.store.stored_runs import find_run, stored_run, trusted_settings
 from pneuma.study import plan, spec
-from pneuma.study.identity import describe_user_code
+from pneuma.study.identity import describe_user_code, user_files
 from pneuma.training import execute
 from pneuma.training.executors.base import ExecutorConfig
 from pneuma.training.progress import ProgressDisplay
@@ -134,7 +134,8 @@ def train_plan(
     """
     todo, notes = execute.prepare(planned, store, retry_failed, how.until or None)
     if own := planned.study.own_path:
-        how = replace(how, project=project(Path(own)))
+        files = {path for cell in planned.cells for path in user_files(as_fields(cell.run))}
+        how = replace(how, project=project(Path(own), files))
     for note in (*planned.notes, *notes):
         say(f"Note: {note}.")
     if todo:

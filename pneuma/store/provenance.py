@@ -9,7 +9,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
@@ -23,6 +23,8 @@ from pneuma.study.identity import own_names
 PACKAGES = (
     "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "numba", "jax", "jaxlib", "pyarrow",
 )  # fmt: skip
+SIMULATORS = ("Box2D", "mujoco", "ale_py")
+"""Modules in which Gymnasium's environments are simulated."""
 CARRIED_CODE = "PNEUMA_CODE"
 """Environment variable with the version and commit of code that was sent to another machine."""
 SOURCE = Path(__file__).parents[2]
@@ -178,23 +180,44 @@ def line_at(path: Path, commit: str, beginning: str, folder: str) -> str:
     return ""
 
 
-def project(study: Path) -> dict[str, str]:
-    """Return a user's study file by its name, and the commit of the repository that it is in, if any."""
-    commit = _git(study.parent, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*", own=False)
-    return {"study": study.name, **({"commit": commit[0]} if commit else {})}
+def project(study: Path, files: Iterable[Path] = ()) -> dict[str, str]:
+    """Return a user's study file by its name, and the commit of the repository that it is in, if any.
+
+    The commit is marked as dirty where its files have changed, and where it lacks the study's file or one of
+    the files that its runs use.
+    """
+    about = {"study": study.name}
+    folder = study.resolve().parent
+    top = _git(folder, "rev-parse", "--show-toplevel", own=False)
+    commit = _git(folder, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*", own=False)
+    if not (top and commit):
+        return about
+    used = {path.resolve() for path in (study, *files)}
+    within = [str(path) for path in used if path.is_relative_to(top[0])]
+    tracked = _git(folder, "ls-files", "--", *within, own=False)
+    untracked = len(tracked) < len(within)
+    dirty = untracked and not commit[0].endswith("-dirty")
+    return {**about, "commit": commit[0] + ("-dirty" if dirty else "")}
 
 
 def packages_of(run: Run) -> dict[str, str]:
     """Return the versions of the packages that a run's environment and its own modules come from."""
     from gymnasium.envs.registration import registry  # workers have it, commands need not
 
+    modules = [name for names in own_names(as_fields(run)).values() for name in names]
     spec = registry.get(run.env)
-    named = [name for names in own_names(as_fields(run)).values() for name in names]
-    named += [str(spec.entry_point)] if spec else []
-    tops = {re.split(r"[.:]", name)[0] for name in named} - {"gymnasium", "pneuma"}
-    modules = sorted(filter(str.isidentifier, tops))
-    known = packages_distributions() if modules else {}
-    return {name: version(name) for module in modules for name in known.get(module, ())}
+    if spec and isinstance(spec.entry_point, str):
+        modules.append(spec.entry_point)
+    elif spec:
+        modules.append(str(getattr(spec.entry_point, "__module__", "")))
+    modules += [name for name in SIMULATORS if name in sys.modules]
+    packages = {re.split(r"[.:]", module)[0] for module in modules} - {"gymnasium", "pneuma"}
+    distributions = packages_distributions() if packages else {}
+    versions = {}
+    for package in sorted(packages):
+        for name in distributions.get(package, ()):
+            versions[name] = version(name)
+    return versions
 
 
 def _git(source: Path, *words: str, own: bool = True) -> list[str]:

@@ -81,12 +81,17 @@ def user_files_digest(fields: Mapping[str, Any]) -> str:
     Raises:
         UserError, OSError: for a file that cannot be read.
     """
-    paths = [path for _, found in _own_files(fields) for path in found]
+    paths = user_files(fields)
     digest = hashlib.sha256()
     for path in paths:
         data = path.read_bytes()
         digest.update(f"{path.name}\0{len(data)}\0".encode() + data)
     return digest.hexdigest() if paths else ""
+
+
+def user_files(fields: Mapping[str, Any]) -> list[Path]:
+    """Return the user's own files in a run's fields: level, characters, and modules."""
+    return [path for _, paths in _own_files(fields) for path in paths]
 
 
 def own_files(fields: Mapping[str, Any], missing: bool = False) -> list[str]:

@@ -7,10 +7,12 @@ import time
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+import pandas as pd
 import pytest
+from gymnasium.envs.registration import register, registry
 
 from pneuma.config import Run, as_fields, make_run
 from pneuma.store.provenance import Attempt, finished_provenance, machine, packages_of, project
@@ -72,10 +74,18 @@ def test_a_study_is_told_with_its_commit_and_a_run_with_the_packages_of_its_modu
         subprocess.run(["git", *words], cwd=tmp_path, check=True)
     head = subprocess.check_output(["git", "rev-parse", "HEAD"], cwd=tmp_path, text=True).strip()
     assert project(study)["commit"] == head
+    module = study.with_name("own.py")
+    module.touch()
+    assert project(study)["commit"] == project(study, [study, Path("/etc/hosts")])["commit"] == head
+    assert project(study, [module])["commit"] == f"{head}-dirty"  # untracked, as the study itself
+    assert project(study.with_name("new.toml"))["commit"] == f"{head}-dirty"
     study.write_text("title")
-    assert project(study)["commit"] == f"{head}-dirty"
+    assert project(study, [module])["commit"] == f"{head}-dirty"
     run = make_run({"env": "CartPole-v1", "wrappers": ["numpy.random:Generator", "NormalizeObservation"]})
     assert packages_of(run) == {"numpy": np.__version__}
+    register("Own-v0", entry_point=cast(Any, pd.DataFrame))  # a class, and not its name
+    assert packages_of(make_run({"env": "Own-v0"})) == {"pandas": pd.__version__}
+    del registry["Own-v0"]
 
 
 # --- Every attempt keeps its machine -----------------------------------------
