@@ -17,6 +17,8 @@ from .training import training_here
 
 # As workers do: on one thread each, since several share the cores, and keeping what JAX compiles for others.
 os.environ.update(worker_environment())
+if "PYTHONPYCACHEPREFIX" in os.environ:  # as workers, commands that tests start keep byte code
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import ctypes
+import gc
 import json
 import os
 import signal
@@ -50,6 +51,7 @@ def main() -> int:
     parser.add_argument("--parent", type=int)
     parser.add_argument("--last-try", action="store_true")
     options = parser.parse_args()
+    gc.disable()  # until the first update: imports and compilation make much, and leave it all in use
     if options.parent:
         die_with(options.parent)
     job, stop = Job.from_json(sys.stdin.readline()), threading.Event()
@@ -158,9 +160,12 @@ class Worker:
             return self.reporter.end(name, Status("stopped", first))
         attempt, log = Attempt(first), open_log(self.how.logs.get(name), first)
         self.reporter.send("step", name, step=first)
-        self.reporter.send("status", name, text="begins")
+        self.reporter.send("status", name, text=f"resumes at step {first:,}" if first else "begins")
 
         def update(progress: Progress) -> bool:
+            if not gc.isenabled():
+                gc.freeze()
+                gc.enable()
             attempt.update(progress.step, progress.evaluation_seconds)
             self.reporter.step(name, progress.step)
             stopping = self.stop.is_set() or until <= progress.step < run.steps

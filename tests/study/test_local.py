@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -138,6 +139,22 @@ def test_a_worker_has_no_variables_that_change_numbers(
     assert {name: value for name, value in has.items() if name in {*HOSTILE, *known}} == {
         **known, "XLA_FLAGS": local.XLA_FLAGS
     }  # fmt: skip
+
+
+def test_workers_keep_byte_code_where_packages_have_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    numpy = find_spec("numpy")
+    assert numpy is not None
+    for cached, kept in ((tmp_path / "none.pyc", False), (Path(__file__), True)):
+        numpy.cached = str(cached)
+        monkeypatch.setattr(local, "find_spec", lambda name: numpy)
+        variables = local.worker_environment()
+        assert ("PYTHONDONTWRITEBYTECODE" in variables) == kept
+        folder = None if kept else str(tmp_path / "pneuma" / "bytecode")
+        assert variables.get("PYTHONPYCACHEPREFIX") == folder
 
 
 def test_xla_reads_every_one_of_its_flags(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 Tree = Any
 State = dict[str, Any]
@@ -29,9 +30,9 @@ MOMENTS = {
 
 
 def initial_state(optimizer: str, parameters: Tree) -> State:
-    zeros = jax.tree.map(jnp.zeros_like, parameters)
-    count = jnp.int32 if optimizer == "upgd" else jnp.float32  # the counter that keys the noise is kept
-    return {"steps": jnp.zeros((), count)} | dict.fromkeys(MOMENTS[optimizer], zeros)
+    zeros = jax.tree.map(np.zeros_like, parameters)  # NumPy's: JAX would compile a program for each shape
+    count = np.int32 if optimizer == "upgd" else np.float32  # the counter that keys the noise is kept
+    return {"steps": np.zeros((), count)} | dict.fromkeys(MOMENTS[optimizer], zeros)
 
 
 def adam(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> tuple[Tree, State]:

@@ -25,6 +25,7 @@ import time
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -352,7 +353,19 @@ def worker_environment() -> dict[str, str]:
     for name, value in os.environ.items():
         if name in names or name.startswith(PASSED_PREFIXES):
             passed[name] = value
+    if not _is_byte_code_kept():
+        passed.pop("PYTHONDONTWRITEBYTECODE", None)
+        added["PYTHONPYCACHEPREFIX"] = str(_cache() / "bytecode")
     return {**passed, **dict.fromkeys(_ONE_THREAD, "1"), **added}
+
+
+def _is_byte_code_kept() -> bool:
+    """Return whether modules have byte code on disk, without which a worker takes twice as long to start.
+
+    In containers often none is written, and folders of packages may be read-only.
+    """
+    numpy = find_spec("numpy")
+    return numpy is None or numpy.cached is None or Path(numpy.cached).is_file()
 
 
 def prepare_node() -> None:
