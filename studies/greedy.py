@@ -23,7 +23,7 @@ from pneuma.env.rules import RUNNING
 from pneuma.env.worlds import Worlds
 from pneuma.store.index import RunIndex
 from pneuma.store.store import Store
-from pneuma.study.plan import Selection
+from pneuma.study.plan import Query
 
 EPISODES = 40
 WINDOW = 50
@@ -92,7 +92,7 @@ def why_stuck(window: Played) -> str:
 
 
 def rows(results: str, study: str) -> Iterator[dict[str, object]]:
-    data = open_study(RunIndex(Store(results)), study, Selection())
+    data = open_study(RunIndex(Store(results)), Query(study))
     for condition in data.conditions:
         if not data.of_condition(condition):
             continue

@@ -74,7 +74,7 @@ def test_untrusted_a_checksummed_table_that_makes_no_sense_is_one_line(
 ) -> None:
     _swapped(store, name, change)
     index = RunIndex(store, shipped=False)
-    with pytest.raises(UserError, match="no finished run of study mine"):
+    with pytest.raises(UserError, match="study mine has no finished run in"):
         open_study(index, Query(study="mine"))
     (problem,) = index.problems
     assert problem.startswith(f"{store.run_folder(RUN)}: cannot be read (") and "\n" not in problem

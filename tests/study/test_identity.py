@@ -149,6 +149,7 @@ def test_all_files_of_a_users_own_are_found_beside_the_studys_or_else_here(
         planned = make_plan(load_study(str(there / "own.toml"), "text"), Query()).cells
         for cell in planned:
             check_environment(cell.run)
+            assert cell.run_id == run_id(cell.run)  # by the files as they are now
         return list(planned)
 
     world, other = cells()

@@ -30,4 +30,4 @@ steps = 256
 def tiny_plan(folder: Path, **selection: Any) -> Plan:
     path = folder / "tiny.toml"
     path.write_text(TINY)
-    return make_plan(load_study(str(path)), Query(**selection))
+    return make_plan(load_study(str(path)), Query(study=str(path), **selection))
