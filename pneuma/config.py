@@ -58,10 +58,13 @@ Schedule = Literal["constant", "linear"]
 
 
 def _read_layers(value: Any) -> tuple[int, ...]:
-    layers = (value,) if type(value) is int else tuple(value)
-    if not 1 <= len(layers) <= 8 or not all(type(size) is int and 1 <= size <= 65536 for size in layers):
+    widths = (value,) if type(value) is int else tuple(value)
+    if not 1 <= len(widths) <= 8:
         raise ValueError
-    return layers
+    for width in widths:
+        if type(width) is not int or not 1 <= width <= 65536:
+            raise ValueError
+    return widths
 
 
 Layers = Annotated[
@@ -108,18 +111,25 @@ def _read_arguments(value: Any) -> str:
 
 def _read_wrappers(value: Any) -> tuple[str, ...]:
     """Read classes, of `gymnasium.wrappers` where no module is named, with their arguments as JSON."""
+    if value == "":
+        return ()
     if isinstance(value, str):
-        value = value.split(",") if value and "{" not in value else [value] * bool(value)
-    return tuple(map(_read_wrapper, [value] if isinstance(value, Mapping) else value))
+        value = [value] if "{" in value else value.split(",")
+    if isinstance(value, Mapping):
+        value = [value]
+    return tuple(_read_wrapper(wrapper) for wrapper in value)
 
 
 def _read_wrapper(value: Any) -> str:
+    arguments: Any
     if isinstance(value, Mapping):
-        name, arguments = value["name"], {key: each for key, each in value.items() if key != "name"}
+        arguments = dict(value)
+        name = arguments.pop("name")
     else:
         name, brace, rest = value.partition("{")
         arguments = brace + rest
-    name = name if ":" in name else f"gymnasium.wrappers:{name}"
+    if ":" not in name:
+        name = f"gymnasium.wrappers:{name}"
     if not re.fullmatch(rf"({MODULE}):\w+", name):
         raise ValueError
     return name + _read_arguments(arguments)
@@ -315,15 +325,15 @@ def make_run(given: Mapping[str, object]) -> Run:
     if not is_gymnasium_id(env):
         values = resolve_world(values)
 
-    named = Run(**{key: values[key] for key in ("env", "algorithm", *OF_OPEN_LEARNERS) if key in values})
-    values |= _rollout_steps(named, values)
-    defaults = default_fields(named.algorithm, values.get("optimizer", ""))
-    named = replace(named, optimizer=values.get("optimizer", defaults.get("optimizer", named.optimizer)))
-    known = _read_by(named.env, named.algorithm, named.optimizer, is_open(named))
-    if values.get("learners") == "independent" and "learners" not in known:
-        _refuse("learners = independent", f"{named.algorithm} trains one policy for all players")
-
+    naming = ("env", "algorithm", *OF_OPEN_LEARNERS)
+    learner = Run(**{name: values[name] for name in naming if name in values})
+    values |= _rollout_steps(learner, values)
+    defaults = default_fields(learner.algorithm, values.get("optimizer", ""))
     complete = {**defaults, **values}
+    learner = replace(learner, optimizer=complete.get("optimizer", learner.optimizer))
+    known = _read_by(learner.env, learner.algorithm, learner.optimizer, is_open(learner))
+    if values.get("learners") == "independent" and "learners" not in known:
+        _refuse("learners = independent", f"{learner.algorithm} trains one policy for all players")
     run = Run(**{name: value for name, value in complete.items() if name in known})
     idle = known - reads(run)
     run = replace(run, **{name: defaults.get(name, usual[name]) for name in idle})
@@ -390,29 +400,37 @@ def beyond_engine(run: Run) -> str:
     """Return what the compiled engine cannot do for a run; empty if it can train it."""
     if ENGINES[0] not in find_algorithm(run.algorithm).engines:
         return f"the algorithm {run.algorithm}"
-    if given := [key for key in OF_OPEN_LEARNERS if getattr(run, key)]:
-        return f"a run with {given[0]}"
-    return "" if run.value_baseline else "advantages without a baseline"
+    if run.policy or run.algorithm_kwargs:
+        return f"a run with {'policy' if run.policy else 'algorithm_kwargs'}"
+    if not run.value_baseline:
+        return "advantages without a baseline"
+    return ""
 
 
 def _engine(run: Run, asked: str) -> str:
     """Return the engine that was asked for, or the first one that can train a run."""
-    reason = beyond_engine(run)
-    able = [name for name in find_algorithm(run.algorithm).engines if not reason or name != ENGINES[0]]
-    if asked and asked not in able:
-        cannot = f"it cannot train {reason or f'the algorithm {run.algorithm}'}; {' and '.join(able)} can"
-        raise UserError(f'engine = "{asked}" is not allowed: {cannot}')
-    return asked or able[0]
+    beyond = beyond_engine(run)
+    able = list(find_algorithm(run.algorithm).engines)
+    if beyond and ENGINES[0] in able:
+        able.remove(ENGINES[0])
+    if not asked:
+        return able[0]
+    if asked not in able:
+        beyond = beyond or f"the algorithm {run.algorithm}"
+        _refuse(f'engine = "{asked}"', f"it cannot train {beyond}; {' and '.join(able)} can")
+    return asked
 
 
-def _refuse(said: str, why: str) -> NoReturn:
-    raise UserError(f"{said} is not allowed: {why}")
+def _refuse(setting: str, reason: str) -> NoReturn:
+    raise UserError(f"{setting} is not allowed: {reason}")
 
 
 def _check_learner(run: Run) -> None:
     if is_open(run) and not is_gymnasium_id(run.env):
-        given = next((key for key in OF_OPEN_LEARNERS if getattr(run, key)), f"algorithm = {run.algorithm}")
-        raise UserError(f"{given} is not allowed in {run.env}: only in other environments of Gymnasium")
+        setting = f"algorithm = {run.algorithm}"
+        if run.policy or run.algorithm_kwargs:
+            setting = "policy" if run.policy else "algorithm_kwargs"
+        raise UserError(f"{setting} is not allowed in {run.env}: only in other environments of Gymnasium")
     if run.learners == "independent" and run.engine != ENGINES[0]:
         _refuse("learners = independent", f"{run.engine} trains one policy for all players")
     if "optimizer" in reads(run) and run.engine not in OPTIMIZERS[run.optimizer].engines:
@@ -425,7 +443,7 @@ def _check_learner(run: Run) -> None:
 
 
 def env_config(run: Run) -> EnvConfig:
-    return EnvConfig(**{key: getattr(run, key) for key in OF_WORLDS})
+    return EnvConfig(**{name: getattr(run, name) for name in OF_WORLDS})
 
 
 def evaluation_config(run: Run) -> EnvConfig:
@@ -437,7 +455,11 @@ def evaluation_config(run: Run) -> EnvConfig:
 
 def as_fields(config: EnvConfig) -> dict[str, Any]:
     """Return a configuration as a flat dictionary for JSON, which `make_run` reads."""
-    return {key: list(v) if isinstance(v, tuple) else v for key, v in vars(config).items()}
+    values = dict(vars(config))
+    for name, value in values.items():
+        if isinstance(value, tuple):
+            values[name] = list(value)
+    return values
 
 
 def stream_seed(key: int | str, purpose: str, slot: int = 0) -> int:

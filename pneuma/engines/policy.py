@@ -6,7 +6,7 @@ A policy is stored as safetensors with JSON, so that reading an untrusted file r
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
@@ -100,12 +100,10 @@ class Policy:
 
     def __repr__(self) -> str:
         """Return the policy in a line: its networks' sizes, not their numbers."""
-        networks = (
-            f"{part} {list(map(int, sizes(getattr(self, part))))}"
-            for part in ("actor", "critic")
-            if getattr(self, part)
-        )
-        return f"Policy({self.activation}, {', '.join(networks)})"
+        text = f"Policy({self.activation}, actor {sizes(self.actor).tolist()}"
+        if self.critic:
+            text += f", critic {sizes(self.critic).tolist()}"
+        return f"{text})"
 
     @property
     def features(self) -> int:
@@ -122,38 +120,40 @@ class Policy:
 
         Then row i of observations is player i % players of world i // players.
         """
-        return len(self.actor[0][0]) if self.actor[0][0].ndim == 3 else 1
+        weight, _ = self.actor[0]
+        return len(weight) if weight.ndim == 3 else 1
 
     def logits(self, observations: np.ndarray) -> np.ndarray:
         """Return actions' unnormalised log-probabilities, or values: (N, features) -> (N, actions)."""
-        return forward(self.actor, self.activation, self._seen(observations))[-1]
+        return forward(self.actor, self.activation, self._scaled(observations))[-1]
 
     def values(self, observations: np.ndarray) -> np.ndarray:
         """Return the critic's values, or the greatest of any action: (N, features) -> (N,)."""
         if self.exploration is not None:
             return self.logits(observations).max(axis=1)
-        return forward(self.critic, self.activation, self._seen(observations))[-1][:, 0]
+        return forward(self.critic, self.activation, self._scaled(observations))[-1][:, 0]
 
-    def _seen(self, observations: np.ndarray) -> np.ndarray:
+    def _scaled(self, observations: np.ndarray) -> np.ndarray:
         return self.scaling(observations) if self.scaling else observations
 
     def sample(self, observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """Draw an action for each observation: (N, features) -> (N,), or (N, …) of several numbers."""
         logits = self.logits(observations)
         if self.deviation is not None:
-            return self._clip(logits + self.deviation * generator.standard_normal(logits.shape, np.float32))
+            noise = self.deviation * generator.standard_normal(logits.shape, np.float32)
+            return self._clip(logits + noise)
         if self.exploration is not None:
             at_random = generator.random(len(logits)) < self.exploration
             any_action = generator.integers(logits.shape[1], size=len(logits))
             return np.where(at_random, any_action, logits.argmax(axis=1))
-        return self._joined([_draw(part, generator) for part in self._parts(logits)])
+        return self._join([_draw(choice, generator) for choice in self._split(logits)])
 
     def best(self, observations: np.ndarray) -> np.ndarray:
         """Return the most probable action, or that of the greatest value, in the shape of `sample`'s."""
         logits = self.logits(observations)
         if self.deviation is not None:
             return self._clip(logits)
-        return self._joined([part.argmax(axis=1) for part in self._parts(logits)])
+        return self._join([choice.argmax(axis=1) for choice in self._split(logits)])
 
     def predict(
         self,
@@ -164,48 +164,54 @@ class Policy:
     ) -> tuple[np.ndarray, None]:
         """Return actions for one observation, (features,), or several, (N, features), and no state.
 
-        As a model of Stable-Baselines3 does, whose `evaluate_policy` can play a policy therefore. Drawn
+        A model of Stable-Baselines3 does the same, so that its `evaluate_policy` can play a policy. Sampled
         actions follow `numpy.random.seed`.
         """
         rows = np.reshape(observation, (-1, self.features))
-        drawn = np.random.default_rng(np.random.randint(2**31))
-        actions = self.best(rows) if deterministic else self.sample(rows, drawn)
-        return actions if np.ndim(observation) > 1 else actions[0], state
+        generator = np.random.default_rng(np.random.randint(2**31))
+        actions = self.best(rows) if deterministic else self.sample(rows, generator)
+        if np.ndim(observation) == 1:
+            return actions[0], state
+        return actions, state
 
-    def _parts(self, logits: np.ndarray) -> list[np.ndarray]:
+    def _split(self, logits: np.ndarray) -> list[np.ndarray]:
+        """Return the logits of each of an action's choices."""
         if self.choices is None:
             return [logits]
         return np.split(logits, self.choices.ravel().cumsum()[:-1], axis=1)
 
-    def _joined(self, chosen: list[np.ndarray]) -> np.ndarray:
+    def _join(self, actions: list[np.ndarray]) -> np.ndarray:
+        """Return actions from those of each choice."""
         if self.choices is None:
-            return chosen[0]
-        return np.stack(chosen, axis=1).reshape(-1, *self.choices.shape)
+            return actions[0]
+        return np.stack(actions, axis=1).reshape(-1, *self.choices.shape)
 
-    def _clip(self, numbers: np.ndarray) -> np.ndarray:
+    def _clip(self, actions: np.ndarray) -> np.ndarray:
         assert self.bounds is not None
         low, high = self.bounds
-        return np.clip(numbers.reshape(-1, *low.shape), low, high).astype(low.dtype)
+        return np.clip(actions.reshape(-1, *low.shape), low, high).astype(low.dtype)
 
     def entropy(self, observations: np.ndarray) -> float:
         """Return the mean entropy over observations, (N, features), of actions drawn, in nats."""
         if self.deviation is not None:
             return float((0.5 * np.log(2 * np.pi * np.e) + np.log(self.deviation)).sum())
-        return sum(map(_entropy, self._parts(self.logits(observations).astype(float))))
+        logits = self.logits(observations).astype(float)
+        return sum(_entropy(choice) for choice in self._split(logits))
 
     def to_bytes(self) -> bytes:
         """Serialise as safetensors, with activation and exploration in the header."""
-        arrays = {
-            f"{part}.{i}.{name}": np.ascontiguousarray(array)
-            for part in ("actor", "critic")
-            for i, layer in enumerate(getattr(self, part))
-            for name, array in zip(("weight", "bias"), layer, strict=True)
-        }
+        arrays: dict[str, np.ndarray] = {}
+        for network, layers in (("actor", self.actor), ("critic", self.critic)):
+            for i, (weight, bias) in enumerate(layers):
+                arrays[f"{network}.{i}.weight"] = np.ascontiguousarray(weight)
+                arrays[f"{network}.{i}.bias"] = np.ascontiguousarray(bias)
         for name in ("deviation", "bounds", "choices"):
-            if (array := getattr(self, name)) is not None:
+            array = getattr(self, name)
+            if array is not None:
                 arrays[name] = np.ascontiguousarray(array)
         if self.scaling is not None:
-            arrays |= {f"observations.{name}": array for name, array in vars(self.scaling).items()}
+            arrays["observations.mean"] = self.scaling.mean
+            arrays["observations.variance"] = self.scaling.variance
         about: dict[str, object] = {"schema": 1, "activation": self.activation}
         if self.exploration is not None:
             about["exploration"] = self.exploration
@@ -233,98 +239,156 @@ def overflows(policy: Policy, observations: np.ndarray) -> bool:
 
 def read_sound_policy(data: bytes) -> Policy:
     """Read a policy, which may be untrusted, from the bytes of `Policy.to_bytes`."""
-
-    def layers(part: str) -> Layers:
-        count = sum(name.startswith(f"{part}.") for name in arrays) // 2
-        return tuple((arrays[f"{part}.{i}.weight"], arrays[f"{part}.{i}.bias"]) for i in range(count))
-
     try:
-        header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-        about, arrays = json.loads(header["__metadata__"]["pneuma"]), load(data)
-        scaling = None
-        if "observations.mean" in arrays:
-            scaling = Scaling(arrays["observations.mean"], arrays["observations.variance"])
-        several = arrays.get("deviation"), arrays.get("bounds"), arrays.get("choices")
-        networks = layers("actor"), layers("critic")
-        policy = Policy(about["activation"], *networks, about.get("exploration"), *several, scaling)
-        sound = _is_sound(policy)
+        policy = _read_policy(data)
+        is_sound = _is_sound(policy)
     except Exception:  # safetensors, JSON and shapes raise different errors
-        sound = False
-    if not sound:
+        is_sound = False
+    if not is_sound:
         raise UserError(f"{POLICY_FILE}: is no policy, or its layers do not fit each other")
     return policy
 
 
+def _read_policy(data: bytes) -> Policy:
+    header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+    about = json.loads(header["__metadata__"]["pneuma"])
+    arrays = load(data)
+    scaling = None
+    if "observations.mean" in arrays:
+        scaling = Scaling(arrays["observations.mean"], arrays["observations.variance"])
+    return Policy(
+        activation=about["activation"],
+        actor=_layers_in(arrays, "actor"),
+        critic=_layers_in(arrays, "critic"),
+        exploration=about.get("exploration"),
+        deviation=arrays.get("deviation"),
+        bounds=arrays.get("bounds"),
+        choices=arrays.get("choices"),
+        scaling=scaling,
+    )
+
+
+def _layers_in(arrays: Mapping[str, np.ndarray], network: str) -> Layers:
+    layers = []
+    while f"{network}.{len(layers)}.weight" in arrays:
+        name = f"{network}.{len(layers)}"
+        layers.append((arrays[f"{name}.weight"], arrays[f"{name}.bias"]))
+    return tuple(layers)
+
+
 def _is_sound(policy: Policy) -> bool:
     """Return whether a policy's parts fit each other, so that it plays, compiled or not."""
-    players = {weight.shape[:-2] for weight, _ in (*policy.actor, *policy.critic)}
-    fits = policy.activation in ACTIVATIONS and len(players) == 1 and len(min(players)) <= 1
-    fits &= policy.players == 1 or (policy.exploration, policy.scaling) == (None, None)
-    for layers in filter(None, (policy.actor, policy.critic)):
-        widths = [policy.features, *(bias.shape[-1] for _, bias in layers)]
-        fits &= all(bias.shape == (*weight.shape[:-2], weight.shape[-1]) for weight, bias in layers)
-        fits &= [weight.shape[-2] for weight, _ in layers] == widths[:-1]
-    fits &= (policy.deviation is None) == (policy.bounds is None)
+    if policy.activation not in ACTIVATIONS or not _are_sound_layers(policy):
+        return False
+    if policy.players > 1 and (policy.exploration is not None or policy.scaling is not None):
+        return False
+    if (policy.deviation is None) != (policy.bounds is None):
+        return False
     if policy.deviation is not None and policy.bounds is not None:
         low, high = policy.bounds
-        fits &= policy.deviation.shape == (policy.actions,) and low.size == policy.actions
-        fits &= bool((low <= high).all() and np.isfinite(policy.deviation).all())
+        if policy.deviation.shape != (policy.actions,) or low.size != policy.actions:
+            return False
+        if not (low <= high).all() or not np.isfinite(policy.deviation).all():
+            return False
     if policy.choices is not None:
-        fits &= policy.deviation is None and policy.exploration is None and policy.choices.dtype.kind in "iu"
-        fits &= bool((policy.choices >= 1).all()) and policy.choices.sum() == policy.actions
+        if policy.deviation is not None or policy.exploration is not None:
+            return False
+        if policy.choices.dtype.kind not in "iu" or not (policy.choices >= 1).all():
+            return False
+        if policy.choices.sum() != policy.actions:
+            return False
     if policy.scaling is not None:
         mean, variance = policy.scaling.mean, policy.scaling.variance
-        fits &= mean.shape == variance.shape == (policy.features,) and bool((variance >= 0).all())
-        fits &= bool(np.isfinite([mean, variance]).all())
+        if mean.shape != (policy.features,) or variance.shape != (policy.features,):
+            return False
+        if not (variance >= 0).all() or not np.isfinite([mean, variance]).all():
+            return False
     if policy.exploration is not None:
-        return fits and not policy.critic and 0 <= policy.exploration <= 1
-    return fits and policy.critic[-1][1].shape[-1] == 1
+        return not policy.critic and 0 <= policy.exploration <= 1
+    return bool(policy.critic[-1][1].shape[-1] == 1)
+
+
+def _are_sound_layers(policy: Policy) -> bool:
+    """Return whether all layers are of as many players, and each takes what the one before gives."""
+    players = policy.actor[0][0].shape[:-2]
+    if len(players) > 1:
+        return False
+    for layers in (policy.actor, policy.critic):
+        inputs = policy.features
+        for weight, bias in layers:
+            outputs = weight.shape[-1]
+            if weight.shape != (*players, inputs, outputs) or bias.shape != (*players, outputs):
+                return False
+            inputs = outputs
+    return True
 
 
 def drawing(policy: Policy, worlds: Worlds, generator: np.random.Generator) -> Callable[[Worlds], np.ndarray]:
     """Return a function that draws actions, (N, P), from a policy in worlds."""
     check_fits(policy, worlds)
 
-    def act(shown: Worlds) -> np.ndarray:
-        flat = shown.observations.reshape(-1, shown.observations.shape[2])
-        return policy.sample(flat, generator).reshape(shown.players.shape)
+    def act(worlds: Worlds) -> np.ndarray:
+        rows = worlds.observations.reshape(-1, worlds.observations.shape[2])
+        return policy.sample(rows, generator).reshape(worlds.players.shape)
 
     return act
 
 
 def check_fits(policy: Policy, worlds: Worlds) -> None:
-    for what, trained, asked in (
-        ("features", policy.features, worlds.observations.shape[2]),
-        ("actions", policy.actions, int(worlds.action_space.n)),
-        ("players", policy.players, worlds.players.shape[1] if policy.players > 1 else 1),
-    ):
-        if trained != asked:
-            raise UserError(f"was trained on {trained} {what}; these settings make {asked}")
+    """Refuse worlds with other observations, actions or (where each has a policy) players."""
+    trained = {"features": policy.features, "actions": policy.actions}
+    present = {"features": worlds.observations.shape[2], "actions": int(worlds.action_space.n)}
+    if policy.players > 1:
+        trained["players"], present["players"] = policy.players, worlds.players.shape[1]
+    for name in trained:
+        if trained[name] != present[name]:
+            raise UserError(f"was trained on {trained[name]} {name}; these settings make {present[name]}")
 
 
 def sizes(layers: Layers) -> np.ndarray:
     """Return the inputs of the first layer and the outputs of every layer, (layers + 1,) int64."""
-    return np.array([layers[0][0].shape[-2], *(weight.shape[-1] for weight, _ in layers)], np.int64)
+    first_weight, _ = layers[0]
+    widths = [first_weight.shape[-2]]
+    for weight, _ in layers:
+        widths.append(weight.shape[-1])
+    return np.array(widths, np.int64)
 
 
 def forward(layers: Layers, activation: str, observations: np.ndarray) -> list[np.ndarray]:
     """Return the output of each layer, hidden ones after their activation: [(N, units), …]."""
+    if layers and layers[0][0].ndim == 3:
+        return _forward_of_players(layers, activation, observations)
     outputs = []
-    x, several = observations, bool(layers) and layers[0][0].ndim == 3
-    if several:
-        if len(x) % len(layers[0][0]):
-            raise UserError(f"{len(x)} observations: must be one for each of {len(layers[0][0])} players")
-        x = x.reshape(-1, len(layers[0][0]), x.shape[-1]).swapaxes(0, 1)  # (players, worlds, features)
+    x = observations
     for i, (weight, bias) in enumerate(layers):
-        x = x @ weight + (bias[:, None] if several else bias)
+        x = x @ weight + bias
         if i < len(layers) - 1:
             x = ACTIVATION_FUNCTIONS[activation](x)
-        outputs.append(x.swapaxes(0, 1).reshape(len(observations), -1) if several else x)
+        outputs.append(x)
+    return outputs
+
+
+def _forward_of_players(layers: Layers, activation: str, observations: np.ndarray) -> list[np.ndarray]:
+    """Return the same for a policy of each player; row i is of player i % players."""
+    players, rows = len(layers[0][0]), len(observations)
+    if rows % players:
+        raise UserError(f"{rows} observations: must be one for each of {players} players")
+    outputs = []
+    x = observations.reshape(-1, players, observations.shape[-1]).swapaxes(
+        0, 1
+    )  # (players, worlds, features)
+    for i, (weight, bias) in enumerate(layers):
+        x = x @ weight + bias[:, None]
+        if i < len(layers) - 1:
+            x = ACTIVATION_FUNCTIONS[activation](x)
+        outputs.append(x.swapaxes(0, 1).reshape(rows, -1))
     return outputs
 
 
 def dead_share(policy: Policy, observations: np.ndarray) -> float:
     """Return the share of hidden units, of actor and critic, that are dead over a rollout; see `IS_DEAD`."""
-    networks = [forward(part, policy.activation, observations) for part in (policy.actor, policy.critic)]
-    hidden = np.concatenate([layer for outputs in networks for layer in outputs[:-1]], axis=1)  # (N, units)
-    return float(IS_DEAD[policy.activation](hidden).all(axis=0).mean())
+    hidden = []
+    for network in (policy.actor, policy.critic):
+        hidden += forward(network, policy.activation, observations)[:-1]
+    units = np.concatenate(hidden, axis=1)  # (N, units)
+    return float(IS_DEAD[policy.activation](units).all(axis=0).mean())
