@@ -19,7 +19,7 @@ from stable_baselines3.common.sb2_compat import rmsprop_tf_like
 from stable_baselines3.common.utils import LinearSchedule
 
 from pneuma.errors import UserError
-from pneuma.sb3_names import annealed_from, read_arguments_text
+from pneuma.sb3_names import WRONG_TEXT, annealed_from, read_arguments_text
 
 TUPLES = ("train_freq", "betas")
 """Arguments for which a list does not do."""
@@ -55,16 +55,17 @@ def _read_text(name: str, text: str, action_space: spaces.Space[Any]) -> Any:
         return text
     try:
         table = read_arguments_text(text)
-    except (KeyError, TypeError, ValueError, SyntaxError, RecursionError, MemoryError):
+    except WRONG_TEXT:
         raise UserError(f"algorithm_kwargs: {name} = {text!r} is not allowed: a table or dict(…)") from None
     return read_arguments(table, action_space)
 
 
 def _find_class(name: str, text: str) -> type:
+    class_name = text.rpartition(".")[2]
     for module in CLASSES_OF:
-        found = getattr(module, text.rpartition(".")[2], None)
-        if isinstance(found, type):
-            return found
+        candidate = getattr(module, class_name, None)
+        if isinstance(candidate, type):
+            return candidate
     raise UserError(f"algorithm_kwargs: {name} = {text!r}: is no class of torch or Stable-Baselines3")
 
 
@@ -77,5 +78,5 @@ def _action_noise(table: Mapping[str, Any], action_space: spaces.Space[Any]) -> 
     kind = getattr(noise, arguments.pop("name"))
     for key in arguments.keys() & {"mean", "sigma"}:
         arguments[key] = np.full(action_space.shape or (), arguments[key], float)
-    made: noise.ActionNoise = kind(**arguments)
-    return made
+    action_noise: noise.ActionNoise = kind(**arguments)
+    return action_noise
