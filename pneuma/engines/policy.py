@@ -269,7 +269,7 @@ def _read_policy(data: bytes) -> Policy:
 
 
 def _layers_in(arrays: Mapping[str, np.ndarray], network: str) -> Layers:
-    layers = []
+    layers: list[tuple[np.ndarray, np.ndarray]] = []
     while f"{network}.{len(layers)}.weight" in arrays:
         name = f"{network}.{len(layers)}"
         layers.append((arrays[f"{name}.weight"], arrays[f"{name}.bias"]))

@@ -23,7 +23,7 @@ from pneuma.config import Run
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.gymnasium_env import choices_of
 from pneuma.engines.loop import ResumableTrainer
-from pneuma.engines.policy import Policy, dead_share, overflows
+from pneuma.engines.policy import Layers, Policy, dead_share, overflows
 from pneuma.engines.records import EPISODE_COLUMNS, NAN, Checkpoint, Records, action_shares, metrics_row
 from pneuma.engines.sb3_learners import (
     Learner,
@@ -42,7 +42,8 @@ class Sb3Trainer(ResumableTrainer):
         torch.set_num_threads(1)
         self._model: Any = make_model(run, make_vec_env(run))
         self._visited = Visited() if isinstance(self._model, DQN) else None
-        _, self._callback = self._model._setup_learn(run.steps, callback=self._visited or CallbackList([]))
+        callback = self._visited or CallbackList([])
+        _, self._callback = self._model._setup_learn(run.steps, callback=callback)
         self._policy = extract_policy(self._model, run)
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -57,7 +58,8 @@ class Sb3Trainer(ResumableTrainer):
             else:
                 metrics = learn(model, run, self._policy, self._callback)
         records.metrics.append(metrics_row(after, {**metrics, **norms.means()}))
-        records.episodes.extend({name: row[name] for name in EPISODE_COLUMNS} for row in model.env.finished)
+        for episode in model.env.finished:
+            records.episodes.append({name: episode[name] for name in EPISODE_COLUMNS})
         model.env.finished.clear()
         if not is_finite(records.metrics[-1], model):
             return False
@@ -83,13 +85,18 @@ def learn(model: Any, run: Run, policy: Policy, callback: BaseCallback) -> dict[
         if not overflows(policy, model._last_obs):
             raise
         return {}
-    buffer = model.rollout_buffer
-    observations = buffer.observations.reshape(-1, buffer.observations.shape[-1])
-    rollout = visited_metrics(run, policy, observations, buffer.actions)
+    observations = rollout_observations(model)
+    metrics = visited_metrics(run, policy, observations, model.rollout_buffer.actions)
     if isinstance(model, TRPO):  # which logs no entropy
-        rollout["entropy"] = policy.entropy(observations)
+        metrics["entropy"] = policy.entropy(observations)
     model._update_current_progress_remaining(model.num_timesteps, run.steps)
-    return {**learn_from_rollout(model, run), **rollout}
+    return {**learn_from_rollout(model, run), **metrics}
+
+
+def rollout_observations(model: Any) -> np.ndarray:
+    """Return the observations of a learner's rollout, (N, features)."""
+    observations: np.ndarray = model.rollout_buffer.observations
+    return observations.reshape(-1, observations.shape[-1])
 
 
 def learn_from_rollout(model: Any, run: Run) -> dict[str, float]:
@@ -102,10 +109,8 @@ def learn_from_rollout(model: Any, run: Run) -> dict[str, float]:
         with np.errstate(over="ignore", invalid="ignore"):  # values may overflow here
             model.train()
     except (ValueError, RuntimeError):
-        met = model.rollout_buffer.observations
-        if has_finite_weights(model) and not overflows(
-            extract_policy(model, run), met.reshape(-1, met.shape[-1])
-        ):
+        has_diverged = not has_finite_weights(model)
+        if not has_diverged and not overflows(extract_policy(model, run), rollout_observations(model)):
             raise
         return {}
     return logged_losses(model)
@@ -114,7 +119,8 @@ def learn_from_rollout(model: Any, run: Run) -> dict[str, float]:
 def learn_by_values(model: DQN, run: Run, visited: Visited) -> dict[str, float]:
     """Let DQN take one horizon of steps and gradients, as its `learn` does; return its metrics."""
     assert model.env is not None and model.replay_buffer is not None and run.train_every
-    policy, losses = extract_policy(model, run), []
+    policy = extract_policy(model, run)
+    losses = []
     for _ in range(run.horizon // run.train_every):
         model.collect_rollouts(
             model.env,
@@ -126,11 +132,16 @@ def learn_by_values(model: DQN, run: Run, visited: Visited) -> dict[str, float]:
         if model.num_timesteps > model.learning_starts:
             model.train(batch_size=model.batch_size, gradient_steps=model.gradient_steps)
             losses.append(logged_losses(model)["value_loss"])
-    mean = float(np.mean(losses)) if losses else NAN  # `sum` rounds differently from Python 3.12 on
-    return {"value_loss": mean, **visited_metrics(run, policy, *visited.take())}
+    mean_loss = float(np.mean(losses)) if losses else NAN  # `sum` rounds differently from Python 3.12 on
+    observations, actions = visited.take()
+    return {"value_loss": mean_loss, **visited_metrics(run, policy, observations, actions)}
 
 
 # --- Gradients -------------------------------------------------------------------------------------
+
+
+ACTOR_PARAMETERS = ("policy_net", "action_net", "log_std")
+"""What is in the names of an actor's parameters."""
 
 
 class GradientNorms:
@@ -141,10 +152,13 @@ class GradientNorms:
     """
 
     def __init__(self, model: Learner, run: Run) -> None:
-        named = {name: p for name, p in model.policy.named_parameters() if "q_net_target" not in name}
-        self._parameters = [*named.values()]
-        of_actor = ("policy_net", "action_net", "log_std")
-        self._is_actor = torch.tensor([any(part in name for part in of_actor) for name in named])
+        self._parameters = []
+        is_actor = []
+        for name, parameter in model.policy.named_parameters():
+            if "q_net_target" not in name:
+                self._parameters.append(parameter)
+                is_actor.append(any(part in name for part in ACTOR_PARAMETERS))
+        self._is_actor = torch.tensor(is_actor)
         self._norms: list[torch.Tensor] = []
         self._limit = run.gradient_limit if run.clip == "separate" else None
         self._optimizer = None if isinstance(model, TRPO) else model.policy.optimizer
@@ -164,15 +178,18 @@ class GradientNorms:
             hook.remove()
 
     def _measure(self, gradients: Sequence[torch.Tensor | None]) -> None:
-        present = [g for g in gradients if g is not None]
+        present = [gradient for gradient in gradients if gradient is not None]
         self._norms.append(torch.stack(torch._foreach_norm(present)))
 
     def _clip_parts(self, *_: Any) -> None:
         if self._limit is None:
             return
-        both = [*zip(self._parameters, self._is_actor, strict=True)]
-        for actor in (True, False):
-            nn.utils.clip_grad_norm_([p for p, is_actor in both if is_actor == actor], self._limit)
+        actor: list[nn.Parameter] = []
+        critic: list[nn.Parameter] = []
+        for parameter, is_actor in zip(self._parameters, self._is_actor, strict=True):
+            (actor if is_actor else critic).append(parameter)
+        nn.utils.clip_grad_norm_(actor, self._limit)
+        nn.utils.clip_grad_norm_(critic, self._limit)
 
     def means(self) -> dict[str, float]:
         """Return the mean norms over the update's minibatches.
@@ -183,9 +200,10 @@ class GradientNorms:
             return {}
         squares = torch.stack(self._norms).double() ** 2  # (minibatches, parameters)
         actor, critic = squares[:, self._is_actor].sum(1), squares[:, ~self._is_actor].sum(1)
-        parts = {"grad_norm": actor + critic, "grad_norm_actor": actor, "grad_norm_critic": critic}
-        told = parts if self._is_actor.any() else ["grad_norm"]
-        return {name: float(parts[name].sqrt().mean()) for name in told}
+        norms = {"grad_norm": actor + critic}
+        if self._is_actor.any():
+            norms |= {"grad_norm_actor": actor, "grad_norm_critic": critic}
+        return {name: float(square.sqrt().mean()) for name, square in norms.items()}
 
 
 # --- Rollouts --------------------------------------------------------------------------------------
@@ -196,26 +214,29 @@ class Visited(BaseCallback):
 
     def __init__(self) -> None:
         super().__init__()
-        self._seen: list[tuple[np.ndarray, np.ndarray]] = []
+        self._observations: list[np.ndarray] = []
+        self._actions: list[np.ndarray] = []
 
     def _on_step(self) -> bool:
-        self._seen.append((np.array(self.model._last_obs), np.array(self.locals["actions"])))
+        self._observations.append(np.array(self.model._last_obs))
+        self._actions.append(np.array(self.locals["actions"]))
         return True
 
     def take(self) -> tuple[np.ndarray, np.ndarray]:
         """Return and forget observations (N, features) and actions (N,)."""
-        observations, actions = zip(*self._seen, strict=True)
-        self._seen.clear()
-        return np.concatenate(observations), np.concatenate(actions)
+        observations, actions = np.concatenate(self._observations), np.concatenate(self._actions)
+        self._observations.clear()
+        self._actions.clear()
+        return observations, actions
 
 
 def visited_metrics(
     run: Run, policy: Policy, observations: np.ndarray, actions: np.ndarray
 ) -> dict[str, float]:
     """Return dead units over (N, features) observations and the shares of (N,) actions."""
-    one = policy.deviation is None and policy.choices is None
-    chosen = actions.astype(np.int64 if one else np.float32)
-    return {"dead_units": dead_share(policy, observations), **action_shares(run, chosen, policy.actions)}
+    is_one_choice = policy.deviation is None and policy.choices is None
+    actions = actions.astype(np.int64 if is_one_choice else np.float32)
+    return {"dead_units": dead_share(policy, observations), **action_shares(run, actions, policy.actions)}
 
 
 # --- Networks --------------------------------------------------------------------------------------
@@ -223,20 +244,24 @@ def visited_metrics(
 
 def extract_policy(model: Any, run: Run) -> Policy:
     """Copy the learner's networks into a `Policy`; a network of action values is its actor."""
-    networks = {  # torch keeps (outputs, inputs)
-        part: tuple((a.weight.detach().numpy().T.copy(), a.bias.detach().numpy().copy()) for a in layers)
-        for part, layers in linear_layers(model).items()
-    }
-    several: dict[str, Any] = {}
+    networks: dict[str, Layers] = {"actor": (), "critic": ()}
+    for name, layers in linear_layers(model).items():
+        networks[name] = tuple(_copied_layer(layer) for layer in layers)
+    of_actions: dict[str, Any] = {}
     if isinstance(model, DQN):
-        several = {"exploration": run.exploration}
+        of_actions = {"exploration": run.exploration}
     elif hasattr(model.policy, "log_std"):
         space = model.env.slots.action_space  # not the learner's, which is flat and of float32
         bounds = np.stack([space.low, space.high])
-        several = {"deviation": np.exp(model.policy.log_std.detach().numpy()), "bounds": bounds}
+        of_actions = {"deviation": np.exp(model.policy.log_std.detach().numpy()), "bounds": bounds}
     elif isinstance(model.action_space, spaces.MultiDiscrete):
-        several = {"choices": choices_of(model.env.slots.action_space)}
-    return Policy(run.activation, networks["actor"], networks.get("critic", ()), **several)
+        of_actions = {"choices": choices_of(model.env.slots.action_space)}
+    return Policy(run.activation, networks["actor"], networks["critic"], **of_actions)
+
+
+def _copied_layer(layer: nn.Linear) -> tuple[np.ndarray, np.ndarray]:
+    """Return a layer's weight, (inputs, outputs), and bias; torch keeps (outputs, inputs)."""
+    return layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy().copy()
 
 
 def is_finite(metrics: Mapping[str, float], model: Learner) -> bool:
@@ -250,4 +275,5 @@ def is_finite(metrics: Mapping[str, float], model: Learner) -> bool:
         watched = ["value_loss", "grad_norm"] if model._n_updates else []
     if isinstance(model, TRPO):
         watched.remove("grad_norm")
-    return bool(np.isfinite([metrics[name] for name in watched]).all()) and has_finite_weights(model)
+    values = [metrics[name] for name in watched]
+    return bool(np.isfinite(values).all()) and has_finite_weights(model)

@@ -63,20 +63,20 @@ def make_model(run: Run, env: VecEnv, extractor: Mapping[str, Any] | None = None
 
 def learner_arguments(run: Run, slots: int) -> dict[str, Any]:
     """Return the arguments of a learner of `LEARNERS` that follow from a run's fields."""
-    kind = LEARNERS[run.algorithm]
-    arguments: dict[str, Any] = {argument: scheduled(run, name) for argument, name in arguments_of(run)}
-    layers: Any = list(run.actor)
-    if issubclass(kind, DQN):
+    arguments: dict[str, Any] = {}
+    for argument, name in arguments_of(run):
+        arguments[argument] = scheduled(run, name)
+    net_arch: Any = list(run.actor)
+    if issubclass(LEARNERS[run.algorithm], DQN):
         assert run.target_every
-        at_least = slots  # a step of all slots
-        arguments["target_update_interval"] = max(run.target_every, at_least)
+        arguments["target_update_interval"] = max(run.target_every, slots)  # at least a step of all slots
     else:
-        layers = {"pi": layers, "vf": list(run.critic)}
+        net_arch = {"pi": list(run.actor), "vf": list(run.critic)}
         arguments["rollout_buffer_class"] = None if run.value_baseline else WithoutBaseline
     if "max_grad_norm" in arguments and (run.gradient_limit is None or run.clip != "joint"):
         arguments["max_grad_norm"] = float("inf")
     arguments["policy_kwargs"] = {
-        "net_arch": layers,
+        "net_arch": net_arch,
         "activation_fn": ACTIVATION_CLASSES[run.activation],
         "optimizer_class": OPTIMIZER_CLASSES[run.optimizer],
         "optimizer_kwargs": optimizer_arguments(run),
@@ -107,8 +107,9 @@ def has_finite_weights(model: Any) -> bool:
 def scheduled(run: Run, name: str) -> Any:
     """Return a field's value, or the schedule by which it falls; a .zip then needs nothing of Pneuma."""
     value = getattr(run, name)
-    falls = name in ANNEALED and getattr(run, f"{name}_schedule") == "linear"
-    return LinearSchedule(value, 0.0, 1.0) if falls else value
+    if name in ANNEALED and getattr(run, f"{name}_schedule") == "linear":
+        return LinearSchedule(value, 0.0, 1.0)
+    return value
 
 
 def seed_streams(model: Learner, run: Run) -> None:
@@ -146,8 +147,8 @@ class DoubleDQN(DQN):
         target = self.q_net_target
 
         def rate(observations: torch.Tensor) -> torch.Tensor:
-            chosen = self.q_net(observations).argmax(dim=1, keepdim=True)
-            return target(observations).gather(1, chosen)  # (N, 1), of which DQN takes the greatest
+            actions = self.q_net(observations).argmax(dim=1, keepdim=True)
+            return target(observations).gather(1, actions)  # (N, 1), of which DQN takes the greatest
 
         self.q_net_target = rate  # type: ignore[assignment]
         try:
@@ -200,12 +201,14 @@ LOGGED: dict[str, tuple[tuple[int, str], ...]] = {
 def logged_losses(model: Any) -> dict[str, float]:
     """Return the metrics that a learner logged when it last trained; NaN for others."""
     log = model.logger.name_to_value
-    return {
-        metric: next(
-            (sign * float(log[f"train/{name}"]) for sign, name in names if f"train/{name}" in log), NAN
-        )
-        for metric, names in LOGGED.items()
-    }
+    losses = {}
+    for metric, names in LOGGED.items():
+        losses[metric] = NAN
+        for sign, name in names:
+            if f"train/{name}" in log:
+                losses[metric] = sign * float(log[f"train/{name}"])
+                break
+    return losses
 
 
 # --- Checkpoints ----------------------------------------------------------------------------------
@@ -224,21 +227,27 @@ def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
     env: Any = model.env
     kind, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
     arrays = {
-        **{f"policy/{name}": _copy(tensor) for name, tensor in model.policy.state_dict().items()},
-        **_optimizer_arrays(model.policy.optimizer),
-        **{f"worlds/{name}": array for name, array in env.saved_state().items()},
         "random/torch": torch.get_rng_state().numpy().copy(),
         "random/numpy": np.asarray(keys).copy(),
-        **{name: np.array(getattr(model, attribute)) for name, attribute in _ARRAYS.items()},
+        **_optimizer_arrays(model.policy.optimizer),
     }
+    for name, tensor in model.policy.state_dict().items():
+        arrays[f"policy/{name}"] = _copy(tensor)
+    for name, array in env.saved_state().items():
+        arrays[f"worlds/{name}"] = array
+    for name, attribute in _ARRAYS.items():
+        arrays[name] = np.array(getattr(model, attribute))
     numbers: dict[str, Any] = {
         "numpy": [str(kind), int(position), int(has_gauss), float(gauss)],
         "optimizer": type(model.policy.optimizer).__name__,
-        **{name: getattr(model, own) for name, own in _NUMBERS.items() if hasattr(model, own)},
     }
+    for name, attribute in _NUMBERS.items():
+        if hasattr(model, attribute):
+            numbers[name] = getattr(model, attribute)
     if isinstance(model, DQN):
         buffer: Any = model.replay_buffer
-        arrays |= {f"replay/{name}": getattr(buffer, name)[: buffer.size()].copy() for name in _REPLAYED}
+        for name in _REPLAYED:
+            arrays[f"replay/{name}"] = getattr(buffer, name)[: buffer.size()].copy()
         numbers |= {"position": buffer.pos, "full": buffer.full}
         numbers["random_actions"] = model.action_space.np_random.bit_generator.state
     return Checkpoint(step, arrays, numbers, records.copy())
@@ -263,7 +272,8 @@ def restore_checkpoint(model: Learner, checkpoint: Checkpoint) -> None:
     if isinstance(model, DQN):
         buffer: Any = model.replay_buffer
         for name in _REPLAYED:
-            getattr(buffer, name)[: len(arrays[f"replay/{name}"])] = arrays[f"replay/{name}"]
+            replayed = arrays[f"replay/{name}"]
+            getattr(buffer, name)[: len(replayed)] = replayed
         buffer.pos, buffer.full = numbers["position"], numbers["full"]
         model.action_space.np_random.bit_generator.state = numbers["random_actions"]
 
@@ -274,21 +284,21 @@ def _copy(tensor: torch.Tensor) -> np.ndarray:
 
 def _tensors(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, torch.Tensor]:
     """Return the arrays with a prefix as tensors in torch's own memory, which its kernels need aligned."""
-    return {
-        name.removeprefix(prefix): torch.tensor(array)
-        for name, array in arrays.items()
-        if name.startswith(prefix)
-    }
+    tensors = {}
+    for name, array in arrays.items():
+        if name.startswith(prefix):
+            tensors[name.removeprefix(prefix)] = torch.tensor(array)
+    return tensors
 
 
 def _optimizer_arrays(optimizer: torch.optim.Optimizer) -> dict[str, np.ndarray]:
     state: dict[int, dict[str, Any]] = optimizer.state_dict()["state"]
-    return {
-        f"optimizer/{index}/{name}": _copy(torch.as_tensor(value))
-        for index, entries in state.items()
-        for name, value in entries.items()
-        if value is not None
-    }
+    arrays = {}
+    for index, entries in state.items():
+        for name, value in entries.items():
+            if value is not None:
+                arrays[f"optimizer/{index}/{name}"] = _copy(torch.as_tensor(value))
+    return arrays
 
 
 def _restore_optimizer(optimizer: torch.optim.Optimizer, arrays: Mapping[str, np.ndarray]) -> None:

@@ -107,46 +107,52 @@ def learner_class(run: Run) -> Any:
 def _check_arguments(run: Run, kind: Any) -> None:
     """Refuse arguments that the learner does not have, or that other fields set."""
     parameters = signature(kind).parameters
-    given = _given_arguments(run)
+    arguments = _algorithm_kwargs(run)
     takes_others = any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters.values())
-    wrong = [key for key in given if key in RESERVED or not (key in parameters or takes_others)]
+    wrong = []
+    for key in arguments:
+        if key in RESERVED or not (key in parameters or takes_others):
+            wrong.append(key)
     if wrong:
         allowed = ", ".join(key for key in parameters if key not in RESERVED)
         raise UserError(f"algorithm_kwargs: {', '.join(wrong)} not allowed: {run.algorithm} takes {allowed}")
     if run.algorithm != "ppo":
         return
-    fields = dict(arguments_of(run))
-    policy_kwargs = given.get("policy_kwargs", {})
-    for key, field in (*fields.items(), *IN_POLICY_KWARGS.items()):
-        if key in given or (key in policy_kwargs and key in IN_POLICY_KWARGS):
+    policy_kwargs = arguments.get("policy_kwargs", {})
+    for key, field in IN_POLICY_KWARGS.items():
+        if key in policy_kwargs:
+            raise UserError(f"algorithm_kwargs: {key} is not allowed: ppo has the field {field}")
+    for key, field in arguments_of(run):
+        if key in arguments:
             raise UserError(f"algorithm_kwargs: {key} is not allowed: ppo has the field {field}")
 
 
-def _given_arguments(run: Run) -> dict[str, Any]:
+def _algorithm_kwargs(run: Run) -> dict[str, Any]:
     table: dict[str, Any] = json.loads(run.algorithm_kwargs or "{}")
     return table
 
 
 def _environments(run: Run, slots: int, seed: int = 0) -> VecEnv:
     """Return environments in slots, normalised if the run says so."""
-    made: VecEnv = DummyVecEnv([lambda: Monitor(make_env(run))] * slots)
-    made.seed(seed % 2**31)
+    environments: VecEnv = DummyVecEnv([lambda: Monitor(make_env(run))] * slots)
+    environments.seed(seed % 2**31)
     if run.normalize_observations or run.normalize_rewards:
-        made = VecNormalize(
-            made,
+        environments = VecNormalize(
+            environments,
             norm_obs=run.normalize_observations,
             norm_reward=run.normalize_rewards,
             gamma=_discount(run),
         )
-    return made
+    return environments
 
 
 def _discount(run: Run) -> float:
     if run.algorithm == "ppo":
         return run.gamma
     default = signature(learner_class(run)).parameters.get("gamma")
-    gamma: float = _given_arguments(run).get("gamma", default.default if default else 0.99)
-    return gamma
+    if "gamma" in _algorithm_kwargs(run):
+        return float(_algorithm_kwargs(run)["gamma"])
+    return float(default.default) if default else 0.99
 
 
 def _make_learner(run: Run, env: VecEnv, to_play: bool = False) -> Any:
@@ -156,11 +162,11 @@ def _make_learner(run: Run, env: VecEnv, to_play: bool = False) -> Any:
     if policy not in kind.policy_aliases:
         raise UserError(f'policy = "{policy}": {run.algorithm} has {", ".join(kind.policy_aliases)}')
     with blamed(f"{run.algorithm} in {run.env}"):
-        arguments = read_arguments(_given_arguments(run), env.action_space)
+        arguments = read_arguments(_algorithm_kwargs(run), env.action_space)
         if run.algorithm == "ppo":
-            of_fields = learner_arguments(run, env.num_envs)
-            for_policy = {**of_fields["policy_kwargs"], **arguments.get("policy_kwargs", {})}
-            arguments = {**of_fields, **arguments, "policy_kwargs": for_policy}
+            from_fields = learner_arguments(run, env.num_envs)
+            policy_kwargs = {**from_fields["policy_kwargs"], **arguments.get("policy_kwargs", {})}
+            arguments = {**from_fields, **arguments, "policy_kwargs": policy_kwargs}
         if to_play and "buffer_size" in signature(kind).parameters:
             arguments["buffer_size"] = 1
         seed = None if to_play else stream_seed(run.seed, "weights") % 2**31
@@ -188,9 +194,9 @@ class OpenTrainer(Trainer):
         self._model = _make_learner(run, self._env)
         self._model.set_logger(Logger(folder=None, output_formats=[]))
         self._episodes = Episodes(run.slots)
-        follow = self._model._update_current_progress_remaining
+        update_progress = self._model._update_current_progress_remaining
         # schedules fall over the whole budget, of which `learn` is told a part at a time
-        self._model._update_current_progress_remaining = lambda steps, _: follow(steps, run.steps)
+        self._model._update_current_progress_remaining = lambda steps, _: update_progress(steps, run.steps)
         self._random = Evaluation(run).random
         self._seed = stream_seed(run.seed, "evaluation")
 
@@ -206,9 +212,9 @@ class OpenTrainer(Trainer):
 
     def evaluate(self, step: int) -> Row:
         """Return one row of `EVALUATION_COLUMNS`, of the same seeds each time."""
-        drawn, lengths = self._play(self.run.evaluation_episodes, deterministic=False)
-        best, _ = self._play(BEST_EPISODES, deterministic=True)
-        return evaluation_row(step, drawn, lengths, best, self._random)
+        returns, lengths = self._play(self.run.evaluation_episodes, deterministic=False)
+        best_returns, _ = self._play(BEST_EPISODES, deterministic=True)
+        return evaluation_row(step, returns, lengths, best_returns, self._random)
 
     def _play(self, episodes: int, deterministic: bool) -> tuple[list[float], list[int]]:
         before = np.random.get_state()
@@ -222,18 +228,18 @@ class OpenTrainer(Trainer):
                 if self.run.normalize_observations:
                     env.obs_rms = self._env.obs_rms
             torch.manual_seed(self._seed % 2**63)
-            played: Any = evaluate_policy(
+            returns_and_lengths: Any = evaluate_policy(
                 self._model, env, episodes, deterministic, return_episode_rewards=True
             )
         np.random.set_state(before)
-        return played
+        return returns_and_lengths
 
     def policy(self) -> LearnedPolicy:
         return LearnedPolicy(self._model)
 
 
 class Episodes(BaseCallback):
-    """Collects the episodes that end, from what `Monitor` tells."""
+    """Collects the episodes that end, as `Monitor` reports them."""
 
     def __init__(self, slots: int) -> None:
         super().__init__()
@@ -242,16 +248,25 @@ class Episodes(BaseCallback):
 
     def _on_step(self) -> bool:
         for slot, info in enumerate(self.locals["infos"]):
-            if episode := info.get("episode"):
-                ending = "truncated" if info.get("TimeLimit.truncated") else "terminated"
-                told = float(episode["r"]), int(episode["l"]), ending
-                self._ended.append(episode_row(slot, self._counts[slot], self.num_timesteps, *told))
+            episode = info.get("episode")
+            if episode:
+                row = episode_row(
+                    slot=slot,
+                    episode=self._counts[slot],
+                    step=self.num_timesteps,
+                    returned=float(episode["r"]),
+                    length=int(episode["l"]),
+                    ending="truncated" if info.get("TimeLimit.truncated") else "terminated",
+                )
+                self._ended.append(row)
                 self._counts[slot] += 1
         return True
 
     def take(self) -> list[Row]:
-        taken, self._ended = self._ended, []
-        return taken
+        """Return and forget the episodes that have ended."""
+        episodes = self._ended
+        self._ended = []
+        return episodes
 
 
 # --- What was learned ------------------------------------------------------------------------------
