@@ -21,6 +21,10 @@ EVALUATION_COLUMNS = (
     "step", "episodes", "share_killed", "score", "return", "length", "died", "argmax_starts",
     "argmax_share_killed", "argmax_score", "argmax_return", "random_share_killed",
 )  # fmt: skip
+WORLD_COLUMNS = (
+    "share_killed", "score", "died", "argmax_share_killed", "argmax_score", "random_share_killed",
+)  # fmt: skip
+"""Columns of evaluations in Pneuma's worlds alone."""
 VALUE_COLUMNS = (
     "q_estimate", "q_true", "success", "random_return", "random_spread", "steps_to_clear", "hp_lost",
     "commonest_action", "kill_evenness",

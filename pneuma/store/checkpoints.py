@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -190,13 +190,19 @@ def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
     return Checkpoint(about["step"], shaped, dict(about["numbers"]), Records(**rows)), about
 
 
-def table_files(records: Records) -> dict[str, bytes]:
-    """Return each table of records as a Parquet file, its `VALUE_COLUMNS`, if it has some, last."""
+def table_files(records: Records, without: Collection[str] = ()) -> dict[str, bytes]:
+    """Return each table of records as a Parquet file, its `VALUE_COLUMNS`, if it has some, last.
+
+    Args:
+        records: of a run.
+        without: columns of evaluations that are left out.
+    """
     files = {}
     for name, columns in TABLES.items():
         rows: list[Row] = getattr(records, name)
         values = [column for column in VALUE_COLUMNS if rows and column in rows[0]]
-        files[name] = to_parquet(rows, [*columns, *values])
+        skipped = without if name == "evaluations" else ()
+        files[name] = to_parquet(rows, [column for column in (*columns, *values) if column not in skipped])
     return files
 
 

@@ -35,7 +35,7 @@ from annotated_types import MinLen
 from pydantic import Field, StringConstraints, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
-from pneuma.config import Run, as_fields
+from pneuma.config import OF_WORLDS, Run, as_fields, is_gymnasium_id
 from pneuma.errors import StorageError, UserError
 from pneuma.files import (
     SCHEMA,
@@ -397,7 +397,11 @@ def run_identity(run: Run) -> Identity:
 
 
 def run_document(run: Run, run_id: str) -> bytes:
-    return to_json({"schema": SCHEMA, "run_id": run_id, "run": as_fields(run)})
+    """Return a run's configuration; in another environment without the fields of Pneuma's worlds."""
+    fields = as_fields(run)
+    if is_gymnasium_id(run.env):
+        fields = {name: value for name, value in fields.items() if name not in OF_WORLDS}
+    return to_json({"schema": SCHEMA, "run_id": run_id, "run": fields})
 
 
 def _status_document(status: Status, checksums: Mapping[str, str]) -> bytes:

@@ -28,9 +28,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TextIO
 
-from pneuma.config import Run
+from pneuma.config import Run, is_gymnasium_id
 from pneuma.engines.loop import Progress, train_run
-from pneuma.engines.records import CheckpointError
+from pneuma.engines.records import WORLD_COLUMNS, CheckpointError
 from pneuma.errors import OwnCodeError, RunWarning, StorageError, UserError
 from pneuma.files import is_storage_problem, to_json
 from pneuma.store.checkpoints import RunCheckpoints, table_files
@@ -183,7 +183,9 @@ class Worker:
             about |= {"project": self.how.project} if self.how.project else {}
             about["packages"] |= packages_of(run)
             files = {"run.json": run_document(run, name), "provenance.json": to_json(about)}
-            files |= {f"{table}.parquet": data for table, data in table_files(result.records).items()}
+            without = WORLD_COLUMNS if is_gymnasium_id(run.env) else ()
+            tables = table_files(result.records, without)
+            files |= {f"{table}.parquet": data for table, data in tables.items()}
             if result.policy is not None:
                 files[result.policy.file] = result.policy.to_bytes()
             files[ROW_FILE] = encode_row(cells_of_files(name, status, files))

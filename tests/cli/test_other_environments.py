@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from pneuma.engines.records import WORLD_COLUMNS
 from tests.engines import own_envs
 
 from .calls import call, described, printed
@@ -45,6 +47,12 @@ def test_a_study_beside_its_environment_is_trained_and_told(tmp_path: Path) -> N
     assert "random player (−" in Path(drawn[0]).read_text()  # a return, and no share
     printed("study", "export", mine, *at, "--table", "curves", "--out", tmp_path / "curves.csv")
     assert not any("killed" in row["outcome"] or "hp" in row["outcome"] for row in table)
+    printed("study", "export", mine, *at, "--table", "evaluations", "--out", tmp_path / "evaluations.csv")
+    heads = (tmp_path / "evaluations.csv").read_text().split("\n")[0].split(",")
+    assert not {*heads} & {*WORLD_COLUMNS} and {"return", "argmax_return", "random_return"} <= {*heads}
+    (path,) = {*tmp_path.glob("results/runs/*/run.json")} - {trace.with_name("run.json")}
+    fields = json.loads(path.read_text())["run"]
+    assert "xp_scope" not in fields and fields["env"] == "Tunnel-v0"  # of Pneuma's worlds none
 
 
 def _runs(*at: object) -> list[dict[str, Any]]:
