@@ -212,11 +212,13 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
     worlds = {table.about.get("world") for table in index.tables.values() if table.about["study"] == study}
     found = {_title(world): study_runs(index, study, world) for world in [None, *WORLDS] if world in worlds}
     shown = dict.fromkeys(name for data in found.values() if data for name in data.runs["condition"])
-    columns = {
-        title: data.of_conditions([name for name in shown if name in data.fields])
-        for title, data in found.items()
-        if data
-    }
+    columns: dict[str, StudyData] = {}
+    for title, of_world in found.items():
+        if of_world:
+            part = of_world.of_conditions([name for name in shown if name in of_world.fields])
+            conditions = {name: part.study.conditions[name] for name in shown}  # colours are by these
+            named = part.study.model_copy(update={"conditions": conditions})
+            columns[title] = replace(part, study=named)
     if not columns:  # tables of changed fields alone
         return []
     data = next(iter(columns.values()))

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -24,7 +25,7 @@ from pneuma.store.rows import Row
 from pneuma.store.series import SLACK, held_curve, make_grid
 from pneuma.store.store import FINISHED
 from pneuma.study.identity import config_id
-from pneuma.study.plan import Plan, Query
+from pneuma.study.plan import Plan, Query, query_words
 from pneuma.study.spec import LAST, Study
 from pneuma.values import settings_name, shown_seeds, shown_settings
 
@@ -132,6 +133,9 @@ class StudyData:
         if origins:
             count += f" ({'; '.join(origins)})"
         text = f"{self.label}: {count}."
+        if self.plan is not None and published and len(finished) < planned:
+            words = ["pneuma", "study", "run", *query_words(self.plan), "--unpublished"]
+            text += f" The others are trained by `{shlex.join(words)}`."
         if self.other_presets:
             others = [f"{name} ({counted(runs, 'run')})" for name, runs in self.other_presets.items()]
             text += f" Also: {', '.join(others)}."

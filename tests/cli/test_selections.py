@@ -121,6 +121,14 @@ def test_own_runs_of_the_published_cells_count_first(store: Store) -> None:
     assert text.endswith("90 of 90 runs (1 trained here, 89 published).")
 
 
+def test_a_published_table_that_lacks_cells_is_told_with_the_command_that_trains_them(store: Store) -> None:
+    text = show(store, "activation@paper", "godot", conditions=("tanh",), seeds=(100, 7000))[1]
+    assert (
+        "preset paper, tanh alone, seeds 100,7000: 1 of 2 runs (published). The others are trained by" in text
+    )
+    assert "`pneuma study run activation --world godot --preset paper --condition tanh " in text
+
+
 def test_steps_are_rounded_up_for_the_horizon_of_each_run(store: Store) -> None:
     """Of 4 x 256 and 4 x 2,048 steps a million are 1,000,448 and 1,007,616."""
     data = find_study(RunIndex(store), Query(study="hyperparameters", preset="paper"))
