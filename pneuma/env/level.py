@@ -174,7 +174,7 @@ def _refuse_overlaps(level: Level, bodies: Sequence[_Body], obstacles: Sequence[
     for body in bodies:
         depth = np.minimum(high, body.high) - np.maximum(low, body.low)
         for index in np.flatnonzero((depth > rules.CONTACT_EPS).all(axis=1)):  # touching is no overlap
-            obstacle = obstacles[index]
+            obstacle = obstacles[int(index)]
             if obstacle.name != body.name:  # itself, or another player's body at one place
                 raise UserError(f"level {level.name}: {body.name} begins inside {obstacle.name}")
 

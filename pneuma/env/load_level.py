@@ -20,7 +20,7 @@ import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 from warnings import catch_warnings
 
 import numpy as np
@@ -184,7 +184,7 @@ def _read_table(path: Path, dtype: Any, header: str = "") -> np.ndarray:
     """Return a CSV file of numbers: a table, or below a header a record for each row."""
     lines = read_text(path).splitlines()
     header_lines = 0
-    dimensions = 2
+    dimensions: Literal[1, 2] = 2
     if header:
         header_lines = 1
         dimensions = 1

@@ -93,7 +93,8 @@ def test_a_panel_is_left_out_where_the_height_is_too_little_for_it_unless_it_was
         save_page(curves_page(study.data), tmp_path, PNG, look=Look(3.25, height, plain=True))
         assert drawn[-1].get_size_inches().tolist() == [3.25, height]
         assert len(drawn[-1].axes) == panels
-        boxes = [axes.get_tightbbox().padded(-1) for axes in drawn[-1].axes]
+        tight = [axes.get_tightbbox() for axes in drawn[-1].axes]
+        boxes = [box.padded(-1) for box in tight if box is not None]
         boxes.append(drawn[-1].legends[0].get_window_extent())
         assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
     assert "Note: 1 of 2 panels fit the height; --quantity names another." in capsys.readouterr().err
