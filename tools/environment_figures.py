@@ -14,9 +14,8 @@ from pneuma.env.players import Hunter
 from pneuma.env.render import Renderer
 from pneuma.env.watch import smooth
 from pneuma.env.worlds import Worlds
-from pneuma.figures.origin import Origin
+from pneuma.figures.origin import origin_text
 from pneuma.figures.style import COLOURS, GREY, house_style, save_figure
-from tools import COMMAND
 
 STATES = {"s₁\npost office": (0.0, 0.0), "s₂\nletters": (1.5, 1.1), "s₃\nhome": (3.0, 0.0)}
 MOVES = (
@@ -51,7 +50,7 @@ def draw_mailman(folder: Path) -> list[Path]:
             )  # fmt: skip
             axes.text(*place, label, fontsize=7, ha="right" if label == "0" else "left")
         axes.text(1.5, 0.4, "optimal policy", fontsize=7, ha="center", color=COLOURS[0])
-        return save_figure(figure, folder, "fig-2-1", ("png",), Origin(command=COMMAND))
+        return save_figure(figure, folder, "fig-2-1", ("png",), origin_text("the mailman's day"))
 
 
 def draw_level(folder: Path) -> list[Path]:
@@ -71,7 +70,7 @@ def draw_level(folder: Path) -> list[Path]:
         axes.set(xlabel="x (pixels)", ylabel="y (pixels)", title=level.title)
         axes.grid(visible=False)
         axes.legend(loc="lower right", frameon=True, facecolor="white")
-        return save_figure(figure, folder, "fig-6-1", ("png",), Origin(command=COMMAND), colours=0)
+        return save_figure(figure, folder, "fig-6-1", ("png",), origin_text(level.title), colours=0)
 
 
 def draw_screens(folder: Path) -> list[Path]:
@@ -84,7 +83,9 @@ def draw_screens(folder: Path) -> list[Path]:
             axes = figure.add_axes((0, 0, 1, 1))
             axes.imshow(frame, interpolation="none")
             axes.axis("off")
-            paths += save_figure(figure, folder, stem, ("png",), Origin(command=COMMAND), colours=0)
+            paths += save_figure(
+                figure, folder, stem, ("png",), origin_text("the view of a player"), colours=0
+            )
     return paths
 
 

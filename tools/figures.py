@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from PIL import Image
 
 from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.claims.verdicts import judge
@@ -32,7 +33,7 @@ from pneuma.errors import UserError
 from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import Page, save_page
 from pneuma.figures.lines import TRAILING_WINDOW
-from pneuma.figures.origin import read_origin
+from pneuma.figures.origin import KEYS
 from pneuma.figures.search import draw_search
 from pneuma.figures.style import MOST_IN_A_PANEL
 from pneuma.figures.summary import summary_page
@@ -45,7 +46,7 @@ from pneuma.store.series import SLACK
 from pneuma.store.store import PUBLISHED, Store
 from pneuma.study.plan import Query
 from pneuma.values import shown_value
-from tools import COMMAND, noise_scale
+from tools import noise_scale
 from tools.environment_figures import draw_level, draw_mailman, draw_screens
 from tools.gallery import draw_gallery
 from tools.verdicts import write_verdicts
@@ -115,12 +116,13 @@ def draw_all(folder: Path, results: Path = RESULTS, logs: Mapping[str, str] = BE
             written += paths
     written += verdicts.result()
     written += _draw_searches(folder, results)
-    _remove_others(folder, written)
+    if folder == FOLDER:
+        _remove_others(folder, written)
     return written
 
 
 def _save(folder: Path, pages: Iterable[Page]) -> list[Path]:
-    return [path for page in pages for path in save_page(page, folder, ("png",), COMMAND)]
+    return [path for page in pages for path in save_page(page, folder, ("png",))]
 
 
 def _published(results: Path) -> RunIndex:
@@ -128,16 +130,17 @@ def _published(results: Path) -> RunIndex:
 
 
 def _remove_others(folder: Path, written: Collection[Path]) -> None:
-    """Remove figures of an earlier run, which their origin tells."""
-    for path in {*folder.glob("*.*")} - {*written}:
-        if _is_of_earlier_run(path):
+    """Remove figures of an earlier run."""
+    for path in {*folder.glob("*.png")} - {*written}:
+        if _is_drawn_by_pneuma(path):
             path.unlink()
 
 
-def _is_of_earlier_run(path: Path) -> bool:
+def _is_drawn_by_pneuma(path: Path) -> bool:
     try:
-        return read_origin(path).command == COMMAND
-    except UserError:
+        with Image.open(path) as image:
+            return bool(image.info.get(KEYS["png"], "").startswith("Pneuma "))
+    except OSError:
         return False
 
 
@@ -155,7 +158,7 @@ def _draw_searches(folder: Path, results: Path) -> list[Path]:
     for (name, world), pictures in SEARCHES.items():
         if (results / PUBLISHED / f"search-{load_search(name, world).label}.log").exists():
             searched = read_record(Store(results), name, world, stored=False)
-            drawn += draw_search(searched, folder, ("png",), COMMAND, pictures)
+            drawn += draw_search(searched, folder, ("png",), pictures)
     return drawn
 
 

@@ -20,11 +20,10 @@ from pneuma.env.render import GIF_FACTOR, Renderer
 from pneuma.env.rules import RIGHT
 from pneuma.env.watch import encode_gif, episode_frames, smooth
 from pneuma.env.worlds import Worlds
-from pneuma.figures.origin import Origin
+from pneuma.figures.origin import origin_text
 from pneuma.figures.style import COLOURS, house_style, save_figure
 from pneuma.presets import WORLDS
 from pneuma.study.shipped import shipped_tables
-from tools import COMMAND
 from tools.environment_figures import level_worlds
 
 RECORDING = "played.json"
@@ -56,9 +55,7 @@ def draw_gallery(folder: Path) -> list[Path]:
         paths = [
             path
             for name, page in pages.items()
-            for path in save_figure(
-                page, folder, f"gallery-{name}", ("png",), Origin(command=COMMAND), colours=0
-            )
+            for path in save_figure(page, folder, f"gallery-{name}", ("png",), origin_text(name), colours=0)
         ]
     return [*paths, _move(episodes[-1], folder / "play.gif")]
 

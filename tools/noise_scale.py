@@ -22,7 +22,7 @@ from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel
-from pneuma.figures.origin import samples_of
+from pneuma.figures.origin import lines_of_runs
 from pneuma.figures.words import headline_of
 from pneuma.store.index import RunIndex
 from pneuma.store.store import Store
@@ -81,7 +81,7 @@ def noise_page(data: StudyData) -> Page:
     crossed = f"Crossed out: {few.iloc[0]} updates in all." if len(few) else ""
     caption = [f"{words[:1].upper()}{words[1:]}.", *correlations(cells), crossed]
     headline = headline_of(data, "at the end of training")
-    return Page(STUDY, [[panel]], 1.3 * style.PANEL_INCHES, headline, samples_of(data), marks, caption)
+    return Page(STUDY, [[panel]], 1.3 * style.PANEL_INCHES, headline, lines_of_runs(data), marks, caption)
 
 
 def _ratios(axis: Axis) -> None:

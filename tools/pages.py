@@ -45,7 +45,7 @@ READING = (
     "study verify", "env list",
 )  # fmt: skip
 """Commands that print the same wherever they run."""
-WRITING = ("--out", "--plot", "--trust", "--results")
+WRITING = ("--out", "--trust", "--results")
 """Their options that write, train, run a user's code, or read other results."""
 _BEGIN = re.compile(r"^<!-- (?:pneuma|docstring) ", re.MULTILINE)
 _BLOCK = re.compile(

@@ -21,12 +21,11 @@ from pneuma.analysis.claims.words import (
     verdict_table,
 )
 from pneuma.analysis.export import encode_frame
-from pneuma.figures.origin import Origin, sample
+from pneuma.figures.origin import line_of_runs, origin_text
 from pneuma.figures.report import Verdicts
 from pneuma.figures.style import COLOURS, GREY, characters, house_style, save_figure
 from pneuma.files import write_whole
 from pneuma.presets import WORLDS
-from tools import COMMAND
 
 STEM = "verdicts"
 WIDTH_INCHES, EDGE_INCHES, TEXT_INCHES, WORLDS_INCHES, MARK_INCHES = 7.4, 0.03, 0.32, 2.75, 0.13
@@ -124,10 +123,10 @@ def _cell_lines(cell: str, column: float) -> list[str]:
     return [word, *(line.replace("\xa0", " ") for line in lines)]
 
 
-def _origin(claims: Verdicts) -> Origin:
+def _origin(claims: Verdicts) -> str:
     """Return the picture's origin: the runs read of each study in each world, without their seeds."""
     ids: dict[str, list[str]] = {}
     for one in (one for verdicts in claims.values() for one in verdicts.values()):
         ids.setdefault(f"{one.claim.study} in {WORLDS[one.world].title}", []).extend(one.run_ids)
-    runs = tuple(sample(study, "", run_ids, ()) for study, run_ids in ids.items() if run_ids)
-    return Origin(command=COMMAND, runs=runs)
+    runs = [line_of_runs(study, "", run_ids, ()) for study, run_ids in ids.items() if run_ids]
+    return origin_text("the verdicts on the thesis's sentences", runs)

@@ -28,8 +28,7 @@ COMMANDS = {
     "run": ("runs", "Look at single runs and take them along."),
     "search": ("search", "Find hyperparameters, and confirm them on fresh seeds."),
     "env": ("env", "Look at and play environments."),
-    "report": ("misc", "Write all evidence as one HTML page."),
-    "figure": ("misc", "Say which command and runs a figure comes from."),
+    "report": ("report", "Write all evidence as one HTML page."),
     "import": ("logs", "Make a study of old logs."),
 }
 """Of each command the module that has it, and what it does."""

@@ -278,15 +278,15 @@ def draw_files(
     store: Store,
     out: Path | None,
     formats: Sequence[str],
-    pages: Iterable[tuple[Page, str]],
+    pages: Iterable[Page],
     look: Look | None = None,
 ) -> list[Path]:
-    """Write figures as `keep_files` does; each page comes with the command that draws it."""
+    """Write figures as `keep_files` does."""
     from pneuma.figures.grid import USUAL_LOOK, save_page
 
     def draw(folder: Path) -> Iterator[Path]:
-        for page, again in pages:
-            yield from save_page(page, folder, formats, again, look or USUAL_LOOK)
+        for page in pages:
+            yield from save_page(page, folder, formats, look or USUAL_LOOK)
 
     return keep_files(store, out, draw)
 

@@ -124,9 +124,7 @@ def plot(
     from pneuma.figures.search import draw_search
 
     record = location.read(name)
-    words = [word for form in chosen for word in ("--format", form)]
-    again = command("search", "plot", name, *opt.words_of(location), *words)
-    files = keep_files(location.store, out, lambda folder: draw_search(record, folder, chosen, again))
+    files = keep_files(location.store, out, lambda folder: draw_search(record, folder, chosen))
     if not files:
         say("Note: nothing is drawn before a trial is complete.")
     return Result({"figures": files}, wrote(files))

@@ -12,7 +12,6 @@ from pneuma.cli import options as opt
 from pneuma.cli.output import (
     Result,
     check_file,
-    command,
     draw_files,
     nothing_yet,
     read_formats,
@@ -106,7 +105,7 @@ def plot(
         raise UserError(lacking)
     from pneuma.analysis.environments import by_environment
     from pneuma.figures.curves import curves_page, profile_page
-    from pneuma.figures.origin import samples_of
+    from pneuma.figures.origin import lines_of_runs
     from pneuma.figures.style import Look
     from pneuma.figures.summary import summary_page
     from pneuma.figures.words import fits_panel
@@ -115,7 +114,7 @@ def plot(
     of_beside = opt.RunFilter(results=picked.results, world=picked.world)
     beside = of_beside.open(asked.beside) if asked.beside else None
 
-    def draw(name: str, world: str | None) -> tuple[Page, str]:
+    def draw(name: str, world: str | None) -> Page:
         data = picked.open(name, world)
         parts = by_environment(data)
         shown = parts if len(parts) > 1 else data
@@ -126,10 +125,6 @@ def plot(
         fits = all(map(fits_panel, parts.values())) and not data.study.outcomes
         kind = asked.figure or FIGURE_KINDS[0 if asked.quantity or how or fits else 1]
         quantities = _quantities(data, asked.quantity or [])
-        steps, seeds = data.steps or picked.steps, tuple({*data.runs["seed"]})  # whatever is trained later
-        chosen = replace(picked, steps=steps, seeds=seeds, world=world or picked.world)
-        drawn = replace(asked, figure=kind, quantity=quantities)
-        again = command("study", "plot", name, *opt.words_of(chosen), *opt.words_of(drawn))
         if kind == "summary":
             page = summary_page(shown)
         elif kind == "curves":
@@ -139,10 +134,10 @@ def plot(
         else:
             page = profile_page(data, parts)
         if len(parts) > 1:  # under the names that tell the environment
-            page = replace(page, runs=samples_of(data, *filter(None, [how.get("beside")])))
-        return page, again
+            page = replace(page, runs=lines_of_runs(data, *filter(None, [how.get("beside")])))
+        return page
 
-    def pages() -> Iterator[tuple[Page, str]]:
+    def pages() -> Iterator[Page]:
         every = [(name, picked.world) for name in names] if names else _run_here(picked)
         problems = []
         for name, world in every:

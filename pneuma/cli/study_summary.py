@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, Table, command, draw_files, frame_table, read_formats, wrote
+from pneuma.cli.output import Result, Table, frame_table
 from pneuma.errors import UserError, counted
 from pneuma.presets import WORLDS
 from pneuma.study.spec import load_study
@@ -88,8 +88,6 @@ def compare(
         str | None, opt.option("STUDY", "Compare each with another study's.", name="--with")
     ] = None,
     outcome: opt.Outcomes = None,
-    plot: Annotated[bool, opt.flag("--plot", "Draw the differences too, as PNG and SVG.")] = False,
-    out: opt.PlotFolder = None,
     format: opt.Format = opt.TABLE,
 ) -> Result:
     """Compare two conditions: the difference of their means, and how likely a run of A is better.
@@ -99,9 +97,6 @@ def compare(
     """
     if (b is None) == (with_ is None) or (a and not b):
         raise UserError("name two conditions, A and B, or another study by --with STUDY")
-    if out and not plot:
-        raise UserError("--out: goes with --plot")
-    formats = read_formats(None, out)
     if a and b and _crosses_environments(name, a):
         return _compare_in_environments(picked.open(name), a, b, outcome or ())
     from pneuma.analysis.outcomes import with_unit
@@ -125,17 +120,6 @@ def compare(
         table = table[(table["seeds_a"] > 0) & (table["seeds_b"] > 0)]
     people = comparison_cells(table.assign(outcome=table["outcome"].map(with_unit)), heads)
     table = table.drop(columns="condition")
-    files = []
-    if plot:
-        from pneuma.figures.summary import comparison_page
-
-        basename = data.basename("compare", *(heads if b else heads[1:]))
-        words = ["compare", name, *([a, b] if a and b else ["--with", str(with_)]), "--plot"]
-        words += [word for each in outcome or () for word in ("--outcome", each)]
-        seeds = tuple({*data.runs["seed"]})  # whatever is trained later
-        shown = replace(picked, steps=data.steps or picked.steps, seeds=seeds, condition=None)
-        again = command("study", *words, *opt.words_of(shown))
-        files = draw_files(picked.store, out, formats, [(comparison_page(data, table, basename), again)])
     legend = (
         "Means and their difference with a 95 % interval (Welch), each rounded by itself. P(better): the",
         "probability that a run of the first is better than one of the second, from ten runs on.",
@@ -144,8 +128,8 @@ def compare(
     engines, episodes = _engines_text(data, [*pairs.values()]), episodes_text(data, [*table["outcome"]])
     notes = [data.ends, *map(_claim_text, claims), engines, *_common_text(data, pairs.values()), episodes]
     return Result(
-        {**data.about, "comparisons": table, "figures": files},
-        ["", frame_table(people), "", *legend, *wrote(files)],
+        {**data.about, "comparisons": table},
+        ["", frame_table(people), "", *legend],
         f"{data.full_title}: {heads[0]} against {heads[1]}",
         [*notes, _no_interval_text(table)],
         people,

@@ -22,7 +22,7 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel, in_grid
 from pneuma.figures.lines import PALE, QUANTITIES, USUAL_BAND, X_LABELS, Column, usual_quantities
-from pneuma.figures.origin import samples_of
+from pneuma.figures.origin import lines_of_runs
 from pneuma.figures.words import after_thesis, fits_panel, headline_of, merge_notes, styles_of
 from pneuma.store.quantities import EPISODE_QUANTITIES
 
@@ -82,7 +82,7 @@ def curves_page(
         by_world = len({each.world for each in columns.values()}) > 1
         shown = after_thesis(stem) or "by world" * by_world
         headline = ": ".join(filter(None, [data.study.title, shown]))
-    runs = samples_of(*columns.values(), *dict.fromkeys(filter(None, others.values())))
+    runs = lines_of_runs(*columns.values(), *dict.fromkeys(filter(None, others.values())))
     meanings = {word: artist for column in drawn.values() for word, artist in column.meanings.items()}
     widths = None if alone else [1.0] * len(drawn)
     spare = alone and not quantities
@@ -159,7 +159,7 @@ def profile_page(data: StudyData, parts: Parts, outcome: str = OUTCOME) -> Page:
     notes = [f"Score: {words}; 0 and 1 are {', '.join(scales)}.", data.ends]
     headline = headline_of(data, "performance profiles")
     stem, inches = data.basename("profile"), 1.2 * style.PANEL_INCHES
-    return Page(stem, [[panel]], inches, headline, samples_of(data), meanings, notes)
+    return Page(stem, [[panel]], inches, headline, lines_of_runs(data), meanings, notes)
 
 
 # --- Worlds beside each other ------------------------------------------------------------------------

@@ -29,9 +29,9 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.text import Text
 from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 
-from pneuma.errors import UserError, plain, print_aside
+from pneuma.errors import UserError, print_aside
 from pneuma.figures import style
-from pneuma.figures.origin import Origin, Sample
+from pneuma.figures.origin import origin_text
 from pneuma.figures.style import CAPTION, GREY, INK, LINE_INCHES, WIDTH, Look, characters, clean, text_points
 
 FAR = 3.0
@@ -81,13 +81,6 @@ def shares(axis: Axis, most: int = 5) -> None:
     axis.set_major_formatter(FuncFormatter(lambda share, _: per_cent(share) if share >= 0 else ""))
 
 
-def points(axis: Axis) -> None:
-    """Format an axis of differences of shares in percentage points."""
-    few(axis)
-    signed = FuncFormatter(lambda share, _: f"{100 * share:+.3g}".replace("-", "−") if share else "0")
-    axis.set_major_formatter(signed)
-
-
 def powers(axis: Axis) -> None:
     axis.axes.set_yscale("log", nonpositive="clip")
     low, high = axis.get_view_interval()
@@ -131,7 +124,7 @@ class Page:
         basename: of its files, without an ending.
         grid: panels, row by row; one that stands in several neighbouring cells fills them all.
         inches: height of all panels with their axes.
-        runs: what its origin tells.
+        runs: of its origin, as `lines_of_runs` returns them.
         entries: artists of the legend that are in no panel, by their words.
         caption: notes, the most important first.
         widths: of columns, relative to each other.
@@ -142,7 +135,7 @@ class Page:
     grid: Sequence[Sequence[Panel | None]]
     inches: float
     headline: str
-    runs: Sequence[Sample]
+    runs: Sequence[str]
     entries: Mapping[str, Any] = field(default_factory=dict)
     caption: Sequence[str] = ()
     widths: Sequence[float] | None = None
@@ -162,17 +155,14 @@ def save_page(
     page: Page,
     folder: Path,
     formats: Sequence[str] = ("png", "svg"),
-    command: str = "",
     look: Look = USUAL_LOOK,
 ) -> list[Path]:
     """Draw a figure, and write it in each of some `FIGURE_FORMATS`; return the files.
 
-    Its origin tells the `command` that draws it again.
-
     Raises:
         UserError: when `look` has no such style sheet, or too little height for panels.
     """
-    origin = Origin(command=plain(command), runs=tuple(page.runs))
+    origin = origin_text(page.headline, page.runs)
     page = _looking(page, look)
     across = len(page.grid[0])
     with style.house_style(sheet=look.sheet):
@@ -377,13 +367,6 @@ def draw_interval(axes: Axes, place: float, row: Mapping[Any, Any], **look: Any)
     )
     (drawn,) = axes.plot([row["value"]], [place], linestyle="", clip_on=False, zorder=2.7, **look)
     drawn.set_in_layout(False)  # it may be of no value
-
-
-def draw_differences(axes: Axes, rows: Sequence[Mapping[Any, Any]], **look: Any) -> None:
-    """Draw the `difference` of each row, with its interval, and a line at 0."""
-    for place, row in enumerate(rows):
-        draw_interval(axes, place, {**row, "value": row["difference"]}, **look)
-    axes.axvline(0, color=GREY, linewidth=0.9, zorder=1.2)
 
 
 def label_rows(axes: Axes, labels: Sequence[str], inches: float) -> None:

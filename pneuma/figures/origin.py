@@ -1,91 +1,49 @@
-"""Where a figure comes from, which its file says in its own metadata.
+"""Where a figure comes from: one text in its file, under the key that each format has for a description.
 
-    Origin → save_figure → a PNG, SVG or PDF; a PNG → read_origin → Origin
-
-It is one JSON document in ASCII, under the key that each format has for a description.
+Pneuma 0.1.0: Activation function in the arena: after the thesis's Fig. 6.5
+activation, tanh, seeds 300..329, ids 0123456789abcdef
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
-from io import BytesIO
-from pathlib import Path
-from typing import Annotated
-from warnings import catch_warnings
-
-from PIL import Image
-from pydantic import BaseModel, ConfigDict, FailFast
 
 from pneuma import __version__
 from pneuma.analysis.study_data import StudyData
-from pneuma.errors import UserError, plain
+from pneuma.errors import plain
 from pneuma.files import checksum
 from pneuma.values import shown_seeds
 
 KEYS = {"png": "Description", "svg": "Description", "pdf": "Subject"}
-"""Where each format has the document; XMP maps all three to `dc:description`."""
-TOO_LARGE = (Image.DecompressionBombError, Image.DecompressionBombWarning)
+"""Where each format has the text; XMP maps all three to `dc:description`."""
 MOST_IDS = 8
 """With more ids of a condition than this, their number and checksum are written."""
 
 
-class Sample(BaseModel):
-    """The runs of a condition that a figure shows; `seeds` are as `--seeds` takes them."""
-
-    model_config = ConfigDict(strict=True, frozen=True)
-
-    study: str
-    condition: str
-    ids: tuple[str, ...]
-    seeds: str
+def origin_text(shown: str, runs: Iterable[str] = ()) -> str:
+    """Return the text: the version of Pneuma, what is shown, and a line for the runs of each condition."""
+    return "\n".join([f"Pneuma {__version__}: {plain(shown)}", *runs])
 
 
-class Origin(BaseModel):
-    """The command that draws a figure, empty for a script; the version of Pneuma; and the runs shown."""
-
-    model_config = ConfigDict(strict=True, frozen=True)
-
-    command: str
-    version: str = __version__
-    runs: Annotated[tuple[Sample, ...], FailFast()] = ()
-
-    def encode(self) -> str:
-        return json.dumps(self.model_dump(), separators=(",", ":"))
+def lines_of_runs(*studies: StudyData) -> list[str]:
+    """Return a line for the finished runs of each condition, with the ids of their configurations."""
+    lines = []
+    for data in studies:
+        for condition in data.conditions:
+            runs = data.runs[data.runs["condition"] == condition]
+            if len(runs):
+                lines.append(line_of_runs(data.study.name, condition, runs["config_id"], [*runs["seed"]]))
+    return lines
 
 
-def samples_of(*studies: StudyData) -> list[Sample]:
-    """Return the finished runs of studies, with the ids of their configurations, usually one a condition."""
-    return [
-        sample(data.study.name, name, runs["config_id"], [*runs["seed"]])
-        for data in studies
-        for name in data.conditions
-        if len(runs := data.runs[data.runs["condition"] == name])
-    ]
-
-
-def sample(study: str, condition: str, ids: Iterable[str], seeds: Sequence[int]) -> Sample:
-    """Return a condition's runs, with many ids as one checksum and seeds as ranges."""
+def line_of_runs(study: str, condition: str, ids: Iterable[str], seeds: Sequence[int]) -> str:
+    """Return a line for runs, with many ids as one checksum and seeds as ranges."""
     names = sorted(set(ids))
+    ids_text = ", ".join(names)
     if len(names) > MOST_IDS:
-        names = [f"{len(names)} ids, SHA-256 {checksum(' '.join(names).encode())[:16]}"]
-    return Sample(
-        study=plain(study), condition=plain(condition), ids=tuple(map(plain, names)), seeds=shown_seeds(seeds)
-    )
-
-
-def read_origin(path: Path) -> Origin:
-    """Return the origin in the text of a PNG.
-
-    Raises:
-        UserError: when the file cannot be read, or has none.
-    """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
-    try:
-        with catch_warnings(action="error"), Image.open(BytesIO(data), formats=["PNG"]) as image:
-            return Origin.model_validate_json(image.info["Description"])
-    except (OSError, SyntaxError, LookupError, ValueError, *TOO_LARGE):  # damaged, or without such a text
-        raise UserError(f"{path}: tells no origin; only a PNG that Pneuma drew does") from None
+        ids_text = f"{len(names)} with SHA-256 {checksum(' '.join(names).encode())[:16]}"
+    parts = [study, condition]
+    if seeds:
+        parts.append(f"seeds {shown_seeds(seeds)}")
+    parts.append(f"ids {ids_text}")
+    return plain(", ".join(filter(None, parts)))

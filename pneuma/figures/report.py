@@ -148,7 +148,7 @@ def study_picture(data: StudyData, words: str) -> dict[str, str]:
     again = f"pneuma study {verb} {words}"
     with TemporaryDirectory() as folder:
         page = curves_page(data) if of_curves else summary_page(data)
-        (path,) = save_page(page, Path(folder), ("png",), again)
+        (path,) = save_page(page, Path(folder), ("png",))
         source = f"data:image/png;base64,{b64encode(path.read_bytes()).decode('ascii')}"
     alternative = f"{data.study.title}: {what}, for {'; '.join(data.conditions)}."
     return {"source": source, "alt": alternative, "caption": f"{what}: {again}."}

@@ -20,9 +20,9 @@ from optuna.trial import TrialState
 from optuna.visualization import matplotlib as pictures
 
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.errors import counted, plain
+from pneuma.errors import counted
 from pneuma.figures import style
-from pneuma.figures.origin import Origin, sample
+from pneuma.figures.origin import line_of_runs, origin_text
 from pneuma.figures.style import INK, WIDTH
 from pneuma.figures.words import capital
 from pneuma.search.log import Record
@@ -35,19 +35,16 @@ LEAST_TRIALS, BEST_TRIALS, BEST_SHARE = 10, 5, 0.1
 
 
 def draw_search(
-    record: Record, folder: Path, formats: Sequence[str], command: str = "", only: Collection[str] = ()
+    record: Record, folder: Path, formats: Sequence[str], only: Collection[str] = ()
 ) -> list[Path]:
-    """Draw the pictures of a search, or `only` some, and write each; none before a trial is complete.
-
-    Their origin has the `command` that draws them again.
-    """
+    """Draw the pictures of a search, or `only` some, and write each; none before a trial is complete."""
     if not record.complete:
         return []
     search = record.search
     ids: list[str] = []
     for trial in record.ended:
         ids += trial.user_attrs.get("run_ids", [])
-    origin = Origin(command=plain(command), runs=(sample(search.name, "", ids, record.budget.seeds),))
+    runs = line_of_runs(search.name, "", ids, record.budget.seeds)
     files: list[Path] = []
     with style.house_style(), _optuna_in_our_style():
         for name, (title, draw) in _pictures(record).items():
@@ -58,6 +55,7 @@ def draw_search(
             try:
                 figure.set_layout_engine("constrained")
                 headline = f"{search.full_title}: {title}. {_amount(record)}"
+                origin = origin_text(headline, [runs])
                 figure.suptitle(textwrap.fill(headline, style.characters(1.2 * style.TYPE_POINTS)))
                 for axes in panels:
                     axes.set_title("")

@@ -23,7 +23,7 @@ from PIL.PngImagePlugin import PngInfo
 from scipy.optimize import isotonic_regression
 
 from pneuma.errors import UserError, plain, print_aside, unknown_name
-from pneuma.figures.origin import KEYS, Origin
+from pneuma.figures.origin import KEYS
 
 WIDTH = 7.0
 """Width in inches of a figure that spans a page."""
@@ -157,7 +157,7 @@ def save_figure(
     folder: Path,
     basename: str,
     formats: Sequence[str],
-    origin: Origin,
+    origin: str,
     colours: int = MOST_COLOURS,
 ) -> list[Path]:
     """Write a figure in each format, with its origin as metadata; the same figure gives the same bytes.
@@ -176,7 +176,7 @@ def save_figure(
         if name == "png":
             _save_png(figure, path, origin, colours)
         else:
-            figure.savefig(path, format=name, metadata={**_NO_DATES[name], KEYS[name]: origin.encode()})
+            figure.savefig(path, format=name, metadata={**_NO_DATES[name], KEYS[name]: origin})
     known = {"\n", *map(chr, get_font(findfont(_RC["font.family"])).get_charmap())}
     if lacking := {letter for text in figure.findobj(Text) for letter in text.get_text()} - known:
         shown = " ".join(sorted(lacking)[:10])
@@ -186,12 +186,12 @@ def save_figure(
     return paths
 
 
-def _save_png(figure: Figure, path: Path, origin: Origin, colours: int) -> None:
+def _save_png(figure: Figure, path: Path, origin: str, colours: int) -> None:
     """Draw a figure once, and write it; `savefig` would draw it twice."""
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     image, texts = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB"), PngInfo()
-    texts.add_text(KEYS["png"], origin.encode())
+    texts.add_text(KEYS["png"], origin)
     if colours:
         image = image.quantize(colours, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     image.save(path, "PNG", dpi=(figure.dpi, figure.dpi), pnginfo=texts)

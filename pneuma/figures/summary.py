@@ -1,4 +1,4 @@
-"""Summaries of outcomes: every run with means; and differences of conditions.
+"""Summaries of outcomes: every run with means.
 
 They show the share of monsters killed at the end, or the return if there are no monsters or no evaluations.
 """
@@ -22,12 +22,11 @@ from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_foreign, is_retur
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.figures import grid, style
-from pneuma.figures.grid import LEAST_ROW_INCHES, LONGEST_INCHES, ROW_INCHES, Page, Panel, in_grid
-from pneuma.figures.origin import samples_of
+from pneuma.figures.grid import LEAST_ROW_INCHES, LONGEST_INCHES, ROW_INCHES, Page, Panel
+from pneuma.figures.origin import lines_of_runs
 from pneuma.figures.style import GREY, INK
 from pneuma.figures.words import (
     capital,
-    format_counts,
     headline_of,
     label_of,
     merge_notes,
@@ -171,7 +170,7 @@ def summary_page(studies: StudyData | Mapping[str, StudyData], basename: str = "
         [[panel(*each) for each in drawn.items()]],
         max(pitch * most + 0.7, 0.6 * style.PANEL_INCHES),
         headline_of(alone.data, shown) if one_study else f"{alone.data.study.title}: {shown}",
-        samples_of(*(found.data for found in drawn.values())),
+        lines_of_runs(*(found.data for found in drawn.values())),
         _marks(max(len(runs) for found in drawn.values() for runs in found.values.values())),
         [*notes, parts and f"Rows: {parts}."],
         [1] * len(drawn),
@@ -243,36 +242,3 @@ def _marks(most: int) -> dict[str, Any]:
     if most >= LEAST_RUNS:
         entries["interquartile mean, 95 % interval"] = Line2D([], [], **iqm)
     return entries
-
-
-# --- Differences -------------------------------------------------------------------------------------
-
-
-def comparison_page(data: StudyData, table: pd.DataFrame, basename: str) -> Page:
-    """Return differences of means with intervals: a panel per outcome, a row per comparison.
-
-    The table contains the results of `compare_conditions` for several pairs.
-    """
-    every = [*dict.fromkeys(table["outcome"])]
-    shown = table[np.isfinite(table["difference"])] if np.isfinite(table["difference"]).any() else table
-    counts = table.groupby(["a", "b"])[["seeds_a", "seeds_b"]].agg(format_counts)
-    outcomes = [*dict.fromkeys(shown["outcome"])]
-    rows = -(-len(outcomes) // style.COLUMNS)
-    columns, panels = -(-len(outcomes) // rows), []
-    for place, name in enumerate(outcomes):
-        compared = table[table["outcome"] == name].to_dict("records")
-        pairs = [(row["a"], row["b"]) for row in compared]
-        labels = ["{} -\n{} (n = {} and {})".format(*pair, *counts.loc[pair]) for pair in pairs]
-        found = find_outcome(name)
-        shares = found.bounds == (0.0, 1.0)
-        draw = partial(grid.draw_differences, rows=compared)
-        label, ticks = ("percentage points", grid.points) if shares else (found.unit, grid.few)
-        panels.append(
-            Panel(draw, name, label, x_ticks=ticks, rows=[""] * len(labels) if place % columns else labels)
-        )
-    caption = ["Differences of means of runs, with Welch's 95 % intervals.", *notes_of(data), data.ends]
-    if lacking := [name for name in every if name not in outcomes]:
-        caption.append(f"Without a finite difference: {', '.join(lacking)}.")
-    inches = rows * (2 * ROW_INCHES * table["outcome"].value_counts().max() + 0.7)
-    headline = headline_of(data, "differences")
-    return Page(basename, in_grid(panels, columns), inches, headline, samples_of(data), caption=caption)

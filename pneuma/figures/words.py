@@ -135,9 +135,3 @@ def fits_panel(data: StudyData) -> bool:
 def capital(words: str) -> str:
     """Return words that begin a sentence; the others stay, as HP."""
     return words[:1].upper() + words[1:]
-
-
-def format_counts(counts: Iterable[int]) -> str:
-    """Return counts as '10', or as '6 to 10' if they differ."""
-    known = sorted({*counts})
-    return str(known[0]) if len(known) == 1 else f"{known[0]} to {known[-1]}"

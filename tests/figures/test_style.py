@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from pneuma.errors import plain
 from pneuma.figures.grid import label_rows
-from pneuma.figures.origin import Origin
 from pneuma.figures.style import house_style, save_figure
 from pneuma.figures.words import styles_of
 
@@ -43,7 +42,7 @@ def test_what_cannot_be_seen_is_written_as_its_code_in_an_svg_that_is_xml(tmp_pa
         axes = figure.subplots()
         axes.set_title(wild)
         label_rows(axes, [wild], 1.0)
-        (path,) = save_figure(figure, tmp_path, "wild", ("svg",), Origin(command=""))
+        (path,) = save_figure(figure, tmp_path, "wild", ("svg",), "")
     document = path.read_text(encoding="utf-8")
     xml.dom.minidom.parseString(document)
     assert document.count(r"a\u001b\u202eb\ud800") == 2
@@ -56,5 +55,5 @@ def test_letters_that_figures_cannot_show_are_named(
         for title in ("größer β₁", "大きい β₁"):
             figure = Figure()
             figure.subplots().set_title(title)
-            save_figure(figure, tmp_path, "names", ("png",), Origin(command=""))
+            save_figure(figure, tmp_path, "names", ("png",), "")
             assert ("lacks い き 大" in capsys.readouterr().err) == title.startswith("大")

@@ -1,4 +1,4 @@
-"""The commands `pneuma report` and `figure`."""
+"""The command `pneuma report`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, Table, check_file, nothing_yet, say, write_file
+from pneuma.cli.output import Result, check_file, nothing_yet, say, write_file
 from pneuma.store.store import Store
 
 app = opt.Commands("", "")
@@ -35,16 +35,3 @@ def report(
     studies, claims = len(found["studies"]), len(found["claims"])
     told = f"wrote {out}: {len(page) / 1e6:.1f} MB; studies: {studies}, claims: {claims}"
     return Result({"file": out, "bytes": len(page), "studies": studies, "claims": claims}, [told])
-
-
-@app.command(short_help="Say which command and runs a figure comes from.")
-def figure(file: Annotated[Path, opt.argument("FILE", "A PNG that Pneuma drew.")]) -> Result:
-    """Say where a figure comes from: the command that draws it, and the runs that it shows."""
-    from pneuma.figures.origin import read_origin
-
-    origin = read_origin(file)
-    shown: list[str | Table] = [origin.command or "drawn by a script", f"Pneuma {origin.version}"]
-    if origin.runs:
-        rows = [(one.study, one.condition, one.seeds, ", ".join(one.ids)) for one in origin.runs]
-        shown += ["", Table(("study", "condition", "seeds", "runs"), rows)]
-    return Result({"file": file, **origin.model_dump()}, shown)
