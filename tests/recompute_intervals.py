@@ -24,6 +24,14 @@ def interval(
     """Return the effect and the ends of its interval; none if an arm shows nothing of how runs differ."""
     if kind == "range":
         return of_range(a, b, values, constant, alpha)
+    if kind in ("main-effect", "interaction"):
+        share = 1 / len(a) if kind == "main-effect" else 1.0
+        signs = [1.0] * len(a) if kind == "main-effect" else [1.0, -1.0]
+        parts = [(values[name], share * sign) for name, sign in zip(a, signs, strict=True)]
+        parts += [(values[name], -share * sign) for name, sign in zip(b, signs, strict=True)]
+        return of_sum(parts, alpha)
+    if kind == "hazard":
+        return of_hazard(values[a[0]], values[b[0]], alpha)
     first, second = values[a[0]], values[b[0]] if b else None
     if kind == "incidence":
         return of_shares(first, second, constant, alpha)
@@ -43,6 +51,36 @@ def interval(
 
 def varies_not(runs: np.ndarray) -> bool:
     return len(runs) < 2 or np.ptp(runs) <= 1e-12 * abs(runs).max()
+
+
+def of_sum(parts: Sequence[tuple[np.ndarray, float]], alpha: float) -> tuple[float, Ends]:
+    """Return the interval of a weighted sum of means, with Satterthwaite's degrees of freedom."""
+    effect = sum(weight * runs.mean() for runs, weight in parts)
+    if any(varies_not(runs) for runs, _ in parts):
+        return effect, None
+    errors = [weight**2 * runs.var(ddof=1) / len(runs) for runs, weight in parts]
+    freedom = sum(errors) ** 2 / sum(
+        e**2 / (len(runs) - 1) for e, (runs, _) in zip(errors, parts, strict=True)
+    )
+    half = stats.t.ppf(1 - alpha / 2, freedom) * sum(errors) ** 0.5
+    return effect, (effect - half, effect + half)
+
+
+def of_hazard(first: np.ndarray, second: np.ndarray, alpha: float) -> tuple[float, Ends]:
+    """Return Peto's logarithm of the ratio of two rates: (observed less expected) by the variance."""
+    surplus, variance = 0.0, 0.0
+    for time in sorted({*first[0][first[1] > 0], *second[0][second[1] > 0]}):
+        group = np.array([(first[0] >= time).sum(), (second[0] >= time).sum()])
+        deaths = np.array([sum((arm[0] == time) * arm[1]) for arm in (first, second)])
+        share = group[0] / group.sum()
+        surplus += deaths[0] - deaths.sum() * share
+        if group.sum() > 1:
+            left = (group.sum() - deaths.sum()) / (group.sum() - 1)
+            variance += deaths.sum() * share * (1 - share) * left
+    if not variance:
+        return float("nan"), None
+    half = stats.norm.ppf(1 - alpha / 2) / variance**0.5
+    return surplus / variance, (surplus / variance - half, surplus / variance + half)
 
 
 def of_shares(

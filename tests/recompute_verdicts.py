@@ -1,102 +1,119 @@
-"""Every verdict on the published runs by another hand: `python -m tests.recompute_verdicts [RESULTS]`.
+"""Every verdict on the published runs by another hand: `python -m tests.recompute_verdicts`.
 
-What `pneuma study verify --json` says is computed again from studies/claims.toml and the published tables by
-NumPy and SciPy: the outcome of each run, effects, intervals and verdicts. Nothing
-of Pneuma is imported, and the rules are written from docs/claims.md. Ends with 1 if anything differs.
+What `pneuma study verify --json` prints is computed again from the lists of claims, the files of studies and
+the published tables by NumPy and SciPy: which runs each arm has (`recompute_runs.py`), effects, intervals and
+verdicts. Nothing of Pneuma is imported, and the rules are written from docs/claims.md. Ends with 1 if
+anything differs.
 """
 
 from __future__ import annotations
 
 import json
-import shutil
 import subprocess
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
-from scipy import stats
 
 from .recompute_intervals import Ends, interval
+from .recompute_runs import (
+    HIGHER,
+    LOWER,
+    OF_LEARNERS,
+    ROOT,
+    SHARES,
+    Row,
+    Runs,
+    fixed,
+    learned,
+    read_study,
+    value_of,
+)
 
-ROOT = Path(__file__).parents[1]
-PUBLISHED = ROOT / "results" / "published"
+LISTS = ("claims.toml", "claims-5.toml")
 CLOSE = 1e-6
-SLACK = 0.025
-"""A run may be so much longer than was claimed, as it ends with a whole update."""
+TOGETHER = ("range", "main-effect", "interaction")
 
-Row = dict[str, Any]
 Claim = dict[str, Any]
+Document = Mapping[str, Any]
 
 
-def main(results: Path) -> int:
-    words = [sys.executable, "-m", "pneuma", "study", "verify", "--json", "--results", str(results)]
-    told = json.loads(subprocess.run(words, check=True, capture_output=True, cwd=ROOT).stdout)
-    wrong, agreed = check(told, read_rows(results / "published", told))
+def main() -> int:
+    words = [sys.executable, "-m", "pneuma", "study", "verify", "--json", "--results", "no-results"]
+    document = json.loads(subprocess.run(words, check=True, capture_output=True, cwd=ROOT).stdout)
+    wrong, agreed = check(document, Runs())
     print("\n".join([*wrong, ", ".join(f"{count} {what}" for what, count in agreed.items()) + " agree"]))
     return 1 if wrong or not agreed["verdicts"] else 0
 
 
-def published_folder(folder: Path) -> Path:
-    """Return a results folder whose published tables are the repository's."""
-    shutil.copytree(PUBLISHED, folder / "published")
-    return folder
-
-
-def check(told: Mapping[str, Any], rows: Mapping[str, Row]) -> tuple[list[str], Counter[str]]:
+def check(document: Document, runs: Runs) -> tuple[list[str], Counter[str]]:
     """Return what differs in a document of `study verify`, and how much of each kind agrees."""
-    claims, wrong, agreed = read_claims(), [], Counter[str]()
-    of_world = Counter[str]()
-    for claim in claims.values():
-        of_world.update({world: len(claim["outcome"]) * len(pairs(claim)) for world in claim["worlds"]})
-    judged = {(one["claim"], one["world"]) for one in told["claims"]}
-    if judged != {(name, world) for name, claim in claims.items() for world in claim["worlds"]}:
+    claims = read_claims()
+    wrong: list[str] = []
+    agreed: Counter[str] = Counter()
+    judged = [(verdict["claim"], verdict["world"]) for verdict in document["claims"]]
+    if sorted(judged) != sorted((name, world) for name, claim in claims.items() for world in claim["worlds"]):
         wrong.append("not every claim is judged in each of its worlds")
-    for one in told["claims"]:
-        claim, world = claims[one["claim"]], one["world"]
-        for what, place, mine, theirs in compared(claim, world, one, rows, of_world[world]):
+    for verdict in document["claims"]:
+        claim, world = claims[verdict["claim"]], verdict["world"]
+        alpha = claim["alpha"] / family_size(claims.values(), claim, world)
+        for what, place, mine, theirs in compared(claim, world, verdict, runs, alpha):
             if alike(mine, theirs):
                 agreed[what] += 1
             else:
-                wrong.append(f"{one['claim']} {world} {place}: {what}: {theirs} is told, and is {mine}")
+                wrong.append(
+                    f"{verdict['claim']} {world} {place}: {what}: {theirs} is printed, and is {mine}"
+                )
     return wrong, agreed
 
 
 def compared(
-    claim: Claim,
-    world: str,
-    one: Mapping[str, Any],
-    rows: Mapping[str, Row],
-    contrasts: int,
+    claim: Claim, world: str, document: Document, runs: Runs, alpha: float
 ) -> Iterator[tuple[str, str, Any, Any]]:
-    """Yield for each number: what it is, of which contrast, as computed here, as told."""
-    by_outcome: dict[str, list[str]] = {name: [] for name in claim["outcome"]}
-    alpha, some = ALPHA / contrasts, False
-    planned = [(name, *pair) for name in claim["outcome"] for pair in pairs(claim)]
-    yield "claims", "", len(planned), len(one["contrasts"])
-    for (name, a, b), row in zip(planned, one["contrasts"], strict=True):
-        place = f"{name} {', '.join(a)}"
-        yield "contrasts", place, (name, ", ".join(a)), (row["outcome"], row["a"])
-        arms = {condition: [rows[id] for id in row["runs"].get(condition, ())] for condition in (*a, *b)}
-        for condition, runs in arms.items():
-            check_fixed(claim, condition, runs)
-        verdict = "untestable"
-        if all(len(runs) == len(seeds_of(claim, condition)) for condition, runs in arms.items()):
-            some = True
-            effect, alone, together, verdict = judged(claim, name, world, a, b, arms, alpha)
-            yield "effects", place, effect, row["effect"]
-            yield "intervals", place, alone, (row["low"], row["high"])
-            yield "intervals", place, together, (row["simultaneous_low"], row["simultaneous_high"])
-        yield "verdicts of contrasts", place, verdict, row["verdict"]
-        by_outcome[name].append(verdict)
-    verdict = of_claim([of_outcome(each) for each in by_outcome.values()], claim)
-    yield "verdicts" if some else "claims without runs", "", verdict, one["verdict"]
+    """Yield for each number: what it is, of which contrast, as computed here, as printed."""
+    planned = [(outcome, *pair) for outcome in claim["outcome"] for pair in pairs(claim, outcome)]
+    yield "claims", "", len(planned), len(document["contrasts"])
+    by_margin: dict[str, dict[str, list[str]]] = {"margin": {}, "registered_margin": {}}
+    has_runs = False
+    for (outcome, a, b), row in zip(planned, document["contrasts"], strict=True):
+        place = f"{outcome} {', '.join(a)}"
+        yield "contrasts", place, (outcome, ", ".join(a)), (row["outcome"], row["a"])
+        arms = {
+            name: fixed(runs.of_condition(claim["study"], name, world), seeds_of(claim, name), claim["steps"])
+            for name in (*a, *b)
+        }
+        ids = {name: tuple(str(run["run_id"]) for run in rows) for name, rows in arms.items()}
+        for name in arms:
+            yield (
+                "arms",
+                f"{place} {name}",
+                ids[name] or ("none",),
+                tuple(row["runs"].get(name, ())) or ("none",),
+            )
+        is_complete = all(len(rows) == len(seeds_of(claim, name)) for name, rows in arms.items())
+        has_runs |= is_complete
+        for key, verdicts in by_margin.items():
+            verdict = "untestable"
+            if is_complete and "not_tested" not in claim:
+                margin = margin_of(claim, outcome, world, key)
+                effect, alone, together, verdict = judged(claim, outcome, world, (a, b), arms, alpha, margin)
+                if key == "margin":
+                    yield "effects", place, effect, row["effect"]
+                    yield "intervals", place, alone, (row["low"], row["high"])
+                    yield "intervals", place, together, (row["simultaneous_low"], row["simultaneous_high"])
+            yield "verdicts of contrasts", place, verdict, row[key.replace("margin", "verdict")]
+            verdicts.setdefault(outcome, []).append(verdict)
+    for key, verdicts in by_margin.items():
+        verdict = of_claim([all_of(each) for each in verdicts.values()], claim)
+        yield (
+            "verdicts" if has_runs else "claims without runs",
+            key,
+            verdict,
+            document[key.replace("margin", "verdict")],
+        )
 
 
 def alike(mine: Any, theirs: Any) -> bool:
@@ -107,232 +124,145 @@ def alike(mine: Any, theirs: Any) -> bool:
     return bool(abs(mine - theirs) <= CLOSE * max(1.0, abs(mine)))
 
 
-# --- The list --------------------------------------------------------------------------------------
-
-with (ROOT / "studies" / "claims.toml").open("rb") as _file:
-    LIST: dict[str, Any] = tomllib.load(_file)
-ALPHA = LIST["list"]["alpha"]
+# --- The lists -------------------------------------------------------------------------------------
 
 
 def read_claims() -> dict[str, Claim]:
-    claims = {}
-    for name, own in LIST["claims"].items():
-        claim = {"need": "one", **LIST["defaults"], **LIST["claims"].get(own.get("like"), {}), **own}
-        for key in ("a", "b", "outcome"):
-            value = claim.get(key, [])
-            claim[key] = [value] if isinstance(value, str) else value
-        claims[name] = claim
+    claims: dict[str, Claim] = {}
+    for file in LISTS:
+        contents = tomllib.loads((ROOT / "studies" / file).read_text(encoding="utf-8"))
+        head = contents["list"]
+        for name, own in contents["claims"].items():
+            like = contents["claims"].get(own.get("like"), {})
+            usual = {"need": "one", "kind": "mean", "seeds_from": head["seeds_from"]}
+            claim = {**usual, **contents.get("defaults", {}), **like, **own}
+            for key in ("a", "b", "outcome"):
+                value = claim.get(key, [])
+                claim[key] = [value] if isinstance(value, str) else value
+            claim |= {"list": file, "alpha": head["alpha"], "families": head.get("families", "list")}
+            claim["margins"] = {
+                "margin": contents["margins"], "registered_margin": contents.get("registered_margins", {}),
+            }  # fmt: skip
+            study = read_study(claim["study"])
+            claim.setdefault("worlds", study.get("worlds"))
+            if "preset" in claim:
+                preset = study["presets"][claim["preset"]]
+                claim |= {"seeds": preset["seeds"], "steps": preset["steps"]}
+            claims[name] = claim
     return claims
 
 
-def pairs(claim: Claim) -> list[tuple[list[str], list[str]]]:
-    if claim["kind"] == "range":
-        return [(claim["a"], claim["b"])]
-    if claim.get("paired") and claim["b"]:
-        return [([a], [b]) for a, b in zip(claim["a"], claim["b"], strict=True)]
-    return [([a], [b] if b else []) for a in claim["a"] for b in claim["b"] or [""]]
+def family_size(claims: Any, claim: Claim, world: str) -> int:
+    """Return the number of contrasts of a claim's list in a world, or of these those of its study."""
+    size = 0
+    for other in claims:
+        is_here = other["list"] == claim["list"] and world in other["worlds"]
+        if is_here and (claim["families"] == "list" or other["study"] == claim["study"]):
+            size += sum(len(pairs(other, outcome)) for outcome in other["outcome"])
+    return size
 
 
-def number(claim: Claim, key: str, outcome: str, world: str) -> float | None:
-    """Return a margin, constant or spread; margins may be the list's."""
-    value = claim.get(key)
-    if isinstance(value, dict):
-        value = value.get(outcome)
-    if value is None and key == "margin":
-        value = LIST["margins"].get("incidence" if claim["kind"] == "incidence" else outcome)
-    return value.get(world) if isinstance(value, dict) else value
+def pairs(claim: Claim, outcome: str) -> list[tuple[list[str], list[str]]]:
+    a, b = claim["a"], claim["b"]
+    value = claim.get("value")
+    if value is not None and (outcome in value if isinstance(value, dict) else True):
+        b = []
+    if claim["kind"] in TOGETHER:
+        return [(a, b)]
+    if not b:
+        return [([first], []) for first in a]
+    if claim.get("paired"):
+        return [([first], [second]) for first, second in zip(a, b, strict=True)]
+    return [([first], [second]) for first in a for second in b]
+
+
+def of(value: Any, *names: str) -> Any:
+    """Return what is stated once, or by outcome or world."""
+    for name in names:
+        value = value.get(name) if isinstance(value, dict) else value
+    return value
+
+
+def margin_of(claim: Claim, outcome: str, world: str, key: str) -> float | None:
+    """Return a margin; a registered one is the margin where none was kept."""
+    name = "incidence" if claim["kind"] == "incidence" else outcome
+    margin = of(claim.get(key), outcome, world)
+    if margin is None:
+        margin = of(claim["margins"][key].get(name), world)
+    if margin is None and key == "registered_margin":
+        return margin_of(claim, outcome, world, "margin")
+    return None if margin is None else float(margin)
 
 
 def seeds_of(claim: Claim, condition: str) -> list[int]:
-    given = claim["seeds"][condition] if isinstance(claim["seeds"], dict) else claim["seeds"]
-    first = claim.get("seeds_from", LIST["list"]["seeds_from"])
-    return list(range(first, first + given)) if isinstance(given, int) else given
-
-
-def check_fixed(claim: Claim, condition: str, runs: Sequence[Row]) -> None:
-    """Check that the runs of a condition are of the seeds and steps that the claim fixed, and one setting."""
-    steps = claim["steps"]
-    assert {run["seed"] for run in runs} <= {*seeds_of(claim, condition)}
-    assert len({run["seed"] for run in runs}) == len(runs)
-    assert all(steps <= run["steps"] < steps * (1 + SLACK) for run in runs)
-    assert len({run["config_id"] for run in runs}) <= 1
-
-
-# --- The outcome of a run --------------------------------------------------------------------------
-
-
-def read_rows(folder: Path, told: Mapping[str, Any]) -> dict[str, Row]:
-    """Return the published rows that a document names, by their ids."""
-    wanted = {
-        run
-        for one in told["claims"]
-        for row in one["contrasts"]
-        for ids in row["runs"].values()
-        for run in ids
-    }
-    rows: dict[str, Row] = {}
-    for path in sorted(folder.glob("*.parquet")):
-        ids = pq.read_table(path, columns=["run_id"])["run_id"]
-        if not wanted.isdisjoint(ids.to_pylist()):
-            keep = pc.is_in(ids, value_set=pc.cast(list(wanted), ids.type))
-            table = pq.read_table(path)
-            unread = [name for name in table.column_names if name.endswith("trailing-100")]
-            for row in table.drop_columns(unread).filter(keep).to_pylist():
-                rows[row["run_id"]] = {**row, "fields": json.loads(row["fields"])}
-    return rows
-
-
-def evaluations(run: Row, column: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the steps and the values of a column, where it has one, up to the run's budget."""
-    known = [(each["step"], each[column]) for each in run["evaluations"] if each.get(column) is not None]
-    steps, values = np.array(known, float).reshape(-1, 2).T
-    keep = np.isfinite(values) & (steps <= run["steps"] * (1 + SLACK))
-    return steps[keep], values[keep]
-
-
-def points(run: Row, column: str) -> np.ndarray:
-    """Return the points of a curve that have a value."""
-    values = np.array(run.get(column) or [], float)
-    return values[np.isfinite(values)]
-
-
-def at_end(quantity: str, statistic: str) -> Callable[[Row], float]:
-    return lambda run: np.nan if (value := run.get(f"{quantity} {statistic}")) is None else value
-
-
-def last_of(column: str) -> Callable[[Row], float]:
-    return lambda run: float(evaluations(run, column)[1][-1])
-
-
-def roughness(run: Row) -> float:
-    killed = evaluations(run, "share_killed")[1]
-    ups_and_downs = sum(abs(after - before) for before, after in zip(killed, killed[1:], strict=False))
-    return (ups_and_downs - abs(killed[-1] - killed[0])) / (len(killed) - 1)
-
-
-def fall(run: Row) -> float:
-    killed = evaluations(run, "share_killed")[1]
-    return float(max(killed) - killed[-1])
-
-
-def growth(run: Row) -> float:
-    norms = [max(norm, 1e-8) for norm in points(run, "grad_norm")]
-    tenth = max(len(norms) // 10, 1)
-    return float(np.mean(np.log(norms[-tenth:])) - np.mean(np.log(norms[:tenth])))
-
-
-def log_max_kl(run: Row) -> float:
-    exact = run.get("approx_kl peak")
-    most = max(points(run, "approx_kl extreme"), default=np.nan) if exact is None else exact
-    return float(np.log(max(most, 1e-8)))
-
-
-def low_entropy(run: Row) -> float:
-    """Return the share of training in stretches of updates without entropy; gaps and lengths alternate."""
-    packed, fields = json.loads(run["signs"]), run["fields"]
-    update = fields["horizon"] * fields["slots"] * fields["players"]
-    at, steps = 0, 0
-    for place, gap in enumerate(packed["signs"]["no entropy"]):
-        at += gap * packed["unit"]
-        steps += min(at, run["end"]) + update if place % 2 else -at
-    return steps / run["end"]
-
-
-def one_action(run: Row) -> float:
-    shares = [run[f"action_{place} last"] for place in range(5)]
-    return float(max([*shares, 1 - sum(shares)]))
-
-
-def steps_to(run: Row, least: float) -> float:
-    """Return the step of the first evaluation that kills so much; the budget if none does."""
-    reached = [step for step, share in zip(*evaluations(run, "share_killed"), strict=True) if share >= least]
-    return float(min(reached, default=run["steps"]))
-
-
-OUTCOMES: dict[str, Callable[[Row], float]] = {
-    "final-return": at_end("return", "last"),
-    "final-hp": at_end("hp", "last"),
-    "final-action-4": at_end("action_4", "last"),
-    "early-explained-variance": at_end("explained_variance", "early"),
-    "final-died": last_of("died"),
-    "final-commonest-action": last_of("commonest_action"),
-    "late-share-killed": lambda run: float(np.mean(evaluations(run, "share_killed")[1][-5:])),
-    "fall-from-best": fall,
-    "curve-roughness": roughness,
-    "grad-norm-growth": growth,
-    "log-max-kl": log_max_kl,
-    "low-entropy-share": low_entropy,
-    "one-action": one_action,
-}
-HIGHER = {"final-return", "final-hp", "early-explained-variance", "late-share-killed"}
-"""Outcomes of play: those of which more is better."""
-LOWER = {"final-died", "fall-from-best", "curve-roughness", "grad-norm-growth", "low-entropy-share"}
-OF_LEARNERS = {"fall-from-best", "curve-roughness"}
-SHARES = {
-    "final-died", "late-share-killed", "fall-from-best", "curve-roughness", "final-action-4", "one-action",
-    "final-commonest-action", "low-entropy-share",
-}  # fmt: skip
-
-
-def value_of(run: Row, outcome: str) -> float:
-    if outcome.startswith("steps-to:"):
-        return steps_to(run, float(outcome.removeprefix("steps-to:")))
-    return OUTCOMES[outcome](run)
-
-
-def learned(runs: Sequence[Row]) -> bool:
-    """Return whether runs are shown to beat the random player, of score 0, at 5 % to one side."""
-    scores = [float(np.mean(evaluations(run, "score")[1])) for run in runs]
-    if np.ptp(scores) == 0:
-        return scores[0] > 0
-    return bool(stats.ttest_1samp(scores, 0, alternative="greater").pvalue < 0.05)
+    seeds = of(claim["seeds"], condition)
+    if isinstance(seeds, str):
+        first, last = seeds.split("..")
+        return list(range(int(first), int(last) + 1))
+    if isinstance(seeds, int):
+        return list(range(claim["seeds_from"], claim["seeds_from"] + seeds))
+    return list(seeds)
 
 
 # --- One contrast ----------------------------------------------------------------------------------
+
+Judged = tuple[float | None, tuple[float | None, ...], tuple[float | None, ...], str]
+NOTHING: Judged = (None, (None, None), (None, None), "untestable")
 
 
 def judged(
     claim: Claim,
     outcome: str,
     world: str,
-    a: Sequence[str],
-    b: Sequence[str],
+    pair: tuple[Sequence[str], Sequence[str]],
     arms: Mapping[str, Sequence[Row]],
     alpha: float,
-) -> tuple[float | None, tuple[float | None, ...], tuple[float | None, ...], str]:
+    margin: float | None,
+) -> Judged:
     """Return effect, interval, simultaneous interval and verdict of a contrast that has all its runs."""
+    a, b = pair
     values = {name: np.array([value_of(run, outcome) for run in runs]) for name, runs in arms.items()}
-    margin, constant = number(claim, "margin", outcome, world), number(claim, "value", outcome, world) or 0.0
+    constant = of(claim.get("value"), outcome, world) if not b else 0.0
     counts, idle = claim["kind"] == "incidence", [not learned(runs) for runs in arms.values()]
-    nothing = (None, (None, None), (None, None), "untestable")
     if any(np.isnan(own).any() for own in values.values()) or (outcome in OF_LEARNERS and any(idle)):
-        return nothing
-    if len(arms) > 1 and not counts:
-        every, near = np.concatenate([*values.values()]), margin or 1e-9
-        if outcome in SHARES and (every >= 1 - near).all():
-            return nothing
-        floor = outcome in SHARES or outcome == "final-hp" or outcome.startswith("steps-to:")
-        if floor and outcome not in HIGHER and (every <= near).all():
-            return nothing
-    if counts:
-        limit, above = claim.get("above", claim.get("below")), "above" in claim
-        limit = limit[outcome] if isinstance(limit, dict) else limit
+        return NOTHING
+    if claim["kind"] == "hazard":
+        ends = {name: [run["evaluations"][-1]["step"] for run in runs] for name, runs in arms.items()}
+        values = {
+            name: np.array([np.minimum(own, ends[name]), np.isfinite(own)]) for name, own in values.items()
+        }
+    elif counts:
+        limit, above = of(claim.get("above", claim.get("below")), outcome), "above" in claim
         values = {name: (own > limit if above else own < limit) * 1.0 for name, own in values.items()}
         shares = [own.mean() for own in values.values()]
         if len(shares) > 1 and (max(shares) <= 0.1 or min(shares) >= 0.9):
-            return nothing
-    effect, alone = interval(claim["kind"], a, b, values, constant, 0.05)
-    _, ends = interval(claim["kind"], a, b, values, constant, alpha)
-    way = claim["direction"]
+            return NOTHING
+    elif len(arms) > 1 and at_an_end(outcome, np.concatenate([*values.values()]), margin or 1e-9):
+        return NOTHING
+    if isinstance(constant, str):  # another outcome of the same runs
+        for name, runs in arms.items():
+            values[name] = values[name] - np.array([value_of(run, constant) for run in runs])
+        constant = 0.0
+    elif not b and constant:
+        margin = None  # the constant is the least that counts
+    effect, alone = interval(claim["kind"], a, b, values, constant or 0.0, 0.05)
+    _, together = interval(claim["kind"], a, b, values, constant or 0.0, alpha)
+    way = of(claim["direction"], outcome)
     if way in ("better", "worse"):
         assert outcome in HIGHER | LOWER
         way = "greater" if (outcome in HIGHER) == (way == "better") else "less"
-    random = len(arms) > 1 and all(idle)
-    unlike_only = random and ((outcome in HIGHER and not counts) or way in ("equal", "no-less"))
-    if not b and constant:
-        margin = None  # the constant is the least that counts
-    verdict = rule(way, ends, margin, unlike_only)
-    return effect, alone or (None, None), ends or (None, None), verdict
+    nobody = len(arms) > 1 and all(idle) and claim["kind"] != "hazard"
+    unlike_only = nobody and ((outcome in HIGHER and not counts) or way in ("equal", "no-less"))
+    verdict = rule(way, together, margin, unlike_only)
+    return effect, alone or (None, None), together or (None, None), verdict
+
+
+def at_an_end(outcome: str, values: np.ndarray, near: float) -> bool:
+    """Return whether all runs are at an outcome's greatest value, or, unless it is of play, at its least."""
+    if outcome in SHARES and (values >= 1 - near).all():
+        return True
+    has_floor = outcome in SHARES or outcome == "final-hp" or outcome.startswith("steps-to:")
+    return has_floor and outcome not in HIGHER and bool((values <= near).all())
 
 
 def rule(way: str, ends: Ends, margin: float | None, unlike_only: bool) -> str:
@@ -340,6 +270,8 @@ def rule(way: str, ends: Ends, margin: float | None, unlike_only: bool) -> str:
 
     `unlike_only`: no arm plays better than at random, so that being alike says nothing.
     """
+    if way == "described":
+        return "described"
     if ends is None:
         return "inconclusive"
     low, high = ends
@@ -359,31 +291,24 @@ def rule(way: str, ends: Ends, margin: float | None, unlike_only: bool) -> str:
     return "supported" if yes else "refuted" if no else "inconclusive"
 
 
-def of_outcome(verdicts: Sequence[str]) -> str:
+def all_of(verdicts: Sequence[str]) -> str:
     if "refuted" in verdicts:
         return "refuted"
     if "untestable" in verdicts:
         return "untestable"
+    if {*verdicts} == {"described"}:
+        return "described"
     return "supported" if {*verdicts} == {"supported"} else "inconclusive"
 
 
 def of_claim(verdicts: Sequence[str], claim: Claim) -> str:
-    yes, no = verdicts.count("supported"), verdicts.count("refuted")
     if claim["need"] == "all":
-        if no:
-            return "refuted"
-        if "untestable" in verdicts:
-            return "untestable"
-        return "supported" if yes == len(verdicts) else "inconclusive"
-    if yes and no:
-        return "mixed"
+        return all_of(verdicts)
+    yes, no = "supported" in verdicts, "refuted" in verdicts
     if yes or no:
-        return "supported" if yes else "refuted"
-    return "inconclusive" if "inconclusive" in verdicts else "untestable"
+        return "mixed" if yes and no else "supported" if yes else "refuted"
+    return next((word for word in ("inconclusive", "described") if word in verdicts), "untestable")
 
 
 if __name__ == "__main__":
-    if sys.argv[1:]:
-        sys.exit(main(Path(sys.argv[1])))
-    with TemporaryDirectory() as made:
-        sys.exit(main(published_folder(Path(made))))
+    sys.exit(main())

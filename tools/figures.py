@@ -22,7 +22,7 @@ from typing import Any
 import pandas as pd
 from PIL import Image
 
-from pneuma.analysis.claims.claim_list import load_claims
+from pneuma.analysis.claims.claim_list import shipped_claims
 from pneuma.analysis.claims.verdicts import judge
 from pneuma.analysis.claims.words import verdicts_by_claim
 from pneuma.analysis.export import encode_frame
@@ -149,7 +149,9 @@ def _draw_verdicts(folder: Path, results: Path) -> list[Path]:
     store = Store(results)
     if not store.published(shipped=False):
         return []
-    return write_verdicts(verdicts_by_claim(judge(load_claims(), store, stored=False)), folder)
+    index = RunIndex(store, stored=False, shipped=False)
+    verdicts = [verdict for claims in shipped_claims() for verdict in judge(claims, index)]
+    return write_verdicts(verdicts_by_claim(verdicts), folder)
 
 
 def _draw_searches(folder: Path, results: Path) -> list[Path]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pneuma.analysis.claims.claim_list import ClaimList, load_claims
+from pneuma.analysis.claims.claim_list import ClaimList, shipped_claims
 from pneuma.analysis.claims.fixed_runs import find_claim_runs
 from pneuma.analysis.outcomes import outcome
 from pneuma.presets import WORLDS
@@ -26,7 +26,8 @@ NOWHERE = Path(__file__).with_name("no-results")
 
 
 def main() -> None:
-    claims, index = load_claims(), RunIndex(Store(NOWHERE))
+    claims, *_ = shipped_claims()
+    index = RunIndex(Store(NOWHERE))
     for world in WORLDS:
         rows = compared_by_return(claims, index, world)
         print(f"{world}: {monster_worth(rows):.2g} ({len(rows)} runs)")

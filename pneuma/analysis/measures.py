@@ -23,6 +23,8 @@ Take = Callable[[np.ndarray], float]
 NAN = float("nan")
 LATE = 5
 """The number of last evaluations from which late outcomes are taken."""
+ONE_ACTION = 0.9
+"""A run is in one action if that takes more than this share of an evaluation's steps."""
 LEAST_NORM = 1e-8
 """Smaller gradient norms count as this, in logarithms."""
 
@@ -50,6 +52,40 @@ def late_mean_of_known(values: np.ndarray) -> float:
     """Return the same of the evaluations that have a value; NaN if none has."""
     known = values[-LATE:][np.isfinite(values[-LATE:])]
     return known.mean() if len(known) else NAN
+
+
+def late_fall(values: np.ndarray) -> float:
+    """Return by how much the mean of the last evaluations is below that of as many best ones."""
+    return _best_mean(values) - late_mean(values)
+
+
+def shuffled_fall(values: np.ndarray) -> float:
+    """Return what `late_fall` is on average if the same evaluations come in random order."""
+    return _best_mean(values) - values.mean()
+
+
+def _best_mean(values: np.ndarray) -> float:
+    return np.sort(values)[-LATE:].mean()
+
+
+def late_one_action(values: np.ndarray) -> float:
+    """Return in what share of the last evaluations one action takes over `ONE_ACTION` of the steps."""
+    return (values[-LATE:] > ONE_ACTION).mean()
+
+
+def lasting_one_action(run: Row) -> float:
+    """Return the step of the first of `LATE` evaluations in a row in which one action takes nearly all steps.
+
+    Infinite if there are none.
+    """
+    steps, shares = run.known_evaluations("commonest_action")
+    if not len(shares):
+        return NAN
+    in_one_action = shares > ONE_ACTION
+    for place in range(len(shares) - LATE + 1):
+        if in_one_action[place : place + LATE].all():
+            return float(steps[place])
+    return np.inf
 
 
 def rise(values: np.ndarray) -> float:

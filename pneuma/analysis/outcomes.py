@@ -278,6 +278,12 @@ OUTCOMES: dict[str, Outcome] = {
     },
     "final-commonest-action": _evaluated(
         "steps with the most frequent action, last evaluation", "share", "", SHARE, "commonest_action"),
+    "late-one-action-time": _evaluated(
+        "share of the last five evaluations in which one action takes over 90 % of the steps", "share", DOWN,
+        SHARE, "commonest_action", measures.late_one_action),
+    "lasting-one-action-step": Outcome(
+        "step from which one action takes over 90 % of the steps for five evaluations (inf: never)", "steps",
+        "", POSITIVE, EVALUATED, measures.lasting_one_action, column="commonest_action"),
     "one-action": Outcome(
         "share of the most frequent action at the end", "share", "", SHARE, "action_0",
         measures.share_of_commonest),
@@ -296,6 +302,12 @@ OUTCOMES: dict[str, Outcome] = {
     "fall-from-best": _evaluated(
         "best evaluation less the last, in monsters killed", "share", DOWN, SHARE, "share_killed",
         lambda values: values.max() - values[-1], requires_learning=True),
+    "late-fall": _evaluated(
+        "mean of the best five evaluations less that of the last five, in monsters killed", "share", DOWN,
+        SHARE, "share_killed", measures.late_fall),
+    "shuffled-fall": _evaluated(
+        "late-fall of the same evaluations in random order, on average", "share", "", SHARE, "share_killed",
+        measures.shuffled_fall),
     "curve-roughness": _evaluated(
         "ups and downs of monsters killed beyond the net change, per evaluation", "share", DOWN, SHARE,
         "share_killed", measures.roughness, requires_learning=True),

@@ -174,16 +174,17 @@ def _compare_in_environments(data: StudyData, a: str, b: str, outcomes: Sequence
 
 def _claims_on(data: StudyData, a: str, b: str) -> list[Claim]:
     """Return the shipped claims that compare the means of two conditions of a study in its world."""
-    from pneuma.analysis.claims.claim_list import load_claims
+    from pneuma.analysis.claims.claim_list import shipped_claims
 
     environments = {fields.get("env") for fields in data.fields.values()}
     world = data.world or next((name for name, one in WORLDS.items() if one.env in environments), "")
+    claims = [claim for claim_list in shipped_claims() for claim in claim_list.claims.values()]
     return [
         claim
-        for claim in load_claims().claims.values()
+        for claim in claims
         if (claim.study, claim.kind) == (data.study.name, "mean")
         and world in claim.worlds
-        and any({*pair} == {(a,), (b,)} for pair in claim.pairs)
+        and any({*pair} == {(a,), (b,)} for name in claim.outcome for pair in claim.pairs(name))
     ]
 
 

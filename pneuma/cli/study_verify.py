@@ -12,11 +12,11 @@ from pneuma.cli.output import Result, Table, frame_table
 from pneuma.errors import plain, unknown_name
 from pneuma.presets import WORLDS
 from pneuma.store.store import Store
-from pneuma.study.shipped import shipped_tables
 
 if TYPE_CHECKING:
     from pneuma.analysis.claims.claim_list import Claim, ClaimList
     from pneuma.analysis.claims.verdicts import ClaimContrast, Verdict
+    from pneuma.store.index import RunIndex
 
 WIDTH = 100
 """Characters in a line of a sentence."""
@@ -37,53 +37,43 @@ def verify(
 
     Name claims to see also what is compared, how many runs there are, and the reason.
     """
-    from pneuma.analysis.claims.claim_list import RULES, load_claims
+    from pneuma.analysis.claims.claim_list import RULES, load_claims, shipped_claims
     from pneuma.analysis.claims.verdicts import judge
     from pneuma.analysis.claims.words import verdict_table, verdicts_by_claim
+    from pneuma.store.index import RunIndex
 
-    claim_list, store = load_claims(file), Store(results)
+    lists = [load_claims(file)] if file else shipped_claims()
+    names = [name for claim_list in lists for name in claim_list.claims]
     for name in claims or ():
-        if name not in claim_list.claims:
-            raise unknown_name("claim", name, claim_list.claims)
+        if name not in names:
+            raise unknown_name("claim", name, names)
 
     def is_selected(claim: Claim, where: str) -> bool:
         return (not claims or claim.name in claims or claim.like in claims) and world in (None, where)
 
-    verdicts = judge(claim_list, store, wanted=is_selected)
+    index = RunIndex(Store(results))
+    verdicts: list[Verdict] = []
+    for claim_list in lists:
+        verdicts += judge(claim_list, index, is_selected)
     by_claim = verdicts_by_claim(verdicts)
-    contrasts = {world: claim_list.contrasts(world) for world in WORLDS}
-    documents = [_document(verdict) for verdict in verdicts]
-    numbers = [_row(row) for verdict in verdicts for row in verdict.contrasts]
+    document = {
+        "rules": RULES,
+        "lists": [_list_document(claim_list) for claim_list in lists],
+        "claims": [_document(verdict) for verdict in verdicts],
+    }
     return Result(
-        {
-            "claims_hash": claim_list.digest,
-            "alpha": claim_list.head.alpha,
-            "rules": RULES,
-            "contrasts": contrasts,
-            "claims": documents,
-        },
-        [*_missing_note(store, file, verdicts), *_show(claim_list, by_claim, in_detail=bool(claims))],
+        document,
+        [*_show(lists, by_claim, in_detail=bool(claims)), _origin(index, verdicts)],
         table=verdict_table(by_claim),
-        numbers=numbers,
+        numbers=[_row(row) for verdict in verdicts for row in verdict.contrasts],
     )
-
-
-def _missing_note(store: Store, file: Path | None, verdicts: Sequence[Verdict]) -> list[str]:
-    if any(verdict.run_ids for verdict in verdicts):
-        return []
-    remedy = (
-        f"`make reproduction` trains them; --results {shipped_tables().parent} has those that are published"
-    )
-    if file:
-        remedy = "`pneuma study run STUDY` trains those of a study that the list names"
-    return [f"Note: none of their runs is in {store.root}. {remedy}.", ""]
 
 
 # --- For people ----------------------------------------------------------------------------------
 
 
 def _show(
-    claim_list: ClaimList, by_claim: Mapping[str, Mapping[str, Verdict]], in_detail: bool
+    lists: Sequence[ClaimList], by_claim: Mapping[str, Mapping[str, Verdict]], in_detail: bool
 ) -> Iterator[str | Table]:
     """Yield the rows of the table of verdicts one below the other, and what must be known to read them."""
     from pneuma.analysis.claims.claim_list import RULES
@@ -103,11 +93,23 @@ def _show(
         yield ""
     yield frame_table(count_words(by_claim))
     yield ""
-    yield "In brackets: where the difference lies. All of a world's hold together, with"
-    yield f"{100 - 100 * claim_list.head.alpha:g} % probability. docs/claims.md explains the four words."
+    yield "In brackets: the confidence interval of the difference, and the margin (± or, of a factor, ×), the"
+    yield "smallest difference that counts. docs/claims.md explains words, labels and margins."
     yield "Kills are the mean of the last five evaluations, returns of the last 5 % of training."
-    yield "A margin (±, or × of a factor) is the smallest difference that counts."
-    yield f"Stated in {claim_list.path.name}, SHA-256 {claim_list.digest[:16]}…, judged by rules {RULES}."
+    yield f"Judged by rules {RULES}. All intervals of a family hold together:"
+    for claim_list in lists:
+        family = "a study in a world" if claim_list.head.families == "study" else "a world"
+        level = f"{100 - 100 * claim_list.head.alpha:g} %, for {family}"
+        yield f"  {claim_list.path.name}: {level}; SHA-256 {claim_list.digest[:16]}…"
+
+
+def _origin(index: RunIndex, verdicts: Sequence[Verdict]) -> str:
+    """Return how many of the runs that were read are the user's own, which count before published ones."""
+    run_ids = {run_id for verdict in verdicts for run_id in verdict.run_ids}
+    own = int((index.frame.loc[sorted(run_ids), "where"] == "").sum())
+    return (
+        f"Read: {own:,} runs in {index.store.root}, and {len(run_ids) - own:,} published ones of other cells."
+    )
 
 
 def _cell(world: str, verdict: Verdict) -> Iterator[str]:
@@ -125,6 +127,21 @@ def _indented(text: str, spaces: int) -> list[str]:
 
 
 # --- The table of contrasts ------------------------------------------------------------------------
+
+
+def _list_document(claim_list: ClaimList) -> dict[str, Any]:
+    sizes = {
+        f"{claim.study} {world}": claim_list.family_size(world, claim.study)
+        for claim in claim_list.claims.values()
+        for world in claim.worlds
+    }
+    return {
+        "file": claim_list.path.name,
+        "claims_hash": claim_list.digest,
+        "alpha": claim_list.head.alpha,
+        "families": claim_list.head.families,
+        "family_sizes": sizes,
+    }
 
 
 def _document(verdict: Verdict) -> dict[str, Any]:

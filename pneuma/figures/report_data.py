@@ -10,8 +10,8 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
-from pneuma.analysis.claims.claim_list import load_claims
-from pneuma.analysis.claims.verdicts import judge
+from pneuma.analysis.claims.claim_list import shipped_claims
+from pneuma.analysis.claims.verdicts import Verdict, judge
 from pneuma.analysis.claims.words import verdicts_by_claim
 from pneuma.analysis.runs import find_study, read_runs, studies_here
 from pneuma.analysis.study_data import StudyData
@@ -50,7 +50,7 @@ def gather_report(store: Store, names: Sequence[str], say: Callable[[str], None]
     claims: Verdicts = {}
     note = unjudged = ""
     try:
-        claims, note = _judged_claims(store, asked) if of_thesis else ({}, "")
+        claims, note = _judged_claims(index, asked) if of_thesis else ({}, "")
     except UserError as error:  # a damaged published table: the page says so, and shows the rest
         unjudged = _without_folder(store, error)
         say(f"Note: {error}; no claim is judged.")
@@ -68,18 +68,19 @@ def gather_report(store: Store, names: Sequence[str], say: Callable[[str], None]
     return {"claims": claims, "studies": sections, "note": note, "unjudged": unjudged, "title": title}
 
 
-def _judged_claims(store: Store, studies: Collection[str]) -> tuple[Verdicts, str]:
-    """Return the verdicts on claims about some studies, with a sentence on the list.
+def _judged_claims(index: RunIndex, studies: Collection[str]) -> tuple[Verdicts, str]:
+    """Return the verdicts on claims about some studies, with a sentence on the lists.
 
-    Whichever claims are shown, the correction is for the whole list.
+    Whichever claims are shown, the correction is for the whole family.
     """
-    known = load_claims()
-    note = (
-        f"Claims: {known.path.name} and the code that judges, SHA-256 {known.digest}, fixed before the runs. "
-        f"The chance of any false verdict in the whole list of {len(known.claims)} is at most "
-        f"{100 * known.head.alpha:g}% in each world (Bonferroni)."
-    )
-    return verdicts_by_claim(judge(known, store, wanted=lambda claim, world: claim.study in studies)), note
+    verdicts: list[Verdict] = []
+    notes: list[str] = []
+    for claims in shipped_claims():
+        verdicts += judge(claims, index, wanted=lambda claim, world: claim.study in studies)
+        family = "a study in a world" if claims.head.families == "study" else "a world"
+        chance = f"the chance of any false verdict in {family} is at most {100 * claims.head.alpha:g}%"
+        notes.append(f"{claims.path.name}, SHA-256 {claims.digest}: {chance} (Bonferroni).")
+    return verdicts_by_claim(verdicts), " ".join(notes)
 
 
 def _parts(index: RunIndex, study: spec.Study, name: str, world: str | None) -> list[Part]:

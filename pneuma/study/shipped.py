@@ -12,6 +12,9 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.files import shipped_folder
 
 CLAIMS_FILE = "claims.toml"
+"""The list of claims beside a study's file."""
+CLAIMS_FILES = (CLAIMS_FILE, "claims-5.toml")
+"""Those on the thesis, in the order in which they were stated."""
 
 
 def studies_folder() -> Path:

@@ -9,6 +9,7 @@ from typing import Any
 from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.claims.verdicts import Verdict, judge
 from pneuma.config import Run, as_fields
+from pneuma.store.index import RunIndex
 from pneuma.store.published import encode_published
 from pneuma.store.row_builder import stored_row
 from pneuma.store.store import Store
@@ -138,7 +139,7 @@ def published_alone(store: Store, folder: Path, study: str = "mine") -> Store:
 
 def judge_claims(store: Store, folder: Path, claims: str = CLAIMS) -> list[Verdict]:
     """Write study and claims into a folder, and judge these by the runs of a store."""
-    return judge(load_claims(write_files(folder, claims)), store)
+    return judge(load_claims(write_files(folder, claims)), RunIndex(store, shipped=False))
 
 
 def judge_one(store: Store, folder: Path, claims: str = CLAIMS) -> Verdict:

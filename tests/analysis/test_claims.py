@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pneuma.analysis.claims.claim_list import load_claims
+from pneuma.analysis.claims.claim_list import load_claims, shipped_claims
 from pneuma.analysis.claims.fixed_runs import with_claims
 from pneuma.errors import UserError
 from pneuma.presets import WORLDS
@@ -22,14 +22,14 @@ from tools import monster_worth
 
 from .claim_files import CLAIMS, changed, write_files
 
-SHIPPED = load_claims()
+SHIPPED, FIFTH = shipped_claims()
 
 
 def test_a_claim_is_what_its_file_says(tmp_path: Path) -> None:
     path = write_files(tmp_path)
     claims = load_claims(path)
     claim = claims.claims["better"]
-    assert (claim.a, claim.b, claim.value, claim.pairs) == (
+    assert (claim.a, claim.b, claim.value, claim.pairs("final-share-killed")) == (
         ("high",), ("low",), None, [(("high",), ("low",))],
     )  # fmt: skip
     assert (claim.kind, claim.direction, claim.margin_of("text", claim.outcome[0])) == (
@@ -101,7 +101,7 @@ def test_thresholds_and_directions_are_of_each_outcome(tmp_path: Path) -> None:
             [('b = "low"', "value = { final-share-killed = { arena = 1 } }")],
         ),
         ("two conditions or more", [('"mean"', '"range"')]),
-        ("of other conditions", [('b = "low"', "value = 1"), ('"mean"', '"spread"')]),
+        ("with other conditions", [('b = "low"', "value = 1"), ('"mean"', '"spread"')]),
         ("'control'", [('b = "low"', 'b = "low"\ncontrol = "middle"')]),
         ("as many conditions in b", [('b = "low"', 'b = ["low", "middle"]\npaired = true')]),
         ("neither is better", [('"final-share-killed"', '"final-entropy"'), ('"greater"', '"better"')]),
@@ -119,6 +119,17 @@ def test_thresholds_and_directions_are_of_each_outcome(tmp_path: Path) -> None:
             [("seeds = 8", "seeds = [1, 9]"), ("[defaults]", "[list]\nseeds_from = 5\n[defaults]")],
         ),
         ("three different outcomes", [('"final-share-killed"', '["best-score", "best-score"]')]),
+        ("as many conditions in b", [('"mean"', '"main-effect"'), ('"low"', '["low", "middle"]')]),
+        ("two conditions in a and two in b", [('"mean"', '"interaction"')]),
+        ("an outcome in steps", [('"mean"', '"hazard"')]),
+        ("compared by no outcome", [('b = "low"', 'b = "low"\nvalue = { final-share-killed = 0.5 }')]),
+        (
+            "has none for final-return",
+            [
+                ('"final-share-killed"', '["final-share-killed", "final-return"]'),
+                ('"greater"', '{ final-share-killed = "greater" }'),
+            ],
+        ),
         ("0 to 1", [('b = "low"', "value = 50"), ('"mean"', '"incidence"\nabove = 0.5')]),
     ],
 )
@@ -138,12 +149,25 @@ def test_margins_of_returns_are_what_a_monster_is_worth() -> None:
         assert f"{monster_worth.monster_worth(rows):.2g}" == f"{margin:.2g}", world
 
 
+def test_the_fifth_list_takes_its_runs_from_presets_and_corrects_each_study_alone() -> None:
+    claims = FIFTH.claims
+    assert {(claim.steps, *claim.seeds_of(name)[:1]) for claim in claims.values() for name in claim.a} == {
+        (1_000_448, 2000), (5_000_192, 2060),
+    }  # fmt: skip
+    assert len(claims["betas-cure"].seeds_of("stationary-wide")) == 60
+    studies = ("betas-by-clip", "betas-longer", "betas-learned")
+    assert [FIFTH.family_size("godot", study) for study in studies] == [6, 1, 3]
+    assert [claims["betas-cure"].claimed(outcome) for outcome in claims["betas-cure"].outcome] == [
+        "less", "greater",
+    ]  # fmt: skip
+
+
 def test_no_shipped_claim_compares_what_is_the_same() -> None:
     load = cache(load_study)
-    for claim in SHIPPED.claims.values():
+    for claim in [*SHIPPED.claims.values(), *FIFTH.claims.values()]:
         for world in claim.worlds:
             study = load(claim.study, world)
-            for a, b in claim.pairs:
+            for a, b in [pair for outcome in claim.outcome for pair in claim.pairs(outcome)]:
                 fields = [study.fields(name) for name in dict.fromkeys((*a, *b))]
                 assert all(one != other for one, other in combinations(fields, 2)), claim.name
 

@@ -102,6 +102,59 @@ def test_units_do_not_matter() -> None:
     assert both(small) == pytest.approx([1e-9 * end for end in both(large)], rel=1e-9)
 
 
+# --- Main effects, interactions, hazards -----------------------------------------------------------
+
+FOUR = {
+    "a": np.array(A),
+    "b": np.array(B),
+    "c": np.array([1.0, 4.0, 2.0]),
+    "d": np.array([0.5, 3.0, 2.5, 2.0]),
+}
+
+
+def pick(*names: str) -> dict[str, np.ndarray]:
+    return {name: FOUR[name] for name in names}
+
+
+def test_a_main_effect_of_one_pair_is_welchs_and_of_two_the_mean_of_both_differences() -> None:
+    one, theirs = compare_arms("main-effect", pick("a"), pick("b"), LEVEL), compare("mean", A, B, LEVEL)
+    assert both(one) == pytest.approx(both(theirs)) and one.means == pytest.approx(theirs.means)
+    two = compare_arms("main-effect", pick("a", "c"), pick("b", "d"), LEVEL)
+    means = {name: runs.mean() for name, runs in FOUR.items()}
+    assert two.effect == pytest.approx((means["a"] - means["b"] + means["c"] - means["d"]) / 2)
+    errors = np.array([runs.var(ddof=1) / runs.size / 4 for runs in FOUR.values()])
+    freedom = errors.sum() ** 2 / sum(errors**2 / [runs.size - 1 for runs in FOUR.values()])
+    half = stats.t.ppf((1 + LEVEL) / 2, freedom) * errors.sum() ** 0.5
+    assert ends(two.simultaneous) == pytest.approx((two.effect - half, two.effect + half))
+
+
+def test_an_interaction_is_the_difference_of_both_differences_and_twice_as_wide() -> None:
+    own = compare_arms("interaction", pick("a", "c"), pick("b", "d"))
+    main = compare_arms("main-effect", pick("a", "c"), pick("b", "d"))
+    first, second = compare("mean", A, B), compare("mean", FOUR["c"], FOUR["d"])
+    assert own.means == pytest.approx((first.effect, second.effect))
+    assert own.effect == pytest.approx(first.effect - second.effect)
+    widths = [contrast.interval.high - contrast.interval.low for contrast in (own, main)]
+    assert widths[0] == pytest.approx(2 * widths[1])
+
+
+def test_a_hazard_is_the_log_rank_tests() -> None:
+    """Its z, and by hand: of three runs against three one gets there at 1, when it is one of six."""
+    generator = rng()
+    times = [generator.exponential(scale, 20).round(1) for scale in (2.0, 1.0)]
+    arms = [np.array([np.minimum(own, 1.5), own < 1.5]) for own in times]
+    own = compare_arms("hazard", {"a": arms[0]}, {"b": arms[1]})
+    censored = [stats.CensoredData(uncensored=arm[0][arm[1] == 1], right=arm[0][arm[1] == 0]) for arm in arms]
+    z = own.effect / ((own.interval.high - own.interval.low) / 2 / stats.norm.ppf(0.975))
+    assert z == pytest.approx(stats.logrank(*censored).statistic)
+    assert own.means == pytest.approx([arm[1].mean() for arm in arms])
+    few = np.array([[1.0, 9, 9], [1, 0, 0]]), np.array([[9.0, 9, 9], [0, 0, 0]])
+    hand = compare_arms("hazard", {"a": few[0]}, {"b": few[1]})
+    assert hand.effect == pytest.approx((1 - 1 / 2) / (1 / 4))
+    none = compare_arms("hazard", {"a": few[1]}, {"b": few[1]})
+    assert not none.interval.exists and none.reason == "no run gets there"
+
+
 # --- Without an interval ---------------------------------------------------------------------------
 
 FEW, EQUAL, AS_FAR = "at least 2 runs", "all runs are equal", "equally far from their median"

@@ -279,13 +279,48 @@ def test_runs_that_were_seen_before_are_said_to_be(store: Store, tmp_path: Path)
     assert (one.verdict, one.claim.seen, len(one.run_ids)) == ("supported", True, 16)
 
 
+def test_an_outcome_may_be_compared_with_another_of_the_same_runs(store: Store, tmp_path: Path) -> None:
+    """The best score of a run and its last: 0.1 apart in every run."""
+    claim = ('"final-share-killed"', '"best-score"'), ('b = "low"', 'value = "normalised-score"')
+    falls = [0.1, 0.12, 0.08, 0.11, 0.09, 0.1, 0.12, 0.08]
+    save_runs(store, tmp_path, {"high": [[x + y, x] for x, y in zip(HIGH, falls, strict=True)]})
+    one = judge_one(store, tmp_path, changed(*claim))
+    (row,) = one.contrasts
+    assert row.contrast.means == pytest.approx((np.mean(HIGH) + 0.1, np.mean(HIGH)))
+    student = stats.ttest_1samp(falls, 0).confidence_interval()
+    assert row.contrast.interval.low == pytest.approx(student.low) and one.verdict == "supported"
+
+
+def test_some_outcomes_may_be_compared_with_numbers_and_others_with_an_arm(
+    store: Store, tmp_path: Path
+) -> None:
+    both = (
+        ('"final-share-killed"', '["final-share-killed", "final-return"]'),
+        ('b = "low"', 'b = "low"\nvalue = { final-return = 0.5 }'),
+    )
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
+    one = judge_one(store, tmp_path, changed(*both))
+    assert [row.names for row in one.contrasts] == [("high", "low"), ("high", "0.5")]
+    assert [row.verdict for row in one.contrasts] == ["supported", "supported"]
+
+
+def test_what_the_list_declares_not_tested_keeps_its_place_in_the_correction(
+    store: Store, tmp_path: Path
+) -> None:
+    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
+    text = changed(('"greater"', '"greater"\nnot_tested = "too short"'))
+    one = judge_one(store, tmp_path, text)
+    assert (one.verdict, one.reason, len(one.run_ids)) == ("untestable", "too short", 16)
+    assert load_claims(tmp_path / "claims.toml").family_size("text", "mine.toml") == 1
+
+
 def test_each_world_is_a_family_of_its_own(tmp_path: Path) -> None:
     """Two claims in the text's world, of which one is about both others too."""
     other = (
         CLAIMS[CLAIMS.index("[claims.better]") :].replace("better", "other").replace('worlds = ["text"]', "")
     )
     claims = load_claims(write_files(tmp_path, CLAIMS + other))
-    assert [claims.contrasts(place) for place in ("text", "arena", "godot")] == [2, 1, 1]
+    assert [claims.family_size(world, "mine.toml") for world in ("text", "arena", "godot")] == [2, 1, 1]
 
 
 # --- What cannot be tested: every reason for which there is no verdict ----------------------------

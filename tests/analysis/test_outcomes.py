@@ -16,6 +16,7 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.imports.tensorboard import import_tensorboard
 from pneuma.store.index import RunIndex
+from pneuma.store.row_builder import stored_row
 from pneuma.store.store import Store
 from pneuma.study.plan import Query
 
@@ -105,6 +106,10 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> StudyData:
         ("final-action-0", 0.25),
         ("best-score", 1.2),  # twice the share of 0.6
         ("fall-from-best", 0.1),
+        ("late-fall", 0.0),  # of four evaluations the best five are the last five
+        ("shuffled-fall", 0.0),
+        ("late-one-action-time", 0.0),
+        ("lasting-one-action-step", np.inf),
         ("curve-roughness", (0.4 + 0.2 + 0.1 - 0.3) / 3),
         ("late-share-killed", 0.425),  # of all four evaluations, as there are no five
         ("late-greedy-share-killed", 0.2125),
@@ -122,6 +127,30 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> StudyData:
 )
 def test_a_done_runs_outcome(data: StudyData, name: str, expected: float) -> None:
     assert outcome(data.rows[0], name) == pytest.approx(float(expected), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("in_one_action", "time", "step"),
+    [
+        ("0000011111", 1.0, 600),
+        ("0111110000", 0.2, 200),  # it leaves the state again
+        ("1111011110", 0.8, np.inf),
+    ],
+)
+def test_time_in_one_action_and_when_it_lasts(
+    store: Store, in_one_action: str, time: float, step: float
+) -> None:
+    """Of ten evaluations, whose commonest action takes 95 or exactly 90 % of the steps."""
+    rows = [
+        {"step": 100 * k, "commonest_action": 0.95 if state == "1" else 0.9, "share_killed": k / 10}
+        for k, state in enumerate(in_one_action, start=1)
+    ]
+    hand_made.save_run(store, "a0" * 8, [], [], rows, 1000)
+    run = stored_row(store, "a0" * 8)
+    assert outcome(run, "late-one-action-time") == pytest.approx(time)
+    assert outcome(run, "lasting-one-action-step") == step
+    assert outcome(run, "late-fall") == pytest.approx(0)  # the best five, 0.6 to 1, are the last
+    assert outcome(run, "shuffled-fall") == pytest.approx(0.8 - 0.55)
 
 
 @pytest.mark.parametrize(

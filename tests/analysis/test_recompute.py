@@ -5,33 +5,46 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
-from .. import recompute_intervals, recompute_verdicts
+from .. import recompute_intervals, recompute_runs, recompute_verdicts
 from ..cli.calls import described
 
 
+def swap_arms(contrast: dict[str, Any]) -> None:
+    """Make a contrast that of the same arms under each other's name."""
+    a, b = contrast["a"], contrast["b"]
+    contrast["runs"] = {a: contrast["runs"][b], b: contrast["runs"][a]}
+    contrast["effect"] *= -1
+    for kind in ("", "simultaneous_"):
+        low, high = contrast[f"{kind}low"], contrast[f"{kind}high"]
+        contrast[f"{kind}low"], contrast[f"{kind}high"] = -high, -low
+
+
 def test_another_hand_comes_to_the_same_verdicts_and_sees_every_change(tmp_path: Path) -> None:
-    folder = recompute_verdicts.published_folder(tmp_path)
-    told = described("study", "verify", "--json", "--results", folder)
-    rows = recompute_verdicts.read_rows(folder / "published", told)
-    wrong, agreed = recompute_verdicts.check(told, rows)
+    document = described("study", "verify", "--json", "--results", tmp_path)
+    runs = recompute_runs.Runs()
+    wrong, agreed = recompute_verdicts.check(document, runs)
     assert wrong == []
-    assert min(agreed[what] for what in ("verdicts", "effects", "intervals")) >= 30
-    first, second, third = [
-        one for one in told["claims"] if one["verdict"] != "untestable" and one["effect"]
-    ][:3]
-    first["verdict"] = "mixed"
-    second["contrasts"][0]["effect"] += 1e-4
-    third["contrasts"][0]["simultaneous_low"] -= 1e-4
-    assert len(recompute_verdicts.check(told, rows)[0]) == 3
+    assert min(agreed[what] for what in ("verdicts", "arms", "effects", "intervals")) >= 30
+    verdicts = {(verdict["claim"], verdict["world"]): verdict for verdict in document["claims"]}
+    verdicts["tanh-better", "text"]["verdict"] = "mixed"
+    verdicts["tanh-better", "arena"]["contrasts"][0]["effect"] += 1e-4
+    verdicts["sigmoid-frenzy", "text"]["contrasts"][0]["simultaneous_low"] -= 1e-4
+    assert len(recompute_verdicts.check(document, runs)[0]) == 3
+    swap_arms(verdicts["clip-alike", "arena"]["contrasts"][1])  # its verdict is the same either way
+    differences = recompute_verdicts.check(document, runs)[0][2:]
+    assert (
+        sum("clip-alike arena late-share-killed" in text and ": arms: " in text for text in differences) == 2
+    )
 
 
-@pytest.mark.parametrize("hand", [recompute_verdicts, recompute_intervals])
+@pytest.mark.parametrize("hand", [recompute_verdicts, recompute_runs, recompute_intervals])
 def test_the_other_hand_imports_nothing_of_pneuma(hand: ModuleType) -> None:
     nodes = [*ast.walk(ast.parse(Path(str(hand.__file__)).read_text(encoding="utf-8")))]
     names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
     names += ["." * node.level + (node.module or "") for node in nodes if isinstance(node, ast.ImportFrom)]
     own = {name for name in names if name.startswith((".", "pneuma", "tests"))}
-    assert own <= {".recompute_intervals"} and "numpy" in names
+    assert own <= {".recompute_intervals", ".recompute_runs"} and "numpy" in names

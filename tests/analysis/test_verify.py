@@ -36,12 +36,9 @@ def test_the_document_has_every_claim_in_its_worlds(
     command: list[str], tmp_path: Path, capsys: Captured
 ) -> None:
     document = _document(capsys, *command)
-    assert (document["schema"], document["contrasts"], document["alpha"]) == (
-        1,
-        {"text": 2, "godot": 0, "arena": 0},
-        0.05,
-    )
-    assert document["claims_hash"] == load_claims(tmp_path / "claims.toml").digest
+    (described,) = document["lists"]
+    assert (described["alpha"], described["family_sizes"]) == (0.05, {"mine.toml text": 2})
+    assert described["claims_hash"] == load_claims(tmp_path / "claims.toml").digest
     told = [(one["claim"], one["world"], one["verdict"]) for one in document["claims"]]
     assert told == [
         ("better", "text", "supported"),

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from pneuma.analysis.claims import words
-from pneuma.analysis.claims.claim_list import load_claims
+from pneuma.analysis.claims.claim_list import shipped_claims
 from pneuma.analysis.claims.verdicts import AS_CLAIMED_BUT_SMALL
 from pneuma.analysis.claims.words import arms_in_words, cell, effect, sentence, short_sentence, verdict_table
 from tools.verdicts import SMALL, draw_verdicts
@@ -57,7 +57,11 @@ def test_effects_are_told_in_plain_units(fields: dict[str, Any], means: Pair, en
         ("refuted", "", f"does not hold\n{KILLS}"),
         ("mixed", "", f"undecided\n{KILLS}\nits two measures disagree"),
         ("inconclusive", "", f"undecided\n{KILLS}"),
-        ("untestable", "no runs: tanh, 8 seeds; train with: pneuma", "not tested\nnot trained yet"),
+        (
+            "untestable",
+            "no runs: tanh, 8 seeds; train with: pneuma",
+            "not tested\nnot trained yet; train with: pneuma",
+        ),
         ("untestable", "arm at floor: tanh is not shown", "not tested\nthe agents learned nothing there"),
         ("untestable", "tanh seed 7: nothing is recorded", "not tested\na run has no value"),
         ("refuted", AS_CLAIMED_BUT_SMALL, f"does not hold\n{KILLS}\n{AS_CLAIMED_BUT_SMALL}"),
@@ -107,7 +111,7 @@ def test_a_row_has_the_worlds_of_claims_that_are_like_it() -> None:
 
 
 def test_sentences_are_without_tex_and_short_ones_are_the_thesiss_words() -> None:
-    known = load_claims().claims
+    known = shipped_claims()[0].claims
     assert "where β₁ = β₂ = 0.9, rather than" in sentence(known["betas-solve"])
     assert sentence(known["leaky-helps"]).endswith("the clipping limit of the norm to ‖∇L(ϑₜ)‖₂ ≤ 0.5.")
     for own in known.values():

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import combinations, product
 from pathlib import Path
@@ -29,7 +29,7 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.files import checksum
 from pneuma.presets import WORLDS
 from pneuma.schema import Table, TomlFile, passes, read_model, read_toml, wrong
-from pneuma.study.shipped import CLAIMS_FILE, studies_folder
+from pneuma.study.shipped import CLAIMS_FILES, studies_folder
 from pneuma.study.spec import Study, load_study
 from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, read_seeds
 
@@ -77,8 +77,10 @@ Conditions = Annotated[tuple[str, ...], BeforeValidator(_as_tuple)]
 Positive = Annotated[float, Field(gt=0)]
 Text = Annotated[str, BeforeValidator(_one_line)]
 Words = Annotated[Text, Field(min_length=1)]
-Kind = Literal["mean", "incidence", "spread", "range"]
-Direction = Literal["greater", "less", "different", "equal", "no-less", "better", "worse"]
+Kind = Literal["mean", "incidence", "spread", "range", "main-effect", "interaction", "hazard"]
+TOGETHER = ("range", "main-effect", "interaction")
+"""Kinds of which all conditions of a and of b make one contrast."""
+Direction = Literal["greater", "less", "different", "equal", "no-less", "better", "worse", "described"]
 Outcomes = Annotated[
     tuple[Words, ...], BeforeValidator(_as_tuple), Field(min_length=1, max_length=3), passes(_find_outcomes)
 ]
@@ -87,7 +89,8 @@ ByWorld = Positive | dict[World, Positive]
 """One number for all worlds, or one for each."""
 ByOutcome = Positive | dict[str, ByWorld] | None
 """One number for all outcomes of a claim, or one for each."""
-Value = float | dict[str, float | dict[World, float]] | None
+Value = float | str | dict[str, float | str | dict[World, float]] | None
+"""A number, or another outcome of each run; of each outcome, or of some if the rest is compared with b."""
 Threshold = float | dict[str, float] | None
 Pair = tuple[tuple[str, ...], tuple[str, ...]]
 """The conditions of both arms of a contrast; none in the second if the first is compared with a constant."""
@@ -97,6 +100,7 @@ class ListHead(Table):
     title: Text = ""
     learned: Text = ""
     alpha: Annotated[Positive, Field(lt=1)] = 0.05
+    families: Literal["list", "study"] = "list"
     seeds_from: Seed = 0
     known_below: Seed = 0
     known_from: Text = ""
@@ -105,8 +109,9 @@ class ListHead(Table):
 class Claim(Table):
     """A sentence of the thesis, or a statement of one's own, as a test; docs/claims.md explains its keys.
 
-    Each condition of a is compared with each of b, or the first with the first and so on if they are paired;
-    for a range, all of a together with all of b. `list_margins` and `list_registered` are the list's own.
+    Each condition of a is compared with each of b, or the first with the first and so on if they are paired.
+    In kinds that are `TOGETHER` all of a make one contrast with all of b. `list_margins` and
+    `list_registered` are the list's own.
     """
 
     name: str
@@ -121,18 +126,20 @@ class Claim(Table):
     called: Annotated[tuple[Text, ...], passes(_check_called)] = ()
     paired: bool = False
     beside: Conditions = ()
+    preset: str = ""
     seeds: Seeds | dict[str, Seeds]
     seeds_from: Seed = 0
     steps: Steps
     worlds: tuple[World, ...] = ()
     seen: bool = False
+    not_tested: Text = ""
     value: Value = None
     outcome: Outcomes
     above: Threshold = None
     below: Threshold = None
     need: Literal["one", "all"] = "one"
     kind: Kind = "mean"
-    direction: Direction
+    direction: Direction | dict[str, Direction]
     margin: ByOutcome = None
     registered_margin: ByOutcome = None
     note: Text = ""
@@ -159,16 +166,21 @@ class Claim(Table):
         """Whether runs with an event are counted."""
         return self.kind == "incidence"
 
-    @property
-    def pairs(self) -> list[Pair]:
-        """The contrasts for each outcome."""
-        if self.kind == "range":
-            return [(self.a, self.b)]
-        if self.paired and self.b:
-            return [((first,), (second,)) for first, second in zip(self.a, self.b, strict=True)]
-        if not self.b:
+    def pairs(self, outcome: str) -> list[Pair]:
+        """Return the contrasts for an outcome."""
+        has_value = outcome in self.value if isinstance(self.value, dict) else self.value is not None
+        if self.kind in TOGETHER:
+            return [(self.a, () if has_value else self.b)]
+        if has_value:
             return [((first,), ()) for first in self.a]
+        if self.paired:
+            return [((first,), (second,)) for first, second in zip(self.a, self.b, strict=True)]
         return [((first,), (second,)) for first, second in product(self.a, self.b)]
+
+    @property
+    def count(self) -> int:
+        """The number of its contrasts in a world."""
+        return sum(len(self.pairs(outcome)) for outcome in self.outcome)
 
     def seeds_of(self, condition: str) -> tuple[int, ...]:
         seeds = self.seeds[condition] if isinstance(self.seeds, dict) else self.seeds
@@ -188,14 +200,15 @@ class Claim(Table):
         return values < threshold if self.above is None else values > threshold
 
     def _threshold(self, outcome: str) -> float:
-        return float(pick_number(self.below if self.above is None else self.above, outcome) or 0)
+        return float(pick(self.below if self.above is None else self.above, outcome))
 
     def claimed(self, outcome: str) -> str:
         """Return the direction that is claimed of an outcome: `better` is greater, or less, by its kind."""
-        if self.direction not in ("better", "worse"):
-            return self.direction
+        direction = self.direction[outcome] if isinstance(self.direction, dict) else self.direction
+        if direction not in ("better", "worse"):
+            return direction
         higher_is_better = find_outcome(outcome).better == "higher"
-        return "greater" if higher_is_better == (self.direction == "better") else "less"
+        return "greater" if higher_is_better == (direction == "better") else "less"
 
     def margin_of(self, world: str, outcome: str) -> float | None:
         """Return the smallest difference that counts, or None: the claim's own, or the list's."""
@@ -207,26 +220,39 @@ class Claim(Table):
         return self.margin_of(world, outcome) if registered is None else registered
 
     def _margin(self, own: ByOutcome, of_list: Mapping[str, Any], world: str, outcome: str) -> float | None:
-        margin = pick_number(own, outcome, world)
+        margin = pick(own, outcome, world)
         if margin is None:
-            margin = pick_number(of_list.get("incidence" if self.is_incidence else outcome), world)
+            margin = pick(of_list.get("incidence" if self.is_incidence else outcome), world)
         return margin
 
     def value_of(self, world: str, outcome: str) -> float | None:
-        """Return the constant that arms are compared with, or None."""
-        return pick_number(self.value, outcome, world)
+        """Return the constant that arms are compared with; None if there is none, or another outcome is."""
+        return None if self.other_outcome(outcome) else pick(self.value, outcome, world)
+
+    def other_outcome(self, outcome: str) -> str:
+        """Return the other outcome of the same runs that is compared with an outcome; mostly empty."""
+        value = self.value.get(outcome) if isinstance(self.value, dict) else self.value
+        return value if isinstance(value, str) else ""
 
     @model_validator(mode="after")
     def _fits_together(self) -> Claim:
         """Refuse keys that are valid one by one but not together."""
-        if bool(self.b) == (self.value is not None):
+        if bool(self.b) == (self.value is not None) and not isinstance(self.value, dict):
             raise wrong("a claim compares a with either b, conditions, or value, a number")
+        if self.b and isinstance(self.value, dict) and {*self.outcome} <= {*self.value}:
+            raise wrong("b is compared by no outcome, as all have a value", "b")
         if [self.above, self.below].count(None) != (1 if self.is_incidence else 2):
             raise wrong("an incidence, and nothing else, counts runs by either above or below, a number")
-        if self.paired and (self.kind == "range" or (self.b and len(self.a) != len(self.b))):
-            raise wrong("paired: as many conditions in b as in a, and no range", "paired")
-        if self.kind == "spread" and not self.b:
-            raise wrong("a spread is compared with that of other conditions", "b")
+        if self.paired and (self.kind in TOGETHER or (self.b and len(self.a) != len(self.b))):
+            raise wrong(f"paired: as many conditions in b as in a, and no {self.kind}", "paired")
+        if self.kind not in ("mean", "incidence", "range") and not self.b:
+            raise wrong(f"kind = {self.kind} compares a with other conditions, b", "b")
+        if self.kind == "main-effect" and len(self.a) != len(self.b):
+            raise wrong("a main effect is of as many conditions in b as in a", "b")
+        if self.kind == "interaction" and not len(self.a) == len(self.b) == 2:
+            raise wrong("an interaction is of two conditions in a and two in b", "b")
+        if self.kind == "hazard" and not all(find_outcome(name).unit == "steps" for name in self.outcome):
+            raise wrong("a hazard is of an outcome in steps", "outcome")
         if self.kind == "range" and 1 in (len(self.a), len(self.b)):
             raise wrong("a range is of two conditions or more", "a")
         if isinstance(self.seeds, dict) and {*self.seeds} != {*self.conditions}:
@@ -242,37 +268,43 @@ class Claim(Table):
                     raise wrong(f"{key}: {name} is listed twice", key)
 
     def _check_outcomes(self) -> None:
-        for key in ("margin", "registered_margin", "value", "above", "below"):
+        for key in ("direction", "margin", "registered_margin", "value", "above", "below"):
             numbers = getattr(self, key)
             for name in numbers if isinstance(numbers, dict) else ():
                 if name not in self.outcome:
                     raise wrong(f"{key}: {unknown_name('outcome of the claim', name, self.outcome)}", key)
         for name in self.outcome:
-            if self.direction in ("better", "worse") and (self.is_incidence or not find_outcome(name).better):
-                raise wrong(f"direction = {self.direction}: of {name} neither is better; say which way")
+            if isinstance(self.direction, dict) and name not in self.direction:
+                raise wrong(f"the key 'direction' has none for {name}", "direction")
+            has_better = bool(find_outcome(name).better) and not self.is_incidence
+            direction = self.direction[name] if isinstance(self.direction, dict) else self.direction
+            if direction in ("better", "worse") and not has_better:
+                raise wrong(f"direction = {direction}: of {name} neither is better; write greater or less")
             key = "below" if self.above is None else "above"
-            if self.is_incidence and pick_number(getattr(self, key), name) is None:
+            if self.is_incidence and pick(getattr(self, key), name) is None:
                 raise wrong(f"the key '{key}' has no number for {name}", key)
             for world in self.worlds:
                 self._check_numbers(world, name)
 
     def _check_numbers(self, world: str, outcome: str) -> None:
         margin, value = self.margin_of(world, outcome), self.value_of(world, outcome)
-        if value is None and not self.b:
+        if other := self.other_outcome(outcome):
+            find_outcome(other)
+        elif value is None and not self.b:
             raise wrong(f"the key 'value' has no number for {outcome}", "value")
         if self.is_incidence and not 0 <= (value or 0) <= 1:
             raise wrong(f"value = {value:g} is not allowed: a share of runs, 0 to 1", "value")
-        if margin is None and self.direction in ("equal", "no-less"):
+        if margin is None and self.claimed(outcome) in ("equal", "no-less"):
             raise wrong("the key 'margin' is missing: within it, a difference counts as none", "margin")
         if margin is not None and margin >= 1 and self.is_incidence:
             raise wrong(f"margin = {margin} is not allowed: below 1, as it is a share of runs", "margin")
 
 
-def pick_number(number: Any, *names: str) -> float | None:
-    """Return a number that may be stated by outcome and world; None if there is none for these."""
+def pick(value: Any, *names: str) -> Any:
+    """Return a value that may be stated by outcome and world; None if there is none for these."""
     for name in names:
-        number = number.get(name) if isinstance(number, Mapping) else number
-    return None if number is None else float(number)
+        value = value.get(name) if isinstance(value, Mapping) else value
+    return value
 
 
 class ClaimsFile(Table):
@@ -300,22 +332,30 @@ class ClaimList:
     studies: Mapping[str, Study]
     head: ListHead = ListHead()
 
-    def contrasts(self, world: str) -> int:
-        """Return the number of contrasts in a world, with or without runs.
+    def family_size(self, world: str, study: str) -> int:
+        """Return the number of contrasts that are corrected together, with or without runs (Bonferroni).
 
-        Each interval's error rate is divided by it (Bonferroni).
+        They are the list's in a world, or of these those of one study.
         """
-        here = [claim for claim in self.claims.values() if world in claim.worlds]
-        return sum(len(claim.outcome) * len(claim.pairs) for claim in here)
+        size = 0
+        for claim in self.claims.values():
+            if world in claim.worlds and (self.head.families == "list" or claim.study == study):
+                size += claim.count
+        return size
 
 
-def load_claims(path: str | os.PathLike[str] | None = None) -> ClaimList:
-    """Load the shipped claims, or those in a file.
+def shipped_claims() -> list[ClaimList]:
+    """Load the lists of claims on the thesis, each of which was stated before its runs."""
+    return [load_claims(studies_folder() / name) for name in CLAIMS_FILES]
+
+
+def load_claims(path: str | os.PathLike[str]) -> ClaimList:
+    """Load a list of claims from a file.
 
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
-    file = read_toml(Path(path or studies_folder() / CLAIMS_FILE))
+    file = read_toml(Path(path))
     contents = read_model(ClaimsFile, file)
     studies: dict[str, Study] = {}
     claims: dict[str, Claim] = {}
@@ -342,10 +382,13 @@ def _read_claim(file: TomlFile, name: str, contents: ClaimsFile, studies: dict[s
     keys |= contents.claims[name]
     study = _study_of(file, name, str(keys.get("study", "")), studies)
     keys.setdefault("worlds", study.worlds)
+    if keys.get("preset"):
+        conditions = [*_as_list(keys.get("a")), *_as_list(keys.get("b"))]
+        keys |= _amounts_of_preset(file, name, str(keys["preset"]), study, conditions)
     of_list = {"list_margins": contents.margins, "list_registered": contents.registered_margins}
     claim = read_model(Claim, file, where, keys, {"name": name, **of_list})
-    for key, conditions in (("a", claim.a), ("b", claim.b), ("beside", claim.beside)):
-        for condition in conditions:
+    for key, names in (("a", claim.a), ("b", claim.b), ("beside", claim.beside)):
+        for condition in names:
             if condition not in study.conditions:
                 unknown = unknown_name(f"condition of study {study.name}", condition, study.conditions)
                 raise file.mistake(where, f"{key}: {unknown}", key)
@@ -359,6 +402,23 @@ def _read_claim(file: TomlFile, name: str, contents: ClaimsFile, studies: dict[s
     if first < contents.list.seeds_from and not claim.seen:
         raise file.mistake(where, f"seeds: {first} is below seeds_from = {contents.list.seeds_from}", "seeds")
     return claim.model_copy(update={"worlds": tuple(world for world in WORLDS if world in claim.worlds)})
+
+
+def _as_list(names: Any) -> list[str]:
+    return [names] if isinstance(names, str) else [*(names or ())]
+
+
+def _amounts_of_preset(
+    file: TomlFile, claim: str, name: str, study: Study, conditions: Iterable[str]
+) -> dict[str, Any]:
+    """Return the seeds that a study's preset has for each of some conditions, and their steps."""
+    if name not in study.presets:
+        unknown = unknown_name(f"preset of study {study.name}", name, study.presets)
+        raise file.mistake(("claims", claim), f"preset: {unknown}", "preset")
+    amounts = study.presets[name].amounts(conditions, study.world)
+    seeds = {condition: amount.seeds for condition, amount in amounts.items()}
+    steps = max(amount.steps for amount in amounts.values())
+    return {"seeds": seeds, "steps": steps}
 
 
 def _study_of(file: TomlFile, claim: str, name: str, studies: dict[str, Study]) -> Study:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -47,14 +47,16 @@ class Arm:
 
     Attributes:
         values: (seeds,) the outcome of each run that counts, in the order of seeds; 1 or 0 if runs with an
-            event are counted.
+            event are counted. Of a hazard (2, seeds): steps, and whether they are those of an event.
         reason: why it cannot be compared, if a run has no value.
         learned: whether it is shown to play better than the random player; None if unknown.
+        other_values: (seeds,) another outcome of the same runs, if that is compared.
     """
 
     values: np.ndarray
     reason: str
     learned: bool | None
+    other_values: np.ndarray = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True)
@@ -109,8 +111,8 @@ class ClaimRuns:
             return f"runs missing: {condition} has {stored} of the {fixed} fixed ones with {steps}"
         return f"no runs: {condition}, {fixed} seeds of {steps}"
 
-    def arm(self, name: str, condition: str) -> Arm:
-        """Return an arm: an outcome of each run of a condition, whose runs have all finished."""
+    def arm(self, name: str, condition: str, other: str = "") -> Arm:
+        """Return an arm: an outcome of each run of a condition, whose runs have all finished, or two."""
         rows = self.rows[condition]
         values = np.array([outcome(row, name) for row in rows])
         no_value = ""
@@ -118,11 +120,15 @@ class ClaimRuns:
             if np.isnan(value):
                 no_value = f"{condition} seed {row.seed}: {reason(row, name)}"
                 break
+        if self.claim.kind == "hazard":
+            last_seen = [row.evaluations("step")[-1] for row in rows]
+            return Arm(np.array([np.minimum(values, last_seen), np.isfinite(values)]), no_value, None)
         if self.claim.is_incidence:
             values = self.claim.has_event(name, values).astype(float)
         # steps to what is never reached are at least those of the run
         values = np.where(np.isinf(values), self.budget(condition), values)
-        return Arm(values, no_value, _has_learned(rows))
+        other_values = np.array([outcome(row, other) for row in rows] if other else ())
+        return Arm(values, no_value, _has_learned(rows), other_values)
 
 
 def _why_not_timed(rows: Sequence[Row]) -> str:
@@ -187,6 +193,8 @@ def training_commands(claims: ClaimList, claim: Claim, study: Study) -> list[lis
     """Return commands, as words, that train a claim's runs: by a preset if the list is beside the study."""
     words = ["pneuma", "study", "run", study.own_path or study.name]
     world = world_option(study.world, study.worlds)
+    if claim.preset:
+        return [[*words, "--preset", claim.preset, *world]]
     if study.path and claims.path.resolve() == (study.path.parent / CLAIMS_FILE).resolve():
         budgets = {
             other.steps

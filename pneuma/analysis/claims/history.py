@@ -17,7 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pneuma.analysis.claims.claim_list import RULES, Claim, ClaimList, pick_number
+from pneuma.analysis.claims.claim_list import RULES, Claim, ClaimList, pick
 from pneuma.store.provenance import file_at, line_at
 
 THE_CLAIM, RULES_KEY = "the claim itself", "rules"
@@ -80,7 +80,7 @@ def _deciding_keys(text: str, name: str, world: str) -> Mapping[str, Any] | None
         value = keys.get(key, [])
         deciding[key] = [value] if isinstance(value, str) else value
     outcomes = deciding["outcome"]
-    deciding["value"] = {outcome: pick_number(keys.get("value"), outcome, world) for outcome in outcomes}
+    deciding["value"] = {outcome: pick(keys.get("value"), outcome, world) for outcome in outcomes}
     deciding["margin"] = _margins(contents, keys, outcomes, world)
     first = keys.get("seeds_from", contents.get("list", {}).get("seeds_from", 0))
     seeds = {}
@@ -104,8 +104,8 @@ def _margins(
     for outcome in outcomes:
         of_list = "incidence" if keys.get("kind") == "incidence" else outcome
         numbers = [
-            pick_number(tables[0], outcome, world), pick_number((tables[1] or {}).get(of_list), world),
-            pick_number(tables[2], outcome, world), pick_number((tables[3] or {}).get(of_list), world),
+            pick(tables[0], outcome, world), pick((tables[1] or {}).get(of_list), world),
+            pick(tables[2], outcome, world), pick((tables[3] or {}).get(of_list), world),
         ]  # fmt: skip
         margins[outcome] = next((number for number in numbers if number is not None), None)
     return margins

@@ -1,6 +1,6 @@
 """Claims and runs → a verdict on every claim in every world.
 
-    ClaimList and Store → the table of contrasts with verdicts → [Verdict], one for each claim and world
+    ClaimList and RunIndex → the table of contrasts with verdicts → [Verdict], one for each claim and world
 
 Every claim is judged, separately in each world, by exactly the runs that it fixed beforehand. A verdict
 compares the ends of the simultaneous interval, which is printed, with 0 and with the margin; nothing else
@@ -23,11 +23,12 @@ from pneuma.analysis.claims.history import HOW_MANY, changed_since
 from pneuma.analysis.intervals import Interval
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.store.index import RunIndex
-from pneuma.store.store import Store
 
 SUPPORTED, REFUTED, MIXED = "supported", "refuted", "mixed"
 INCONCLUSIVE, UNTESTABLE = "inconclusive", "untestable"
-DECIDING_FIRST = (REFUTED, UNTESTABLE, INCONCLUSIVE, SUPPORTED)
+DESCRIBED = "described"
+"""The verdict on a claim that states no direction."""
+DECIDING_FIRST = (REFUTED, UNTESTABLE, INCONCLUSIVE, SUPPORTED, DESCRIBED)
 """Where all of several verdicts must be as claimed, the first of these that one of them has decides."""
 
 RARE = 0.1
@@ -91,18 +92,27 @@ class ClaimContrast:
         return tuple(dict.fromkeys((*self.a, *self.b)))
 
     @property
+    def other_outcome(self) -> str:
+        """The outcome of the same runs that is compared with this one; mostly empty."""
+        return self.claim.other_outcome(self.outcome)
+
+    @property
     def names(self) -> tuple[str, str]:
-        """The arms as text; b may be a number."""
-        return ", ".join(self.a), ", ".join(self.b) or f"{self.value:g}"
+        """The arms as text; b may be a number or an outcome."""
+        return ", ".join(self.a), ", ".join(self.b) or self.other_outcome or f"{self.value:g}"
 
     @property
     def has_effect(self) -> bool:
         return math.isfinite(self.contrast.effect)
 
-    def compare(self, values: Mapping[str, np.ndarray]) -> Contrast:
-        """Return the contrast of runs, (runs,) of each condition."""
-        a = {name: values[name] for name in self.a}
-        b = {name: values[name] for name in self.b} or self.value
+    def compare(self, arms: Mapping[str, Arm]) -> Contrast:
+        """Return the contrast of the arms of each condition."""
+        a = {name: arms[name].values for name in self.a}
+        if self.other_outcome:
+            others = arms[self.a[0]].other_values
+            contrast = compare_arms(self.claim.kind, {"a": a[self.a[0]] - others}, 0.0, 1 - self.alpha)
+            return replace(contrast, means=(contrast.means[0] + float(others.mean()), float(others.mean())))
+        b = {name: arms[name].values for name in self.b} or self.value
         return compare_arms(self.claim.kind, a, b, 1 - self.alpha)
 
 
@@ -111,7 +121,7 @@ class Verdict:
     """The verdict on a claim in one of `WORLDS`.
 
     Attributes:
-        verdict: supported, refuted, mixed, inconclusive or untestable.
+        verdict: supported, refuted, mixed, inconclusive, untestable or described.
         reason: why it is untestable, what is missing, or `AS_CLAIMED_BUT_SMALL`; empty for a plain result.
         contrasts: its rows of the table.
         registered_verdict: the verdict by the margins that were registered, where they were set anew.
@@ -151,18 +161,12 @@ class Verdict:
         return TRAIN_WITH in self.reason
 
 
-def judge(
-    claims: ClaimList,
-    store: Store,
-    stored: bool = True,
-    wanted: Wanted = lambda claim, world: True,
-) -> list[Verdict]:
+def judge(claims: ClaimList, index: RunIndex, wanted: Wanted = lambda claim, world: True) -> list[Verdict]:
     """Return the verdict on each claim of a list in each of its worlds, or on those that are wanted.
 
-    The correction is for the planned contrasts of the whole list, whichever are wanted: no data of the others
-    are needed. With `stored = False` only published tables are used.
+    The correction is for the planned contrasts of the whole family, whichever are wanted: no data of the
+    others are needed.
     """
-    index = RunIndex(store, stored, shipped=False)
     verdicts: list[Verdict] = []
     for claim in claims.claims.values():
         for world in claim.worlds:
@@ -174,13 +178,14 @@ def judge(
 def judge_claim(claims: ClaimList, runs: ClaimRuns) -> Verdict:
     """Return the verdict on a claim of a list in one world by its runs."""
     claim, world = runs.claim, runs.world
-    alpha = claims.head.alpha / claims.contrasts(world)
+    alpha = claims.head.alpha / claims.family_size(world, claim.study)
     rows: list[ClaimContrast] = []
     verdicts: list[str] = []
     registered: list[str] = []
     for outcome in claim.outcome:
         of_outcome = [
-            _judge_contrast(ClaimContrast(claim, world, outcome, a, b, alpha), runs) for a, b in claim.pairs
+            _judge_contrast(ClaimContrast(claim, world, outcome, a, b, alpha), runs)
+            for a, b in claim.pairs(outcome)
         ]
         verdicts.append(all_of(row.verdict for row in of_outcome))
         registered.append(all_of(row.registered_verdict for row in of_outcome))
@@ -232,11 +237,11 @@ def _is_as_claimed_but_small(row: ClaimContrast) -> bool:
 
 def _judge_contrast(row: ClaimContrast, runs: ClaimRuns) -> ClaimContrast:
     row = replace(row, runs={name: tuple(run.run_id for run in runs.rows[name]) for name in row.conditions})
-    reason = runs.why_incomparable(row.outcome, row.conditions)
+    reason = row.claim.not_tested or runs.why_incomparable(row.outcome, row.conditions)
     if reason:
         contrast = Contrast(reason=reason)
         return replace(row, verdict=UNTESTABLE, registered_verdict=UNTESTABLE, contrast=contrast)
-    arms = {name: runs.arm(row.outcome, name) for name in row.conditions}
+    arms = {name: runs.arm(row.outcome, name, row.other_outcome) for name in row.conditions}
     contrast, verdict = _verdict_by_margin(row, arms, row.margin)
     _, registered_verdict = _verdict_by_margin(row, arms, row.registered_margin)
     return replace(
@@ -253,9 +258,9 @@ def _verdict_by_margin(
 ) -> tuple[Contrast, str]:
     """Return the contrast of arms of finished runs, and the verdict on it with a margin."""
     if reason := _why_untestable(row, arms, margin):
-        sizes = [arms[name].values.size for name in (*row.a, *row.b)] + [0]
+        sizes = [arms[name].values.shape[-1] for name in (*row.a, *row.b)] + [0]
         return Contrast(seeds=(sizes[0], sizes[1]), reason=reason), UNTESTABLE
-    contrast = row.compare({name: arm.values for name, arm in arms.items()})
+    contrast = row.compare(arms)
     alike_counts = not _have_none_learned(row, arms)
     return contrast, decide(contrast.simultaneous, row.claim.claimed(row.outcome), margin, alike_counts)
 
@@ -268,7 +273,7 @@ def _why_untestable(row: ClaimContrast, arms: Mapping[str, Arm], margin: float |
     for name, arm in arms.items():
         if find_outcome(row.outcome).requires_learning and arm.learned is False:
             return f"arm at floor: {name} is not shown to play better than the random player"
-    if len(arms) < 2:
+    if len(arms) < 2 or row.claim.kind == "hazard":
         return ""
     return _rare_or_common(arms) if row.claim.is_incidence else _at_an_end(row.outcome, arms, margin)
 
@@ -279,7 +284,7 @@ def _have_none_learned(row: ClaimContrast, arms: Mapping[str, Arm]) -> bool:
     Such arms may be alike because nothing was learned, so that only a difference between them counts.
     """
     is_of_play = _is_of_play(row.outcome) and not row.claim.is_incidence
-    if not is_of_play and row.claim.direction not in ("equal", "no-less"):
+    if not is_of_play and row.claim.claimed(row.outcome) not in ("equal", "no-less"):
         return False
     return len(arms) > 1 and all(arm.learned is False for arm in arms.values())
 
@@ -329,6 +334,8 @@ def decide(ends: Interval, claimed: str, margin: float | None, alike_counts: boo
     a claim of a difference also where the interval lies on the claimed side of 0. Without an interval nothing
     is decided, and without a margin no difference is too small; nor if that arms are alike does not count.
     """
+    if claimed == DESCRIBED:
+        return DESCRIBED
     if not ends.exists:
         return INCONCLUSIVE
     # without a margin, no interval lies within it or beyond it
@@ -365,7 +372,7 @@ def combine(verdicts: Sequence[str], need: str = "one") -> str:
         return all_of(verdicts)
     if SUPPORTED in verdicts and REFUTED in verdicts:
         return MIXED
-    for decisive in (SUPPORTED, REFUTED, INCONCLUSIVE):
+    for decisive in (SUPPORTED, REFUTED, INCONCLUSIVE, DESCRIBED):
         if decisive in verdicts:
             return decisive
     return UNTESTABLE

@@ -17,6 +17,7 @@ import pandas as pd
 
 from pneuma.analysis.claims.claim_list import Claim
 from pneuma.analysis.claims.verdicts import (
+    DESCRIBED,
     INCONCLUSIVE,
     MIXED,
     REFUTED,
@@ -39,6 +40,7 @@ WORDS = {
 """The four words, and what each says of a sentence in a world."""
 _WORD_OF = {
     SUPPORTED: HOLDS, REFUTED: FAILS, MIXED: UNDECIDED, INCONCLUSIVE: UNDECIDED, UNTESTABLE: NOT_TESTED,
+    DESCRIBED: DESCRIBED,
 }  # fmt: skip
 
 WORLD_NAMES = {
@@ -61,8 +63,12 @@ _OUTCOME_NAMES = {
     "final-share-killed": "kills",
     "late-share-killed": "kills",
     "auc-share-killed": "kills over training",
+    "late-one-action-time": "time in one action",
+    "lasting-one-action-step": "runs that come to stay in one action",
     "late-slope": "late rise of kills",
     "fall-from-best": "fall from the best",
+    "late-fall": "fall from the best five evaluations",
+    "shuffled-fall": "in random order",
     "curve-roughness": "roughness",
     "stuck-share": "updates with one action",
     "mean-kl": "change of policy (KL)",
@@ -189,7 +195,8 @@ def registration(verdict: Verdict) -> str:
 def why(verdict: Verdict) -> str:
     """Return in a few words why a claim is not tested, or what its word does not tell; mostly empty."""
     if verdict.lacks_runs:
-        return "partly trained" if verdict.run_ids else "not trained yet"
+        state = "partly trained" if verdict.run_ids else "not trained yet"
+        return f"{state}; {verdict.reason.rpartition('; ')[2]}"
     if verdict.verdict == MIXED:
         return "its two measures disagree"
     reason = verdict.reason.partition(":")[0]
@@ -217,24 +224,32 @@ def effect(row: ClaimContrast) -> str:
     others of the world, and the margin.
     """
     contrast = row.contrast
-    numbers = [*contrast.means, contrast.effect, contrast.simultaneous.low, contrast.simultaneous.high]
-    unit = difference = ""
-    if row.outcome in _LOGARITHMS and row.claim.kind == "mean":
-        a, b, size, low, high = (_factor(number) for number in numbers)
-        difference = " times as much"
-        margin = f"×{_factor(row.margin)}" if row.margin else ""
+    ends = contrast.simultaneous.low, contrast.simultaneous.high
+    is_share = row.claim.is_incidence or find_outcome(row.outcome).unit == "share"
+    scale, unit, of_difference = (100, " %", " points") if is_share else (1, "", "")
+    if row.claim.kind == "hazard":
+        a, b = (f"{100 * share:.0f}" for share in contrast.means)
+        unit, of_difference = " %", " times the rate"
+        size, low, high = (_factor(number) for number in (contrast.effect, *ends))
+        margin = _factor_margin(row.margin)
+    elif row.outcome in _LOGARITHMS and row.claim.kind in ("mean", "main-effect"):
+        of_difference = " times as much"
+        a, b, size, low, high = (_factor(number) for number in (*contrast.means, contrast.effect, *ends))
+        margin = _factor_margin(row.margin)
     else:
-        if row.claim.is_incidence or find_outcome(row.outcome).unit == "share":
-            numbers, unit, difference = [100 * number for number in numbers], " %", " points"
-        a, b, size, low, high = _in_digits(numbers, whole=bool(unit))
-        margin = _margin(100 * row.margin if unit else row.margin) if row.margin else ""
+        numbers = [scale * number for number in (*contrast.means, contrast.effect, *ends)]
+        a, b, size, low, high = _in_digits(numbers, whole=is_share)
+        margin = f"±{shown(scale * row.margin, decimals(scale * row.margin) - 1)}" if row.margin else ""
     brackets = [f"{low} to {high}" if contrast.simultaneous.exists else "", margin]
     interval = f" ({'; '.join(filter(None, brackets))})" if any(brackets) else ""
     name = _name(row)
-    if not row.b and row.value == 0:
+    if not row.b and row.value == 0 and not row.other_outcome:
         return f"{name} {size.removeprefix('+')}{unit}{interval}"
-    compared = f"{a} against {b}" if row.b else f"{a}{unit}, threshold {b}"
-    return f"{name} {compared}{unit}: {size}{difference}{interval}"
+    compared = f"{a} against {b}"
+    if not row.b:
+        reference = _OUTCOME_NAMES.get(row.other_outcome, row.other_outcome) or "threshold"
+        compared = f"{a}{unit}, {reference} {b}"
+    return f"{name} {compared}{unit}: {size}{of_difference}{interval}"
 
 
 def _in_digits(numbers: Sequence[float], whole: bool) -> list[str]:
@@ -256,10 +271,6 @@ def _adds_up(numbers: Sequence[float], places: int) -> bool:
     """Return whether both numbers and their difference add up as they are printed."""
     a, b, difference = (round(number, places) for number in numbers[:3])
     return math.isclose(a - b, difference, rel_tol=0, abs_tol=10.0**-places / 2)
-
-
-def _margin(margin: float) -> str:
-    return f"±{shown(margin, decimals(margin) - 1)}"
 
 
 def _end(end: float, places: int) -> str:
@@ -286,6 +297,10 @@ def _factor(log: float) -> str:
     return shown(factor, decimals(factor) - 1)
 
 
+def _factor_margin(margin: float | None) -> str:
+    return f"×{_factor(margin)}" if margin else ""
+
+
 def _name(row: ClaimContrast) -> str:
     """Return the words for an outcome of a contrast, after those for its pair of arms."""
     event = row.claim.event(row.outcome)
@@ -297,7 +312,9 @@ def _name(row: ClaimContrast) -> str:
         words = f"runs with {words} {event}" if event else words
     if row.claim.kind in ("spread", "range"):
         words = f"{row.claim.kind} of {words}"
-    pair_names = dict(zip(row.claim.pairs, row.claim.called[2:], strict=False))
+    if row.claim.kind == "interaction":
+        words = f"difference of {words}, {' against '.join(row.claim.called[2:])}"
+    pair_names = dict(zip(row.claim.pairs(row.outcome), row.claim.called[2:], strict=False))
     pair = pair_names.get((row.a, row.b))
     return f"{pair}, {words}" if pair else words
 
