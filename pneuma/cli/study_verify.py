@@ -88,6 +88,8 @@ def _show(
                 yield from _indented(part, 2)
         for world, verdict in judged.items():
             yield from _cell(worlds[world], verdict)
+            if verdict.lacks_runs and not in_detail:
+                yield from _indented(verdict.reason.rpartition("; ")[2], 6)
             for text in details(verdict) if in_detail else ():
                 yield from _indented(text, 6)
         yield ""

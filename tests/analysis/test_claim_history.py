@@ -38,7 +38,7 @@ def commit(folder: Path, rules: int = RULES) -> str:
         ('a = "high"', 'a = "middle"', ("a", "seeds")),
         ("seeds = 8", "seeds = 7", ("seeds",)),  # of the defaults
         ("[defaults]", "[list]\nseeds_from = 5\n[defaults]", ("seeds",)),
-        ('"final-share-killed"', '["final-share-killed", "final-return"]', ("outcome", "value", "margin")),
+        ('"final-share-killed"', '["final-share-killed", "final-return"]', ("outcome",)),
         ('"greater"', '"less"', ("direction",)),
         ('"greater"', '"greater"\nneed = "all"', ("need",)),
         ("[claims.better]", "[claims.another]", (THE_CLAIM,)),

@@ -19,8 +19,7 @@ from tools.verdicts import SMALL, draw_verdicts
 from .hand_made_verdicts import claim, comparison, judged
 
 Pair = tuple[float, float]
-# a number, and by how much it differs from another, add up as printed
-KILLS = "kills 85 against 83 %: +2 points (−1 to 5)"
+KILLS = "kills 85 against 83 % (−1 to 5)"
 MEANS = (0.85, 0.83), (-0.012, 0.052)
 RETURN, LESS = {"outcome": "final-return"}, {"outcome": "final-return", "direction": "less"}
 RANGES = {"kind": "range", "a": ("x", "y"), "b": ("y", "z")}
@@ -33,14 +32,14 @@ SPREAD = {"kind": "spread"}
     ("fields", "means", "ends", "told"),
     [
         ({}, *MEANS, KILLS),
-        (RETURN, (8.6, 7.5), (0.3, 2.0), "return 8.6 against 7.5: +1.1 (0.3 to 2.0)"),
-        (LESS, (3401, 3902), (-900, -101), "return 3,400 against 3,900: −500 (−900 to −100)"),
-        (SPREAD, (0.025, 0.04), (-0.037, 0.007), "spread of kills 2 against 4 %: −2 points (−4 to 1)"),
-        (RANGES, (0.4, 0.1), (0.1, 0.5), "range of kills 40 against 10 %: +30 points (10 to 50)"),
-        (SHARE, (1, 0.2), (0.7, 0.8), "runs with one action 100 %, threshold 20 %: +80 points (70 to 80)"),
+        (RETURN, (8.6, 7.5), (0.3, 2.0), "return 8.6 against 7.5 (0.3 to 2.0)"),
+        (LESS, (3401, 3902), (-900, -101), "return 3,400 against 3,900 (−900 to −100)"),
+        (SPREAD, (0.025, 0.04), (-0.037, 0.007), "spread of kills 2 against 4 % (−4 to 1)"),
+        (RANGES, (0.4, 0.1), (0.1, 0.5), "range of kills 40 against 10 % (10 to 50)"),
+        (SHARE, (1, 0.2), (0.7, 0.8), "runs with one action 100 %, threshold 20 % (70 to 80)"),
         (  # of 100 and 50; 1 to 4
             RATIO, (4.605, 3.912), (0.0, 1.386),
-            "greatest gradient norm 100 against 50: 2.0 times as much (1.0 to 4.0)",
+            "greatest gradient norm 100 against 50 (1.0 to 4.0 times)",
         ),
         (SLOPE, (-0.01, 0), (-0.05, 0.03), "late rise of kills −1 % (−5 to 3)"),
     ],
@@ -60,7 +59,7 @@ def test_effects_are_told_in_plain_units(fields: dict[str, Any], means: Pair, en
         (
             "untestable",
             "no runs: tanh, 8 seeds; train with: pneuma",
-            "not tested\nnot trained yet; train with: pneuma",
+            "not tested\nnot trained yet",
         ),
         ("untestable", "arm at floor: tanh is not shown", "not tested\nthe agents learned nothing there"),
         ("untestable", "tanh seed 7: nothing is recorded", "not tested\na run has no value"),
@@ -83,7 +82,7 @@ def test_every_outcome_is_told_and_that_nobody_learned() -> None:
     assert cell(judged(own, text=("supported", "", rows))["text"]).split("\n") == [
         "holds",
         KILLS,
-        "return 8.6 against 7.5: +1.1 (0.3 to 2.0)",
+        "return 8.6 against 7.5 (0.3 to 2.0)",
         "none plays better than at random",
     ]
 
@@ -93,7 +92,7 @@ def test_pairs_are_named_and_arms_are_called_once_a_row() -> None:
         a=("tanh", "wide"), b=("relu", "other"), paired=True, called=("new", "old", "narrow", "at 0.2")
     )
     row = comparison("supported", 0.02, MEANS[1], of=own, means=MEANS[0], a=("wide",), b=("other",))
-    assert effect(row) == "at 0.2, kills 85 against 83 %: +2 points (−1 to 5)"
+    assert effect(row) == "at 0.2, kills 85 against 83 % (−1 to 5)"
     assert arms_in_words(own) == "new against old"
     assert arms_in_words(claim(a=("tanh", "wide"), b=(), value=0.2)) == "tanh and wide"
 
@@ -152,4 +151,4 @@ def test_the_picture_fits_a_page_can_be_read_and_has_the_same_bytes_again(
     texts = drawn[0].axes[0].texts
     assert min(text.get_fontsize() for text in texts) == SMALL >= 5.5
     assert [text.get_text() for text in texts].count("holds") == 2
-    assert "kills 85 against 83 %:\n+2 points (−1 to 5)" in [text.get_text() for text in texts]
+    assert "kills 85 against 83 % (−1 to 5)" in [text.get_text() for text in texts]

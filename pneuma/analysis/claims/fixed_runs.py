@@ -174,7 +174,6 @@ def find_claim_runs(index: RunIndex, claims: ClaimList, claim: Claim, world: str
         for condition, run in configurations.items()
     }
     rest = results_words(index.store.root)
-    rest += ["--unpublished"] if index.store.published(shipped=False) else []
     commands = [shlex.join([*words, *rest]) for words in training_commands(claims, claim, study)]
     remedy = f"{TRAIN_WITH} {' && '.join(commands)}"
     return ClaimRuns(claim, world, configurations, rows, remedy, index.problems)

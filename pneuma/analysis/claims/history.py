@@ -23,6 +23,8 @@ from pneuma.store.provenance import file_at, line_at
 THE_CLAIM, RULES_KEY = "the claim itself", "rules"
 HOW_MANY = ("seeds", "steps", "margin", RULES_KEY)
 """Changes that leave what is compared as it was."""
+_OF_OUTCOME = ("kind", "above", "below", "value", "margin")
+"""What another outcome changes with it."""
 _PLAIN = ("study", "paired", "kind", "above", "below", "need", "direction")
 
 
@@ -45,7 +47,8 @@ def changed_since(
         if then is None or now is None:
             differences = [THE_CLAIM]
         else:
-            differences = [key for key in now if now[key] != then[key]]
+            keys = [key for key in now if now[key] != then[key]]
+            differences = [key for key in keys if "outcome" not in keys or key not in _OF_OUTCOME]
         if _rules_at(claims.path, commit) != RULES:
             differences.append(RULES_KEY)
         changed = list(dict.fromkeys([*(changed or []), *differences]))

@@ -78,14 +78,11 @@ _OUTCOME_NAMES = {
     "grad-norm-growth": "gradient norm, end over beginning",
     "log-max-grad-norm": "greatest gradient norm",
     "one-action above 0.9": "runs with one action",
-    "final-commonest-action above 0.9": "runs that end in one action",
-    "low-entropy-share above 0.05": "runs without entropy",
+    "low-entropy-share": "training without entropy",
     "log-max-kl": "largest change of policy (KL)",
     "early-explained-variance": "variance that the critic explains at first",
 }
 """Outcomes and events in fewer words than `OUTCOMES` has."""
-MOST_MORE_DIGITS = 2
-"""Digits beyond those that an interval supports, so that two numbers and their difference add up."""
 MOST_LOG = 23.0
 """Factors above ten thousand million are shown as infinite."""
 _LOGARITHMS = ("grad-norm-growth", "log-max-grad-norm", "log-max-kl")
@@ -147,12 +144,13 @@ def verdict_table(claims: ByClaim, whole: bool = False) -> pd.DataFrame:
     quoted: set[str] = set()
     for name, judged in claims.items():
         claim = first_claim(name, judged)
-        quote = f"“{sentence(claim) if whole else short_sentence(claim)}”" if claim.quote else name
-        heading = claim.context if quote in quoted and claim.context else quote
-        quoted.add(quote)
+        heading = claim.context or name
+        if claim.quote not in ("", *quoted):
+            heading = f"“{sentence(claim) if whole else short_sentence(claim)}”"
+            quoted.add(claim.quote)
         cells = [cell(judged.get(world)) for world in worlds]
         rows.append([claim.section, f"{heading}\n{arms_in_words(claim)}", *cells])
-    heading = "The thesis's sentence" if quoted - {*claims} else "Claim"
+    heading = "The thesis's sentence" if quoted else "Claim"
     return pd.DataFrame(rows, columns=["Section", heading, *worlds.values()])
 
 
@@ -195,8 +193,7 @@ def registration(verdict: Verdict) -> str:
 def why(verdict: Verdict) -> str:
     """Return in a few words why a claim is not tested, or what its word does not tell; mostly empty."""
     if verdict.lacks_runs:
-        state = "partly trained" if verdict.run_ids else "not trained yet"
-        return f"{state}; {verdict.reason.rpartition('; ')[2]}"
+        return "partly trained" if verdict.run_ids else "not trained yet"
     if verdict.verdict == MIXED:
         return "its two measures disagree"
     reason = verdict.reason.partition(":")[0]
@@ -218,59 +215,48 @@ def details(verdict: Verdict) -> list[str]:
 
 
 def effect(row: ClaimContrast) -> str:
-    """Return an effect in plain units, as 'kills 85 against 83 %: +2 points (−1 to 5; ±7)'.
+    """Return an effect in plain units, as 'kills 85 against 83 % (−1 to 5; ±7.1)'.
 
-    It is the first less the second. In brackets stand the ends of the interval that holds together with all
-    others of the world, and the margin.
+    In brackets stand the ends of the interval of the difference, the first less the second, which holds
+    together with all others of its family; and the margin. Of logarithms they are factors.
     """
     contrast = row.contrast
     ends = contrast.simultaneous.low, contrast.simultaneous.high
     is_share = row.claim.is_incidence or find_outcome(row.outcome).unit == "share"
-    scale, unit, of_difference = (100, " %", " points") if is_share else (1, "", "")
-    if row.claim.kind == "hazard":
-        a, b = (f"{100 * share:.0f}" for share in contrast.means)
-        unit, of_difference = " %", " times the rate"
-        size, low, high = (_factor(number) for number in (contrast.effect, *ends))
-        margin = _factor_margin(row.margin)
-    elif row.outcome in _LOGARITHMS and row.claim.kind in ("mean", "main-effect"):
-        of_difference = " times as much"
-        a, b, size, low, high = (_factor(number) for number in (*contrast.means, contrast.effect, *ends))
-        margin = _factor_margin(row.margin)
+    is_factor = row.claim.kind == "hazard" or row.outcome in _LOGARITHMS
+    unit = " %" if is_share or row.claim.kind == "hazard" else ""
+    if is_factor:
+        a, b = (f"{100 * mean:.0f}" if unit else _factor(mean) for mean in contrast.means)
+        low, high = (_factor(end) for end in ends)
+        margin = f"×{_factor(row.margin)}" if row.margin else ""
     else:
-        numbers = [scale * number for number in (*contrast.means, contrast.effect, *ends)]
-        a, b, size, low, high = _in_digits(numbers, whole=is_share)
+        scale = 100 if is_share else 1
+        means = [scale * mean for mean in contrast.means]
+        a, b, low, high = _in_digits(means, [scale * end for end in ends], whole=is_share)
         margin = f"±{shown(scale * row.margin, decimals(scale * row.margin) - 1)}" if row.margin else ""
-    brackets = [f"{low} to {high}" if contrast.simultaneous.exists else "", margin]
-    interval = f" ({'; '.join(filter(None, brackets))})" if any(brackets) else ""
+    interval = f"{low} to {high}" if contrast.simultaneous.exists else ""
+    if interval and is_factor:
+        interval += " times"
+    brackets = "; ".join(part for part in (interval, margin) if part)
     name = _name(row)
-    if not row.b and row.value == 0 and not row.other_outcome:
-        return f"{name} {size.removeprefix('+')}{unit}{interval}"
-    compared = f"{a} against {b}"
-    if not row.b:
-        reference = _OUTCOME_NAMES.get(row.other_outcome, row.other_outcome) or "threshold"
-        compared = f"{a}{unit}, {reference} {b}"
-    return f"{name} {compared}{unit}: {size}{of_difference}{interval}"
+    if row.b:
+        text = f"{name} {a} against {b}{unit}"
+    elif row.other_outcome:
+        text = f"{name} {a}{unit}, {_OUTCOME_NAMES.get(row.other_outcome, row.other_outcome)} {b}{unit}"
+    elif row.value:
+        text = f"{name} {a}{unit}, threshold {b}{unit}"
+    else:
+        text = f"{name} {a}{unit}"
+    return f"{text} ({brackets})" if brackets else text
 
 
-def _in_digits(numbers: Sequence[float], whole: bool) -> list[str]:
-    """Return both numbers, the difference with its sign, and the ends of its interval."""
-    places = _places(*numbers[2:])
+def _in_digits(means: Sequence[float], ends: Sequence[float], whole: bool) -> list[str]:
+    """Return two numbers and the ends of the interval of their difference, as far as it is known."""
+    places = _places(means[0] - means[1], *ends)
     if whole:
         places = max(places, 0)
-    digits = places
-    while digits < places + MOST_MORE_DIGITS and not _adds_up(numbers, digits):
-        digits += 1
-    texts = [shown(number, digits) for number in numbers[:3]]
-    if not texts[2].startswith("-") and texts[2].strip("0."):
-        texts[2] = f"+{texts[2]}"
-    texts += [_end(end, places) for end in numbers[3:]]
+    texts = [shown(mean, places) for mean in means] + [_end(end, places) for end in ends]
     return [text.replace("-", "−") for text in texts]
-
-
-def _adds_up(numbers: Sequence[float], places: int) -> bool:
-    """Return whether both numbers and their difference add up as they are printed."""
-    a, b, difference = (round(number, places) for number in numbers[:3])
-    return math.isclose(a - b, difference, rel_tol=0, abs_tol=10.0**-places / 2)
 
 
 def _end(end: float, places: int) -> str:
@@ -295,10 +281,6 @@ def _factor(log: float) -> str:
         return "∞"
     factor = math.exp(log)
     return shown(factor, decimals(factor) - 1)
-
-
-def _factor_margin(margin: float | None) -> str:
-    return f"×{_factor(margin)}" if margin else ""
 
 
 def _name(row: ClaimContrast) -> str:
