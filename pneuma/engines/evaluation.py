@@ -49,18 +49,18 @@ class OwnAgent:
 
     def sample(self, observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """Call `act`, which has its own random numbers: (N, features) -> (N,)."""
-        return self._checked(self.act, observations)
+        return self._ask(self.act, observations)
 
     def best(self, observations: np.ndarray) -> np.ndarray:
         """Call `choose`, or attack if there is none: (N, features) -> (N,)."""
         if self.choose is None:
             return np.full(len(observations), rules.ATTACK)
-        return self._checked(self.choose, observations)
+        return self._ask(self.choose, observations)
 
-    def _checked(self, ask: Act, observations: np.ndarray) -> np.ndarray:
+    def _ask(self, act: Act, observations: np.ndarray) -> np.ndarray:
         """Return a function's actions; refuse anything but one valid action per observation."""
         count = len(observations)
-        answer = ask(observations.copy())
+        answer = act(observations.copy())
         try:
             actions = np.asarray(answer)
         except ValueError:  # lists of unlike lengths
@@ -80,10 +80,12 @@ class Evaluation:
         self.episodes = run.evaluation_episodes
         self.argmax_starts = len(Worlds(1, evaluation_config(run)).level.starts)
         self.worlds = Worlds(self.episodes + self.argmax_starts, evaluation_config(run))
-        chosen = np.arange(len(self.worlds)) - self.episodes
-        self._starts = np.maximum(chosen, -1)  # drawn at random, then each place once
+        numbers = np.arange(len(self.worlds)) - self.episodes
+        self._starts = np.maximum(numbers, -1)  # at random, then each place once
         self.random_share = self._play_at_random()
-        self.action_values = ActionValues(run, self.argmax_starts) if run.algorithm in VALUE_BASED else None
+        self.action_values: ActionValues | None = None
+        if run.algorithm in VALUE_BASED:
+            self.action_values = ActionValues(run, self.argmax_starts)
 
     def evaluate(self, policy: Policy | OwnAgent, step: int) -> dict[str, Any]:
         """Return one row of `records.EVALUATION_COLUMNS` for the policy after `step` agent steps.
@@ -91,15 +93,14 @@ class Evaluation:
         For a policy of action values it has `q_estimate` and `q_true` too.
         """
         self._play(self._acting(policy, step))
-        returns, hp_lost, cleared = (self.worlds.tallies[name] for name in ("returns", "hp_lost", "cleared"))
+        returns, cleared = self.worlds.tallies["returns"], self.worlds.tallies["cleared"]
+        steps_to_clear = np.where(cleared, cleared, self.run.episode_steps)
         kills = self.worlds.players["kills"]
         share = kills.sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
         died = self.worlds.worlds["ending"] == rules.KILLED
         sampled, best = slice(None, self.episodes), slice(self.episodes, None)
-        values: dict[str, float] = {}
-        if self.action_values and isinstance(policy, Policy):
-            values = self.action_values.measure(policy)
-        return {
+        action_counts = self.worlds.taken[sampled].sum(axis=0)
+        row = {
             "step": step,
             "episodes": self.episodes,
             "share_killed": float(share[sampled].mean()),
@@ -112,12 +113,15 @@ class Evaluation:
             "argmax_score": self._score(share[best]),
             "argmax_return": float(returns[best].mean()),
             "random_share_killed": self.random_share,
-            **values,
-            "steps_to_clear": float(np.where(cleared, cleared, self.run.episode_steps)[sampled].mean()),
-            "hp_lost": float(hp_lost[sampled].mean()),
-            "commonest_action": float((taken := self.worlds.taken[sampled].sum(axis=0)).max() / taken.sum()),
-            **({"kill_evenness": evenness(kills[sampled])} if kills.shape[1] > 1 else {}),
+            "steps_to_clear": float(steps_to_clear[sampled].mean()),
+            "hp_lost": float(self.worlds.tallies["hp_lost"][sampled].mean()),
+            "commonest_action": float(action_counts.max() / action_counts.sum()),
         }
+        if kills.shape[1] > 1:
+            row["kill_evenness"] = evenness(kills[sampled])
+        if self.action_values and isinstance(policy, Policy):
+            row |= self.action_values.measure(policy)
+        return row
 
     def _score(self, share: np.ndarray) -> float:
         """Return the score of a share of monsters killed: 0 for the random player's, 1 for all.
@@ -136,10 +140,10 @@ class Evaluation:
         return float(killed.mean()) / max(self.worlds.monsters.shape[1], 1)
 
     def _acting(self, policy: Policy | OwnAgent, step: int) -> Choose:
-        """Return what chooses actions: drawn ones in the first worlds, else the best."""
+        """Return what chooses actions: sampled ones in the first worlds, else the best."""
         generator = np.random.default_rng(stream_seed(self.run.seed, "evaluation-actions", step))
         players, features = self.worlds.observations.shape[1:]
-        drawn = self.episodes * players
+        sampled = self.episodes * players
         observations = self.worlds.observations.reshape(-1, features)  # (N * P, features)
         actions = np.zeros(self.worlds.players.shape, np.int64)
         rows = actions.reshape(-1)
@@ -147,7 +151,7 @@ class Evaluation:
             actor = network(policy.actor, policy.activation)
 
             def compute(plays: np.ndarray) -> np.ndarray:
-                choose(actor, observations, generator.random(drawn, np.float32), plays, rows)
+                choose(actor, observations, generator.random(sampled, np.float32), plays, rows)
                 return actions
 
             return compute
@@ -157,27 +161,30 @@ class Evaluation:
 
             With fewer rows a policy's results would differ in the last bits.
             """
-            if plays[:drawn].any():
-                rows[:drawn] = policy.sample(observations[:drawn], generator)
-            if plays[drawn:].any():
-                rows[drawn:] = policy.best(observations[drawn:])
+            if plays[:sampled].any():
+                rows[:sampled] = policy.sample(observations[:sampled], generator)
+            if plays[sampled:].any():
+                rows[sampled:] = policy.best(observations[sampled:])
             return actions
 
         return ask
 
     def _is_compiled(self, policy: Policy) -> bool:
         """Return whether a policy's actions are computed by `mlp.choose`, whose last bits are not NumPy's."""
-        asks = bool(policy.scaling or policy.exploration is not None or own_rewards(self.run.reward))
-        return not asks and sum(weight.size for weight, _ in policy.actor) <= MOST_WEIGHTS
+        if policy.scaling or policy.exploration is not None or own_rewards(self.run.reward):
+            return False
+        return sum(weight.size for weight, _ in policy.actor) <= MOST_WEIGHTS
 
     def _play(self, act: Choose) -> None:
         """Play one episode in every world, always the same one, up to its end."""
         self.worlds.seed([stream_seed(self.run.seed, "evaluation", i) for i in range(len(self.worlds))])
         self.worlds.reset(starts=self._starts)
         players = self.worlds.players.shape[1]
-        running, plays = len(self.worlds), np.ones(len(self.worlds) * players, np.bool_)
+        running = len(self.worlds)
+        plays = np.ones(len(self.worlds) * players, np.bool_)
         while running:
-            if ended := self.worlds.advance(act(plays)):
+            ended = self.worlds.advance(act(plays))
+            if ended:
                 running -= ended
                 plays = np.repeat(self.worlds.worlds["ending"] == rules.RUNNING, players)
 
@@ -211,38 +218,38 @@ class ActionValues:
 
     def __init__(self, run: Run, starts: int) -> None:
         self.run = run
-        beyond = _steps_beyond(run)
-        steps = run.episode_steps + (beyond or 0)
+        steps_beyond = _steps_beyond(run)
+        steps = run.episode_steps + (steps_beyond or 0)
         self.worlds = Worlds(starts, replace(evaluation_config(run), episode_steps=steps))
-        self._known = beyond is not None
+        self._is_measurable = steps_beyond is not None
 
     def measure(self, policy: Policy) -> dict[str, float]:
         """Return `q_estimate` and `q_true`, means over all visited states.
 
         Both are NaN if an endless future is not discounted, or hardly at all.
         """
-        estimates, rewards, counted = self._play(policy)
-        if self.worlds.truncated.any() and not self._known:
+        estimates, rewards, is_present = self._play(policy)
+        if self.worlds.truncated.any() and not self._is_measurable:
             return {"q_estimate": math.nan, "q_true": math.nan}
         true = discounted(rewards, self.run.gamma)
-        counted[self.run.episode_steps :] = False
-        return {"q_estimate": float(estimates[counted].mean()), "q_true": float(true[counted].mean())}
+        is_present[self.run.episode_steps :] = False
+        return {"q_estimate": float(estimates[is_present].mean()), "q_true": float(true[is_present].mean())}
 
     def _play(self, policy: Policy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return estimates, rewards and whether the player was alive, each (steps, worlds, players)."""
         worlds = self.worlds
         worlds.seed([stream_seed(self.run.seed, "action-values", i) for i in range(len(worlds))])
         worlds.reset(starts=np.arange(len(worlds)))
-        steps: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        estimates, rewards, present = [], [], []
         running = len(worlds)
         while running:
             values = policy.logits(worlds.observations.reshape(-1, worlds.observations.shape[2]))
             best = values.argmax(axis=1).reshape(worlds.players.shape)
             running -= worlds.step(best)
-            estimate = values.max(axis=1).reshape(worlds.players.shape)
-            steps.append((estimate, worlds.events["reward"].copy(), worlds.present.copy()))
-        estimates, rewards, present = (np.stack(each) for each in zip(*steps, strict=True))
-        return estimates, rewards, present
+            estimates.append(values.max(axis=1).reshape(worlds.players.shape))
+            rewards.append(worlds.events["reward"].copy())
+            present.append(worlds.present.copy())
+        return np.stack(estimates), np.stack(rewards), np.stack(present)
 
 
 def discounted(rewards: np.ndarray, gamma: float) -> np.ndarray:
@@ -259,5 +266,7 @@ def _steps_beyond(run: Run) -> int | None:
         return 0
     if run.gamma == 1:
         return None
-    beyond = math.ceil(math.log(WEIGHT_LEFT_OUT) / math.log(run.gamma))
-    return beyond if run.episode_steps + beyond <= MOST_STEPS else None
+    steps_beyond = math.ceil(math.log(WEIGHT_LEFT_OUT) / math.log(run.gamma))
+    if run.episode_steps + steps_beyond > MOST_STEPS:
+        return None
+    return steps_beyond

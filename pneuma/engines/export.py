@@ -39,9 +39,8 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     with the same betas and epsilon, without weight decay, which works differently. Separate clipping of actor
     and critic is replaced by joint clipping.
     """
-    actor, critic = (
-        tuple(len(bias) for _, bias in network[:-1]) for network in (policy.actor, policy.critic)
-    )
+    actor = tuple(len(bias) for _, bias in policy.actor[:-1])
+    critic = tuple(len(bias) for _, bias in policy.critic[:-1])
     # separate clipping, or no baseline, would need Pneuma's classes to read the file
     run = replace(run, clip="joint", value_baseline=True)
     run = replace(run, activation=policy.activation, actor=actor, critic=critic)
@@ -54,8 +53,8 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     with torch.no_grad():
         if policy.deviation is not None:
             model.policy.log_std.copy_(torch.from_numpy(np.log(policy.deviation)))
-        for part, layers in linear_layers(model).items():
-            for (weight, bias), module in zip(getattr(policy, part), layers, strict=True):
+        for network, layers in linear_layers(model).items():
+            for (weight, bias), module in zip(getattr(policy, network), layers, strict=True):
                 module.weight.copy_(torch.from_numpy(weight.T.copy()))  # torch keeps (outputs, inputs)
                 module.bias.copy_(torch.from_numpy(bias.copy()))
     file = io.BytesIO()
@@ -117,9 +116,10 @@ def observation_space(policy: Policy, run: Run) -> spaces.Box:
         env.close()
         if np.any(getattr(env.action_space, "start", 0)):
             raise UserError(f".zip counts actions from 0; those of {run.env} begin later")
-        seen = env.observation_space
-        if isinstance(seen, spaces.Box) and seen.shape == (features,) and seen.dtype == np.float32:
-            return seen
+        observed = env.observation_space
+        is_flat = observed.shape == (features,) and observed.dtype == np.float32
+        if isinstance(observed, spaces.Box) and is_flat:
+            return observed
         return spaces.Box(-np.inf, np.inf, (features,), np.float32)
     space = Worlds(1, replace(env_config(run), reward=REWARDS[:1])).slot_space
     if space.shape != (features,):

@@ -38,19 +38,20 @@ EXTRAS = ("minatar", "minigrid")
 def check_spaces(run: Run) -> None:
     """Make an environment, take a step, and refuse spaces in which the run cannot be trained."""
     with (
-        warnings.catch_warnings(action="ignore", category=RunWarning),  # told by the run itself
+        warnings.catch_warnings(action="ignore", category=RunWarning),  # the run itself warns
         closing(GymnasiumSlots(run, [0])) as slots,
     ):
         space = slots.action_space
         if isinstance(space, spaces.Box) and not space.is_bounded():
             raise UserError(f"{run.env}: its actions {space} have no bounds: wrap it to give them some")
         if not isinstance(space, spaces.Discrete):
-            numbers = isinstance(space, spaces.Box)
-            what = "its actions are numbers" if numbers else "an action is several choices"
+            problem = "an action is several choices"
+            if isinstance(space, spaces.Box):
+                problem = "its actions are numbers"
             if run.algorithm in VALUE_BASED:
-                raise UserError(f"{run.env}: {what}, which {run.algorithm} cannot: try ppo")
+                raise UserError(f"{run.env}: {problem}, which {run.algorithm} cannot: try ppo")
             if run.engine != "sb3":
-                raise UserError(f'{run.env}: {what}, which engine = "sb3" alone trains')
+                raise UserError(f'{run.env}: {problem}, which engine = "sb3" alone trains')
         slots.step(np.array([slots.any_action()]))
 
 
@@ -76,28 +77,27 @@ class GymnasiumSlots:
         space = self.envs[0].observation_space
         self.action_space = _action_space(run, self.envs[0].action_space)
         self._flatten = flattening(run, space)
-        flat = spaces.flatten_space(space)
-        assert isinstance(flat, spaces.Box)
-        self._bounds: tuple[np.ndarray, np.ndarray] | None = flat.low, flat.high
-        self._declared = space.dtype if isinstance(space, spaces.Box) else None
-        self.observations = np.zeros((len(seeds), *flat.shape), np.float32)
+        flat_space = spaces.flatten_space(space)
+        assert isinstance(flat_space, spaces.Box)
+        self._flat_space: spaces.Box | None = flat_space  # None once an observation was not of it
+        self._declared_type = space.dtype if isinstance(space, spaces.Box) else None
+        self.observations = np.zeros((len(seeds), *flat_space.shape), np.float32)
         self.terminal = np.zeros_like(self.observations)
         self.returns = np.zeros(len(seeds))
         self.lengths, self.episodes = np.zeros((2, len(seeds)), np.int64)
         self.finished: list[dict[str, Any]] = []
-        few = isinstance(self.action_space, spaces.Discrete) and self.action_space.n <= 256
-        numbers = isinstance(self.action_space, spaces.Box)
-        self._kind = np.dtype(np.uint8 if few else np.float32 if numbers else np.int64)
+        self._log_type = _smallest_type(self.action_space)
         self.begin(seeds)
 
     def begin(self, seeds: Sequence[int]) -> None:
+        """Reset all environments with fresh seeds, and forget what was."""
         for array in (self.returns, self.lengths, self.episodes):
             array[:] = 0
         self.steps = 0
         self.finished.clear()
-        self._log = bytearray()
+        self._action_log = bytearray()
         self._first_seeds = [seed % 2**31 for seed in seeds]  # all environments take these
-        self._seeds: list[int | None] = [*self._first_seeds]
+        self._next_seeds: list[int | None] = [*self._first_seeds]
         for slot in range(len(self.envs)):
             self._reset(slot)
         self._normalization = Normalization(self.run, self.observations) if self._normalizes else None
@@ -117,22 +117,24 @@ class GymnasiumSlots:
         `terminated` and `truncated` are never both set. Rewards are normalised if the run says so, records
         are not.
         """
-        self._log += actions.astype(self._kind).tobytes()
+        self._action_log += actions.astype(self._log_type).tobytes()
         rewards = np.zeros(len(self.envs))
         terminated, truncated = np.zeros((2, len(self.envs)), np.bool_)
         self.steps += 1
         for slot, action in enumerate(self.actions(actions)):
-            rewards[slot], ended, cut, info = self.step_one(slot, action)
-            self.returns[slot] += rewards[slot]
-            if ended or cut:
-                terminated[slot], truncated[slot] = ended, not ended
-                self._end(slot, "terminated" if ended else "truncated")
+            reward, is_terminated, is_truncated, _ = self.step_one(slot, action)
+            rewards[slot] = reward
+            self.returns[slot] += reward
+            if is_terminated or is_truncated:
+                terminated[slot], truncated[slot] = is_terminated, not is_terminated
+                self._end(slot, "terminated" if is_terminated else "truncated")
         if self._normalization:
-            over = terminated | truncated
-            rewards = self._normalization.step(self.observations, rewards, over, self.terminal)
+            ended = terminated | truncated
+            rewards = self._normalization.step(self.observations, rewards, ended, self.terminal)
         return rewards, terminated, truncated
 
     def actions(self, actions: np.ndarray) -> Sequence[Any]:
+        """Return a policy's actions as the environments take them."""
         return actions_in(self.action_space, actions)
 
     def any_action(self) -> Any:
@@ -140,51 +142,62 @@ class GymnasiumSlots:
         return self.action_space.sample() - getattr(self.action_space, "start", 0)
 
     def step_one(self, slot: int, action: Any) -> tuple[float, bool, bool, Mapping[str, Any]]:
+        """Step one environment; return its reward, whether it terminated or was truncated, and its info."""
         with blamed(f"{self.run.env} in step {self.lengths[slot] + 1} of episode {self.episodes[slot]}"):
-            observation, reward, ended, cut, info = self.envs[slot].step(action)
-            self._see(slot, observation)
-            if not math.isfinite(reward := float(reward)):
+            observation, reward, terminated, truncated, info = self.envs[slot].step(action)
+            self._observe(slot, observation)
+            reward = float(reward)
+            if not math.isfinite(reward):
                 raise ValueError(f"its reward is {reward}")
         self.lengths[slot] += 1
-        return reward, bool(ended), bool(cut), info
+        return reward, bool(terminated), bool(truncated), info
 
-    def _see(self, slot: int, observation: Any) -> None:
-        seen, room = np.asarray(self._flatten(observation)), self.observations[slot]
-        if seen.shape != room.shape:
-            raise ValueError(f"its observation is of shape {seen.shape}, where its space says {room.shape}")
-        room[:] = seen
-        if not math.isfinite(room.sum()):
+    def _observe(self, slot: int, observation: Any) -> None:
+        row = np.asarray(self._flatten(observation))
+        current = self.observations[slot]
+        if row.shape != current.shape:
+            raise ValueError(f"its observation is of shape {row.shape}, where its space says {current.shape}")
+        current[:] = row
+        if not math.isfinite(current.sum()):
             raise ValueError("its observation is not finite")
-        if self._bounds and (unlike := self._unlike_its_space(seen, *self._bounds)):
-            self._bounds = None  # once is enough
-            text = f"{self.run.env}: an observation is not of its declared space: {unlike}"
-            warnings.warn(text, RunWarning, stacklevel=2)
+        if self._flat_space is not None:
+            difference = self._difference_from_space(row, self._flat_space)
+            if difference:
+                self._flat_space = None  # one warning is enough
+                text = f"{self.run.env}: an observation is not of its declared space: {difference}"
+                warnings.warn(text, RunWarning, stacklevel=2)
 
-    def _unlike_its_space(self, seen: np.ndarray, low: np.ndarray, high: np.ndarray) -> str:
-        if self._declared and not np.can_cast(seen.dtype, self._declared):
-            return f"{seen.dtype} in place of {self._declared}"
-        outside = (seen < low) | (seen > high)
+    def _difference_from_space(self, row: np.ndarray, space: spaces.Box) -> str:
+        if self._declared_type and not np.can_cast(row.dtype, self._declared_type):
+            return f"{row.dtype} in place of {self._declared_type}"
+        outside = (row < space.low) | (row > space.high)
         if not outside.any():
             return ""
-        place = int(outside.argmax())
-        return f"number {place} is {seen[place]:g}, and not from {low[place]:g} to {high[place]:g}"
+        index = int(outside.argmax())
+        low, high = space.low[index], space.high[index]
+        return f"number {index} is {row[index]:g}, and not from {low:g} to {high:g}"
 
     def _end(self, slot: int, ending: str) -> None:
         self.terminal[slot] = self.observations[slot]
-        episode, returned, length = (
-            each[slot].item() for each in (self.episodes, self.returns, self.lengths)
+        row = episode_row(
+            slot=slot,
+            episode=self.episodes[slot].item(),
+            step=self.steps * len(self.envs),
+            returned=self.returns[slot].item(),
+            length=self.lengths[slot].item(),
+            ending=ending,
         )
-        self.finished.append(
-            episode_row(slot, episode, self.steps * len(self.envs), returned, length, ending)
-        )
+        self.finished.append(row)
         self.episodes[slot] += 1
         self.returns[slot], self.lengths[slot] = 0.0, 0
         self._reset(slot)
 
     def _reset(self, slot: int) -> None:
-        seed, self._seeds[slot] = self._seeds[slot], None
+        seed = self._next_seeds[slot]
+        self._next_seeds[slot] = None
         with blamed(f"{self.run.env} when it is reset"):
-            self._see(slot, self.envs[slot].reset(seed=seed)[0])
+            observation, _ = self.envs[slot].reset(seed=seed)
+            self._observe(slot, observation)
 
     def close(self) -> None:
         for env in self.envs:
@@ -195,13 +208,16 @@ class GymnasiumSlots:
 
     def saved_state(self) -> dict[str, np.ndarray]:
         """Return everything that the next step depends on, and what identifies the state: arrays by name."""
-        space = self.action_space
-        shape = () if isinstance(space, spaces.Discrete) else (math.prod(space.shape),)
-        log = np.frombuffer(bytes(self._log), self._kind).reshape(self.steps, len(self.envs), *shape)
-        names = ("observations", "returns", "lengths", "episodes")
-        known = {name: getattr(self, name).copy() for name in names}
-        statistics = self._normalization.saved_state() if self._normalization else {}
-        return {"actions": log, "seeds": np.array(self._first_seeds), **known, **statistics}
+        shape = [self.steps, len(self.envs)]
+        if not isinstance(self.action_space, spaces.Discrete):
+            shape.append(math.prod(self.action_space.shape))
+        actions = np.frombuffer(bytes(self._action_log), self._log_type).reshape(shape)
+        state = {"actions": actions, "seeds": np.array(self._first_seeds)}
+        for name in ("observations", "returns", "lengths", "episodes"):
+            state[name] = getattr(self, name).copy()
+        if self._normalization:
+            state |= self._normalization.saved_state()
+        return state
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
         """Play all actions again from the first seeds, in new environments, as wrappers may count resets.
@@ -214,17 +230,31 @@ class GymnasiumSlots:
         for actions in saved["actions"]:
             self.step(actions)
         self.finished.clear()
-        if not all(np.array_equal(array, saved[name]) for name, array in self.saved_state().items()):
-            raise ValueError(f"{self.run.env} does not come to the same state by the same seed and actions")
+        for name, array in self.saved_state().items():
+            if not np.array_equal(array, saved[name]):
+                raise ValueError(
+                    f"{self.run.env} does not come to the same state by the same seed and actions"
+                )
+
+
+def _smallest_type(space: spaces.Space[Any]) -> np.dtype[Any]:
+    """Return the type in which a log of actions is kept."""
+    if isinstance(space, spaces.Box):
+        return np.dtype(np.float32)
+    if isinstance(space, spaces.Discrete) and space.n <= 256:
+        return np.dtype(np.uint8)
+    return np.dtype(np.int64)
 
 
 def actions_in(space: spaces.Space[Any], actions: np.ndarray) -> Sequence[Any]:
     """Return a policy's actions, (N,) or (N, dimensions), as an environment's space has them."""
     if isinstance(space, spaces.Discrete):
         first = int(space.start)
-        return [first + action for action in actions.tolist()] if first else actions.tolist()
-    made = [np.asarray(action, space.dtype).reshape(space.shape) for action in actions]
-    return [each + space.start for each in made] if isinstance(space, spaces.MultiDiscrete) else made
+        return [first + action for action in actions.tolist()]
+    shaped = [np.asarray(action, space.dtype).reshape(space.shape) for action in actions]
+    if isinstance(space, spaces.MultiDiscrete):
+        return [action + space.start for action in shaped]
+    return shaped
 
 
 def choices_of(space: spaces.Space[Any]) -> np.ndarray:
@@ -247,28 +277,30 @@ def _action_space(
 
 def flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
     """Return a function that makes an observation a row of numbers."""
-    if part := _not_flat(space):
+    part = _not_flat(space)
+    if part:
         fix = "name a wrapper that leaves that out"
         raise UserError(f"{run.env}: observations in {part} cannot be flattened to numbers: {fix}")
     refuse_flat_pictures(run, space)
     if isinstance(space, spaces.Box):
-        shape = space.shape
-        return (lambda seen: seen) if len(shape) == 1 else (lambda seen: np.reshape(seen, -1))
-    return lambda seen: spaces.flatten(space, seen)
+        if len(space.shape) == 1:
+            return lambda observation: observation
+        return lambda observation: np.reshape(observation, -1)
+    return lambda observation: spaces.flatten(space, observation)
 
 
 def refuse_flat_pictures(run: Run, space: spaces.Space[Any]) -> None:
     """Refuse a run whose policy would flatten pictures: a multilayer perceptron, as is the default."""
     if run.policy and not run.policy.startswith("Mlp"):
         return
-    several = isinstance(space, spaces.Dict)
-    parts = list(space.spaces.values()) if isinstance(space, spaces.Dict) else [space]
-    pictures = [part for part in parts if _is_picture(part)]
-    if not pictures:
+    policy, observed = "CnnPolicy", [space]
+    if isinstance(space, spaces.Dict):
+        policy, observed = "MultiInputPolicy", list(space.spaces.values())
+    dimensions = [len(part.shape or ()) for part in observed if _is_picture(part)]
+    if not dimensions:
         return
     fix = 'wrappers = ["FlattenObservation"]'
-    if all(len(picture.shape or ()) == 3 for picture in pictures):
-        policy = "MultiInputPolicy" if several else "CnnPolicy"
+    if min(dimensions) == 3:  # a picture without channels is none to Stable-Baselines3
         fix = f'set policy = "{policy}", or {fix}'
     raise UserError(f"{run.env}: its observations are pictures, which MlpPolicy would flatten: {fix}")
 
@@ -283,8 +315,12 @@ def _is_picture(space: spaces.Space[Any]) -> bool:
 def _not_flat(space: spaces.Space[Any], name: str = "") -> str:
     """Return what of a space is no array of one size, such as text; empty if all can be flattened."""
     if isinstance(space, spaces.Dict | spaces.Tuple):
-        parts = space.spaces.items() if isinstance(space, spaces.Dict) else enumerate(space.spaces)
-        return next(filter(None, (_not_flat(part, f" ({key})") for key, part in parts)), "")
+        parts = dict(space.spaces) if isinstance(space, spaces.Dict) else dict(enumerate(space.spaces))
+        for key, part in parts.items():
+            problem = _not_flat(part, f" ({key})")
+            if problem:
+                return problem
+        return ""
     if isinstance(space, spaces.Text) or (space.dtype is not None and space.dtype.kind == "U"):
         return f"text{name}"
     with suppress(NotImplementedError):  # of a space of another package
@@ -309,25 +345,27 @@ def make_env(run: Run, render_mode: str = "") -> gymnasium.Env[Any, Any]:
             env = gymnasium.make(run.env, disable_env_checker=True, **arguments)
     except UserError as error:
         raise UserError(f"{error}{_how_to_register(run)}") from None
-    for name in run.wrappers:
-        kind, brace, rest = name.partition("{")
-        with blamed(f"wrappers = {name}"):
-            env = load_class(kind)(env, **json.loads(brace + rest or "{}"))
+    for wrapper in run.wrappers:
+        name, brace, rest = wrapper.partition("{")
+        with blamed(f"wrappers = {wrapper}"):
+            env = load_class(name)(env, **json.loads(brace + rest or "{}"))
     return env
 
 
 def load_class(name: str) -> Any:
     """Return what module:Class names."""
-    module, _, kind = name.rpartition(":")
-    return getattr(_load(module), kind)
+    module, _, class_name = name.rpartition(":")
+    return getattr(_load(module), class_name)
 
 
 def _how_to_register(run: Run) -> str:
     """Return what is to be done for an environment that is not registered; empty if it is."""
     if run.env in gymnasium.registry:
         return ""
-    extra = next((name for name in EXTRAS if run.env.lower().startswith(name)), None)
-    package = install_extra(extra) if extra else "install its package"
+    package = "install its package"
+    for extra in EXTRAS:
+        if run.env.lower().startswith(extra):
+            package = install_extra(extra)
     return f"; {package}, or name the module that registers it as env_module"
 
 
@@ -339,8 +377,10 @@ def blamed(what: str) -> Iterator[None]:
     except UserError:
         raise
     except (Exception, SystemExit) as error:
-        said = ": ".join([type(error).__name__, *str(error).strip().splitlines()[:1]])
-        raise OwnCodeError(f"{what}: {said}") from error
+        text = type(error).__name__
+        if str(error).strip():
+            text += f": {str(error).strip().splitlines()[0]}"
+        raise OwnCodeError(f"{what}: {text}") from error
 
 
 def _register_installed(namespace: str) -> None:

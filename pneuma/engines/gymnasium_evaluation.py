@@ -31,25 +31,32 @@ class Evaluation:
         slots = GymnasiumSlots(run, self._seeds)
         slots.action_space.seed(stream_seed(run.seed, "random-player") % 2**31)
         returns, _, _ = _play(slots, lambda rows, _: np.array([slots.any_action() for _ in rows]))
-        drawn = returns[: run.evaluation_episodes]
-        self.random: Row = {"random_return": float(drawn.mean()), "random_spread": float(drawn.std())}
+        sampled = returns[: run.evaluation_episodes]
+        self.random: Row = {"random_return": float(sampled.mean()), "random_spread": float(sampled.std())}
 
     def evaluate(self, policy: Policy, step: int) -> Row:
         """Return one row of `records.EVALUATION_COLUMNS`, with some of `VALUE_COLUMNS`."""
         generator = np.random.default_rng(stream_seed(self.run.seed, "evaluation-actions", step))
         episodes = self.run.evaluation_episodes
 
-        def act(rows: np.ndarray, seen: np.ndarray) -> np.ndarray:
-            drawn = int((rows < episodes).sum())
-            parts = [policy.sample(seen[:drawn], generator)] if drawn else []
-            parts += [policy.best(seen[drawn:])] if drawn < len(rows) else []
-            return np.concatenate(parts)
+        def act(rows: np.ndarray, observations: np.ndarray) -> np.ndarray:
+            sampled = int((rows < episodes).sum())
+            actions = []
+            if sampled:
+                actions.append(policy.sample(observations[:sampled], generator))
+            if sampled < len(rows):
+                actions.append(policy.best(observations[sampled:]))
+            return np.concatenate(actions)
 
         returns, lengths, successes = _play(GymnasiumSlots(self.run, self._seeds), act)
-        told_success = np.isfinite(successes[:episodes]).all()
-        success = float(successes[:episodes].mean()) if told_success else NAN
-        drawn, best = returns[:episodes], returns[episodes:]
-        return evaluation_row(step, drawn, lengths[:episodes], best, {"success": success, **self.random})
+        success = float(successes[:episodes].mean())  # NaN where the environment does not report it
+        return evaluation_row(
+            step=step,
+            returns=returns[:episodes],
+            lengths=lengths[:episodes],
+            best=returns[episodes:],
+            values={"success": success, **self.random},
+        )
 
 
 def _play(
@@ -59,20 +66,20 @@ def _play(
     returns, successes = np.zeros((2, len(slots.envs)))
     rows = np.arange(len(slots.envs))
     while len(rows):
-        going_on = []
-        chosen = act(rows, slots.observations[rows])
-        for row, action in zip(rows.tolist(), slots.actions(chosen), strict=True):
-            reward, ended, cut, info = slots.step_one(row, action)
+        running = []
+        actions = slots.actions(act(rows, slots.observations[rows]))
+        for row, action in zip(rows.tolist(), actions, strict=True):
+            reward, terminated, truncated, info = slots.step_one(row, action)
             returns[row] += reward
-            if ended or cut:
+            if terminated or truncated:
                 with blamed(f"{slots.run.env}: info['is_success']"):
                     success = info.get("is_success")
                     successes[row] = NAN if success is None else float(success)
             else:
-                going_on.append(row)
-        if slots.lengths[going_on].max(initial=0) >= LONGEST_EPISODE:
-            endless = f"{slots.run.env}: an episode does not end in {LONGEST_EPISODE:,} steps"
-            raise OwnCodeError(f"{endless}: set env_kwargs = {{ max_episode_steps = N }}")
-        rows = np.array(going_on, np.int64)
+                running.append(row)
+        if slots.lengths[running].max(initial=0) >= LONGEST_EPISODE:
+            problem = f"{slots.run.env}: an episode does not end in {LONGEST_EPISODE:,} steps"
+            raise OwnCodeError(f"{problem}: set env_kwargs = {{ max_episode_steps = N }}")
+        rows = np.array(running, np.int64)
     slots.close()
     return returns, slots.lengths, successes

@@ -51,8 +51,10 @@ class GymnasiumVecEnv(WholeVecEnv):
         dones = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in dones]
         for slot in np.flatnonzero(dones):
-            seen, cut = self.slots.terminal[slot].copy(), bool(truncated[slot])
-            infos[slot] = {"terminal_observation": seen, "TimeLimit.truncated": cut}
+            infos[slot] = {
+                "terminal_observation": self.slots.terminal[slot].copy(),
+                "TimeLimit.truncated": bool(truncated[slot]),
+            }
         return self.slots.seen.copy(), rewards.astype(np.float32), dones, infos
 
     def close(self) -> None:
@@ -64,6 +66,6 @@ def _learners_space(space: spaces.Space[Any]) -> spaces.Space[Any]:
     if isinstance(space, spaces.Discrete):
         return spaces.Discrete(int(space.n))
     if isinstance(space, spaces.Box):
-        low, high = (bound.astype(np.float32).reshape(-1) for bound in (space.low, space.high))
-        return spaces.Box(low, high)
+        low, high = space.low.astype(np.float32), space.high.astype(np.float32)
+        return spaces.Box(low.reshape(-1), high.reshape(-1))
     return spaces.MultiDiscrete(choices_of(space).reshape(-1))

@@ -1,6 +1,6 @@
 """The training loop that all engines share, and the contract between engines and studies.
 
-    run → trainer (its engine's) → update, judge, tell → result
+    run → trainer (its engine's) → update, evaluate, report → result
 
 An engine is a `Trainer`. Evaluation, divergence, stopping and the end of a run are the same for all engines.
 
@@ -78,9 +78,14 @@ class Trainer(ABC):
 
     @cached_property
     def _evaluation(self) -> Any:
-        name = "gymnasium_evaluation" if is_gymnasium_id(self.run.env) else "evaluation"
-        kind = import_module(f"pneuma.engines.{name}").Evaluation  # imported only when it is needed
-        return kind(replace(self.run, evaluation_episodes=evaluation_episodes(self.run)))
+        run = replace(self.run, evaluation_episodes=evaluation_episodes(self.run))
+        if is_gymnasium_id(run.env):  # each is imported only when it is needed
+            from pneuma.engines.gymnasium_evaluation import Evaluation as EvaluationInGymnasium
+
+            return EvaluationInGymnasium(run)
+        from pneuma.engines.evaluation import Evaluation
+
+        return Evaluation(run)
 
     def evaluate(self, step: int) -> Row:
         return self._evaluation.evaluate(self.policy(), step)
@@ -108,11 +113,12 @@ class ResumableTrainer(Trainer):
 
 def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
     """Train a run, from its start or from a checkpoint; CheckpointError for one that does not fit."""
-    module, name = (OPEN_TRAINER if is_open(run) else TRAINERS[run.engine]).split(":")
-    kind = getattr(import_module(module), name)
+    module, class_name = (OPEN_TRAINER if is_open(run) else TRAINERS[run.engine]).split(":")
+    trainer_class = getattr(import_module(module), class_name)
     _seed_shared_generators(run)  # after an import, which may draw
-    trainer: Trainer = kind(run)
-    records, step = Records(), 0
+    trainer: Trainer = trainer_class(run)
+    records = Records()
+    step = 0
     if checkpoint and isinstance(trainer, ResumableTrainer):
         step = checkpoint.step
         try:
@@ -120,19 +126,20 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
         except RESTORE_ERRORS as error:
             raise CheckpointError(f"cannot go on from step {step:,}: {error}") from None
         records = checkpoint.records.copy()
-    judged, seconds = evaluation_updates(run), 0.0
+    evaluated_updates = evaluation_updates(run)
+    evaluation_seconds = 0.0
     for update in range(step // run.steps_per_update + 1, run.updates + 1):
         before, step = step, update * run.steps_per_update
         if not trainer.update(before, step, records):
             return Result("diverged", step, records, None)
-        if update in judged:
+        if update in evaluated_updates:
             begun = time.perf_counter()
             records.evaluations.append(trainer.evaluate(step))
-            seconds += time.perf_counter() - begun
+            evaluation_seconds += time.perf_counter() - begun
         checkpoint_now = None
         if isinstance(trainer, ResumableTrainer):
             checkpoint_now = partial(trainer.checkpoint, step, records)
-        if not on_update(Progress(step, records, checkpoint_now, seconds)):
+        if not on_update(Progress(step, records, checkpoint_now, evaluation_seconds)):
             status = "done" if update == run.updates else "stopped"
             return Result(status, step, records, trainer.policy())
     return Result("done", step, records, trainer.policy())
@@ -158,13 +165,15 @@ def evaluation_updates(run: Run) -> set[int]:
     They are evenly spread and include the last update. A run of fewer than `EVALUATIONS` updates has fewer,
     and a short one half as many.
     """
-    return _spread(run.updates, EVALUATIONS // 2 if _is_short(run) else EVALUATIONS)
+    count = EVALUATIONS // 2 if _is_short(run) else EVALUATIONS
+    return _spread(run.updates, count)
 
 
 def evaluation_episodes(run: Run) -> int:
     """Return how many episodes an evaluation plays with sampled actions."""
-    fewer = _is_short(run) and run.evaluation_episodes == EPISODES
-    return SHORT_EPISODES if fewer else run.evaluation_episodes
+    if _is_short(run) and run.evaluation_episodes == EPISODES:
+        return SHORT_EPISODES
+    return run.evaluation_episodes
 
 
 def _is_short(run: Run) -> bool:
@@ -176,8 +185,10 @@ def evaluation_steps(run: Run) -> dict[int, int]:
 
     A run of fewer than `EVALUATIONS` updates lacks some numbers; the last one has them all.
     """
-    updates = sorted(evaluation_updates(run))
-    return {EVALUATIONS * each // run.updates: each * run.steps_per_update for each in updates}
+    steps = {}
+    for update in sorted(evaluation_updates(run)):
+        steps[EVALUATIONS * update // run.updates] = update * run.steps_per_update
+    return steps
 
 
 def _spread(updates: int, count: int) -> set[int]:

@@ -45,45 +45,47 @@ class Normalization:
 
         self._run = run
         moments: Any = RunningMeanStd
-        self._observed, self._returned = moments(shape=observations.shape[1:]), moments()
-        self._moments = {"observed": self._observed, "returned": self._returned}
+        self._observed = moments(shape=observations.shape[1:])
+        self._returned = moments()
         self._returns = np.zeros(len(observations))
         self._see(observations)
 
     @property
     def scaling(self) -> Scaling | None:
         """How a policy normalises from now on; None if observations are left as they are."""
-        observed = self._observed
-        return Scaling(observed.mean, observed.var) if self._run.normalize_observations else None
+        if not self._run.normalize_observations:
+            return None
+        return Scaling(self._observed.mean, self._observed.var)
 
     def step(
-        self, observations: np.ndarray, rewards: np.ndarray, over: np.ndarray, terminal: np.ndarray
+        self, observations: np.ndarray, rewards: np.ndarray, ended: np.ndarray, terminal: np.ndarray
     ) -> np.ndarray:
         """Learn from a step of all slots; return rewards, (S,), as the learner is paid.
 
-        Observations are those after the step. Where an episode is over, the rows of `terminal` are normalised
-        in place.
+        Observations are those after the step. Where an episode has ended, the rows of `terminal` are
+        normalised in place.
         """
         self._see(observations)
-        if scaling := self.scaling:
-            terminal[over] = scaling(terminal[over])
+        scaling = self.scaling
+        if scaling:
+            terminal[ended] = scaling(terminal[ended])
         if not self._run.normalize_rewards:
             return rewards
         self._returns = self._returns * self._run.gamma + rewards
         self._returned.update(self._returns)
-        self._returns[over] = 0.0
+        self._returns[ended] = 0.0
         return np.clip(rewards / np.sqrt(self._returned.var + EPSILON), -CLIP, CLIP)
 
     def _see(self, observations: np.ndarray) -> None:
         if self._run.normalize_observations:
             self._observed.update(observations)
-        self.seen = scaling(observations) if (scaling := self.scaling) else observations
+        scaling = self.scaling
+        self.seen = scaling(observations) if scaling else observations
 
     def saved_state(self) -> dict[str, np.ndarray]:
         """Return the statistics: arrays by name."""
-        arrays = {
-            f"{of}_{name}": np.array(getattr(each, theirs))
-            for of, each in self._moments.items()
-            for name, theirs in MOMENTS.items()
-        }
-        return {**arrays, "discounted": self._returns.copy()}
+        arrays = {"discounted": self._returns.copy()}
+        for quantity, moments in (("observed", self._observed), ("returned", self._returned)):
+            for name, attribute in MOMENTS.items():
+                arrays[f"{quantity}_{name}"] = np.array(getattr(moments, attribute))
+        return arrays

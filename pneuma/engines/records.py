@@ -44,10 +44,13 @@ NAN = float("nan")
 
 
 def episode_row(
-    slot: int, episode: int, step: int, returned: float, length: int, ending: str, kills: float = NAN,
-    hp: float = NAN,
-) -> dict[str, Any]:  # fmt: skip
-    return dict(zip(EPISODE_COLUMNS, (slot, episode, step, returned, length, kills, hp, ending), strict=True))
+    slot: int, episode: int, step: int, returned: float, length: int, ending: str
+) -> dict[str, Any]:
+    """Return the row of an episode where there are no monsters."""
+    return {
+        "slot": slot, "episode": episode, "step": step, "return": returned, "length": length, "kills": NAN,
+        "hp": NAN, "ending": ending,
+    }  # fmt: skip
 
 
 def metrics_row(step: int, values: Row) -> dict[str, Any]:
