@@ -38,7 +38,7 @@ from pneuma.figures.search import draw_search
 from pneuma.figures.style import MOST_IN_A_PANEL
 from pneuma.figures.summary import summary_page
 from pneuma.presets import BASES, WORLDS
-from pneuma.search.log import read_record
+from pneuma.search.log import read_published
 from pneuma.search.spec import load_search
 from pneuma.store.index import RunIndex
 from pneuma.store.provenance import available_cores
@@ -158,9 +158,10 @@ def _draw_searches(folder: Path, results: Path) -> list[Path]:
     """Draw the searches that pages show, if they are published in this folder."""
     drawn: list[Path] = []
     for (name, world), pictures in SEARCHES.items():
-        if (results / PUBLISHED / f"search-{load_search(name, world).label}.log").exists():
-            searched = read_record(Store(results), name, world, stored=False)
-            drawn += draw_search(searched, folder, ("png",), pictures)
+        search = load_search(name, world)
+        if (results / PUBLISHED / f"search-{search.label}.log").exists():
+            record = read_published(Store(results), search)
+            drawn += draw_search(record, folder, ("png",), pictures)
     return drawn
 
 

@@ -46,13 +46,10 @@ COMPARED = ("base", "fixed", "objectives")
 """What a search's file must have as its log has it: without it trials mean something else."""
 
 
-# --- The lock --------------------------------------------------------------------------------------
-
-
 class LogLock(BaseJournalFileLock):
-    """The right to write a log, which ends with the process that has it.
+    """The right to write a log, which ends with the process that has it; Optuna's own locks outlive a kill.
 
-    Optuna's own locks outlive a process that is killed. A process may acquire it again while it holds it.
+    A process that has it may acquire it again.
     """
 
     WAIT_SECONDS = 10.0
@@ -88,8 +85,7 @@ class LogLock(BaseJournalFileLock):
         self.release()
 
     def _wait(self) -> None:
-        said = False
-        begin = time.monotonic()
+        message_time = time.monotonic() + self.WAIT_SECONDS
         while True:
             try:
                 fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -98,27 +94,23 @@ class LogLock(BaseJournalFileLock):
                 time.sleep(0.01)
             except OSError:  # there are no locks on this file system
                 return
-            if not said and time.monotonic() - begin > self.WAIT_SECONDS:
-                said = True
+            if time.monotonic() > message_time:
+                message_time = math.inf
                 self._file.seek(0)
                 holder = self._file.read().decode(errors="replace") or "another process"
                 print_aside(f"Waiting for {holder}, which writes {self._log}.")
 
     def _cut_torn_line(self) -> None:
         """Cut off a line that a killed process has not finished; Optuna cannot read what follows it."""
-        torn = _torn_line(self._log)
+        torn = self._torn_line()
         if torn:
             time.sleep(0.1)  # another program may be writing it
-            if _torn_line(self._log) == torn:
+            if self._torn_line() == torn:
                 os.truncate(self._log, self._log.stat().st_size - len(torn))
 
-
-def _torn_line(log: Path) -> bytes:
-    data = log.read_bytes() if log.exists() else b""
-    return data[data.rfind(b"\n") + 1 :]
-
-
-# --- The record ------------------------------------------------------------------------------------
+    def _torn_line(self) -> bytes:
+        data = self._log.read_bytes() if self._log.exists() else b""
+        return data[data.rfind(b"\n") + 1 :]
 
 
 @dataclass(frozen=True)
@@ -170,7 +162,7 @@ class Record:
                 {
                     "number": trial.number,
                     "params": trial.params,
-                    "values": [] if trial.state == TrialState.FAIL else trial.values,
+                    "values": trial.values or [],
                     "state": STATES[trial.state],
                     "run_ids": trial.user_attrs.get("run_ids", []),
                     "reports": reports,
@@ -187,23 +179,60 @@ class Record:
         }
 
 
-def identify(search: Search, budget: Budget) -> dict[str, Any]:
+# --- Writing ---------------------------------------------------------------------------------------
+
+
+def open_record(store: Store, search: Search, budget: Budget, say: Callable[[str], None]) -> Record:
+    """Return the record of a search, which is begun if there is none; other processes may write it too."""
+    store.check_writable()
+    identity = _identify(search, budget)
+    digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:12]
+    usual = store.root / "searches" / f"{search.label}.log"
+    other = usual.with_name(f"{search.label}.{digest}.log")
+    usual.parent.mkdir(parents=True, exist_ok=True)
+    if not other.exists():
+        record = _begin(usual, search, budget, identity)
+        changed = _changes(record.study, identity)
+        if not changed:
+            return record
+        say(f"the search in {usual} had other {', '.join(changed)}, and stays there; this one is in {other}")
+    return _begin(other, search, budget, identity)
+
+
+def _begin(path: Path, search: Search, budget: Budget, identity: dict[str, Any]) -> Record:
+    """Return the record in a log; a new log becomes this search's."""
+    if path.is_symlink():
+        raise UserError(f"{path}: is a link; remove it")
+    lock = LogLock(path)
+    with _explained(path, search), lock:
+        storage = JournalStorage(JournalFileBackend(str(path), lock))
+        if not storage.get_all_studies():  # `create_study` would write a line each time
+            storage.create_new_study(search.directions, search.name)
+        study = _load_study(storage, search)
+        if ABOUT not in study.user_attrs:
+            names = [f"{one.outcome}, {one.over_seeds}" for one in search.objectives.values()]
+            with warnings.catch_warnings(action="ignore"):  # it is experimental
+                study.set_metric_names(names)
+            about = {"search": search.name, "identity": identity, "trials_asked": budget.trials}
+            study.set_user_attr(ABOUT, about)
+        about = study.user_attrs[ABOUT]
+        if not _changes(study, identity) and about["trials_asked"] < budget.trials:
+            study.set_user_attr(ABOUT, {**about, "trials_asked": budget.trials})
+        return Record(search, budget, study, path, lock)
+
+
+def _identify(search: Search, budget: Budget) -> dict[str, Any]:
     """Return everything that the suggestions depend on, except the number of trials, as plain JSON."""
-    choices = [search.sampler.model_dump(), search.pruner and search.pruner.model_dump()]
-    modules = [choice["name"].rpartition(":")[0] for choice in choices if choice]
-    user_code = [search.fields({}), *({"env_module": name} for name in modules if not _is_optunas(name))]
+    user_code = [search.fields({})]
     for name, parameter in search.space.items():
         user_code += [search.fields({name: value}) for value in parameter.choices]
-    identity = {
-        "base": search.base,
-        "fixed": search.run,
-        "space": {name: parameter.identity for name, parameter in search.space.items()},
-        "objectives": [objective.model_dump() for objective in search.objectives.values()],
-        "start": [search.params_of(start) for start in search.start],
-        "generation": search.generation,
-        "sampler": choices[0],
-        "sampler_seed": search.sampler_seed,
-        "pruner": choices[1],
+    for choice in (search.sampler, search.pruner):
+        if choice and ":" in choice.name and not choice.name.startswith("optuna."):
+            user_code.append({"env_module": choice.name.partition(":")[0]})
+    identity = search.model_dump(exclude={"title", "section", "about", "presets"})
+    identity["fixed"] = identity.pop("run")
+    identity["objectives"] = list(identity["objectives"].values())
+    identity |= {
         "seeds": budget.seeds,
         "steps": budget.steps,
         "user_code": sorted({user_files_digest(fields) for fields in user_code} - {""}),
@@ -211,101 +240,54 @@ def identify(search: Search, budget: Budget) -> dict[str, Any]:
         "rules": RULES_VERSION,
         "engines": ENGINE_VERSIONS,
     }
-    plain: dict[str, Any] = json.loads(json.dumps(identity, default=list))
+    plain: dict[str, Any] = json.loads(json.dumps(identity))
     return plain
 
 
-def _is_optunas(module: str) -> bool:
-    return module.partition(".")[0] in ("", "optuna")
-
-
-def open_record(store: Store, search: Search, budget: Budget, say: Callable[[str], None]) -> Record:
-    """Return the record of a search, which is begun if there is none; other processes may write it too."""
-    store.check_writable()
-    identity = identify(search, budget)
-    digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:12]
-    usual = store.root / "searches" / f"{search.label}.log"
-    own = usual.with_name(f"{search.label}.{digest}.log")
-    usual.parent.mkdir(parents=True, exist_ok=True)
-    paths = [own] if own.exists() else [usual, own]
-    for path in paths:
-        if path.is_symlink():
-            raise UserError(f"{path}: is a link; remove it")
-        record, begun_with = _begin(path, search, budget, identity)
-        changed = [key for key in identity if begun_with.get(key) != identity[key]]
-        if not changed:
-            return record
-        say(f"the search so far had other {', '.join(changed)}, and stays in {path}; this one is in {own}")
-    raise _damaged(own)
-
-
-def _begin(
-    path: Path, search: Search, budget: Budget, identity: dict[str, Any]
-) -> tuple[Record, dict[str, Any]]:
-    """Return the record in a log, and the identity of its search; a new log becomes this search's."""
-    with _explained(path):
-        lock = LogLock(path)
-        storage = JournalStorage(JournalFileBackend(str(path), lock))
-        with lock:
-            if not storage.get_all_studies():  # `create_study` would write a line each time
-                storage.create_new_study(search.directions, search.name)
-            study = _load_study(storage, path, search)
-            about = study.user_attrs.get(ABOUT)
-            if about is None:
-                names = [f"{one.outcome}, {one.over_seeds}" for one in search.objectives.values()]
-                with warnings.catch_warnings(action="ignore"):  # it is experimental
-                    study.set_metric_names(names)
-                about = {"search": search.name, "identity": identity, "trials_asked": 0}
-            if about["identity"] == identity and about["trials_asked"] < budget.trials:
-                study.set_user_attr(ABOUT, {**about, "trials_asked": budget.trials})
-        return Record(search, budget, study, path, lock), about["identity"]
+def _changes(study: optuna.Study, identity: dict[str, Any]) -> list[str]:
+    begun_with = study.user_attrs[ABOUT]["identity"]
+    return [key for key in identity if begun_with.get(key) != identity[key]]
 
 
 # --- Reading ---------------------------------------------------------------------------------------
 
 
-def read_record(store: Store, name: str, world: str | None = None, stored: bool = True) -> Record:
-    """Return a search that was run here, or else a published one.
+def read_record(store: Store, name: str, world: str | None = None) -> Record:
+    """Return a search that was run here, or else a published one; `name` and `world` are as in `load_search`.
 
-    `name` and `world` are as in `load_search`. Of several logs of a search, the one that was written last
-    counts. One whose search's file has changed since is refused. Without `stored`, published ones are read.
+    Of several logs of a search, the one that was written last counts. One whose search's file has changed
+    since is refused.
     """
     search = load_search(name, world)
     folder = store.root / "searches"
     pattern = re.escape(search.label) + r"(\.[0-9a-f]{12})?\.log"
     logs = [folder / file for file in names_in(folder) if re.fullmatch(pattern, file)]
-    logs = [path for path in logs if stored and path.stat().st_size]  # Optuna leaves an empty file
-    published = published_log(store, search.label)
+    logs = [path for path in logs if path.stat().st_size]  # Optuna leaves an empty file
     if logs:
         return _read(max(logs, key=lambda path: path.stat().st_mtime_ns), search)
-    if published:
-        return _read(published, search, published=True)
+    return read_published(store, search)
+
+
+def read_published(store: Store, search: Search) -> Record:
+    """Return a search whose log is published in the results folder or comes with Pneuma."""
+    for folder in (store.root / PUBLISHED, shipped_tables()):
+        path = folder / f"search-{search.label}.log"
+        if path.exists():
+            return _read(path, search, published=True)
     raise UserError(
         f"search {search.label} was not run in {store.root}: `pneuma search run` it first, "
         "or name another results folder"
     )
 
 
-def published_log(store: Store, label: str) -> Path | None:
-    """Return the published log of a search, if there is one in the results folder or with Pneuma."""
-    for folder in (store.root / PUBLISHED, shipped_tables()):
-        path = folder / f"search-{label}.log"
-        if path.exists():
-            return path
-    return None
-
-
 def _read(path: Path, search: Search, published: bool = False) -> Record:
-    with _explained(path):
-        lock = LogLock(path)
-        study = _load_study(JournalStorage(JournalFileBackend(str(path), lock)), path, search)
-        about = study.user_attrs.get(ABOUT)
-        if about is None:
-            raise UserError(f"{path}: no trial was begun yet: `pneuma search run` it first")
-        begun_with = about["identity"]
-        budget = Budget(trials=about["trials_asked"], seeds=begun_with["seeds"], steps=begun_with["steps"])
-        identity = identify(search, budget)
-        changed = [key for key in COMPARED if begun_with[key] != identity[key]]
+    lock = LogLock(path)
+    with _explained(path, search):
+        study = _load_study(JournalStorage(JournalFileBackend(str(path), lock)), search)
+        about = study.user_attrs[ABOUT]
+        seeds, steps = about["identity"]["seeds"], about["identity"]["steps"]
+        budget = Budget(trials=about["trials_asked"], seeds=seeds, steps=steps)
+        changed = [key for key in _changes(study, _identify(search, budget)) if key in COMPARED]
         if changed:
             raise UserError(
                 f"{path}: the search had other {', '.join(changed)} than its file has now; "
@@ -314,31 +296,21 @@ def _read(path: Path, search: Search, published: bool = False) -> Record:
         return Record(search, budget, study, path, lock, published)
 
 
-def _load_study(storage: JournalStorage, path: Path, search: Search) -> optuna.Study:
-    """Return the study of a log, whose trials are the search's."""
-    names = [study.study_name for study in storage.get_all_studies()]
-    if search.name not in names:
-        contents = ", ".join(names) or "no study"
-        raise UserError(f"{path}: contains {contents}, not search {search.name}; move it away")
+def _load_study(storage: JournalStorage, search: Search) -> optuna.Study:
+    """Return the study of a log; ValueError or the like for one that cannot be the search's."""
     study = optuna.load_study(study_name=search.name, storage=storage)
     if study.directions != search.directions:
-        raise UserError(f"{path}: the search had other directions; move it away")
+        raise ValueError("other directions")
     for trial in study.get_trials(deepcopy=False):
-        if not search.holds(trial.params):
-            raise UserError(
-                f"{path}: trial {trial.number} is outside the search's space; move the log away, "
-                "and no run is trained twice"
-            )
         numbers = [*(trial.values or ()), *trial.intermediate_values.values()]
-        if not all(map(math.isfinite, numbers)):
-            raise ValueError("values that no trial can have")
-        if trial.state == TrialState.COMPLETE and len(trial.values) != len(search.objectives):
-            raise ValueError("values of other objectives")
+        is_whole = trial.state != TrialState.COMPLETE or len(trial.values) == len(search.objectives)
+        if not (is_whole and all(map(math.isfinite, numbers)) and search.holds(trial.params)):
+            raise ValueError(f"trial {trial.number} is not the search's")
     return study
 
 
 @contextmanager
-def _explained(path: Path) -> Iterator[None]:
+def _explained(path: Path, search: Search) -> Iterator[None]:
     """Say in a line what cannot be read; a line of JSON may be any operation, on anything."""
     try:
         yield
@@ -346,11 +318,9 @@ def _explained(path: Path) -> Iterator[None]:
         raise
     except OSError as error:
         raise UserError(f"{error.filename or path}: cannot be opened ({error.strerror})") from None
-    except Exception:
-        raise _damaged(path) from None
-
-
-def _damaged(path: Path) -> UserError:
-    return UserError(
-        f"{path}: damaged, or of another version of Optuna; move it away, and no run is trained twice"
-    )
+    except Exception as error:
+        reason = str(error) or type(error).__name__
+        raise UserError(
+            f"{path}: not a whole log of search {search.name} ({reason}); move it away, "
+            "and no run is trained twice"
+        ) from None

@@ -13,13 +13,7 @@ from dataclasses import fields
 from typing import Annotated, Any
 
 from annotated_types import MinLen
-from optuna.distributions import (
-    BaseDistribution,
-    CategoricalDistribution,
-    FloatDistribution,
-    IntDistribution,
-    distribution_to_json,
-)
+from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
 from pydantic import AfterValidator, BeforeValidator, model_validator
 
 from pneuma.config import Run
@@ -98,11 +92,6 @@ class Parameter(Table):
             step = 1 if self.step is None else int(self.step)
             return IntDistribution(low=self.low, high=int(self.high), log=self.log, step=step)
         return FloatDistribution(low=self.low, high=self.high, log=self.log, step=self.step)
-
-    @property
-    def identity(self) -> list[Any]:
-        """It as plain JSON."""
-        return [json.loads(distribution_to_json(self.distribution)), self.when]
 
     def contains(self, parameter: Any) -> bool:
         if self.choices:

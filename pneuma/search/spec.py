@@ -244,10 +244,3 @@ def _read_search(path: Path) -> Search:
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
     return search
-
-
-def check_budget(search: Search, budget: Budget) -> None:
-    """Refuse a budget that an objective cannot use."""
-    for objective in search.objectives.values():
-        if objective.over_seeds == DEVIATION and len(budget.seeds) < 2:
-            raise UserError(f"objective {objective.name}: a deviation needs 2 seeds at least")

@@ -1,34 +1,27 @@
 """The loop of a search: generations of trials are suggested together, trained, and reported in order.
 
-The log is all that it goes by. Each suggestion is made in memory, from the trials of earlier generations, by
-a sampler whose seed is the trial's: so it depends neither on the number of workers nor on how often the
-search was stopped (Akiba et al. 2019 describe ask and tell). A new trial is one line of the log, and what
-follows is written again, alike, by whoever continues a search that was killed. Several processes may run the
-same search: the first to come to a result writes it, and the others continue from there.
+The log is all that it goes by (Akiba et al. 2019 describe ask and tell). A new trial is one line of the log.
+What follows is written again, alike, by whoever continues a search that was killed. Several processes may run
+the same search: the first to come to a result writes it, and the others continue from there.
 """
 
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any
 
-import optuna
-from optuna.trial import FrozenTrial, TrialState, create_trial
+from optuna.trial import TrialState
 
 from pneuma.analysis.outcomes import check_outcome
-from pneuma.config import Run, round_up, stream_seed
+from pneuma.config import Run, round_up
 from pneuma.engines.loop import EVALUATIONS, evaluation_steps
 from pneuma.errors import UserError
-from pneuma.schema import shown
+from pneuma.search.decisions import make_cells, prune, suggest
 from pneuma.search.log import Record, open_record
-from pneuma.search.spec import Budget, Search, check_budget
+from pneuma.search.spec import DEVIATION, Budget, Search
 from pneuma.search.values import read_rows, trial_value
 from pneuma.store.store import Store
-from pneuma.study.identity import config_id
 from pneuma.study.plan import Cell, Plan
 from pneuma.study.spec import Study
 from pneuma.training.execute import CellResult, check_environments
@@ -36,8 +29,6 @@ from pneuma.training.execute import CellResult, check_environments
 Train = Callable[[Plan, Mapping[str, int]], None]
 """Trains runs of a plan, by id, up to a step each, or to the end if that is 0; raises `Unfinished`."""
 Say = Callable[[str], None]
-STUDY_ATTRIBUTES = "pneuma:study"
-"""The attribute of a trial with what its sampler has noted of the whole study."""
 
 
 class Unfinished(Exception):
@@ -67,9 +58,10 @@ def run_search(search: Search, budget: Budget, store: Store, train: Train, say: 
         Unfinished: when a run crashed; trials that ended before are stored.
     """
     runs = [search.make_run({}), *(run for _, run in search.corners())]
-    check_budget(search, budget)
     check_environments(runs)
     for objective in search.objectives.values():
+        if objective.over_seeds == DEVIATION and len(budget.seeds) < 2:
+            raise UserError(f"objective {objective.name}: a deviation needs 2 seeds at least")
         for env in sorted({run.env for run in runs}):
             check_outcome(objective.outcome, [env])
     steps = common_steps(runs, budget.steps)
@@ -81,7 +73,7 @@ def run_search(search: Search, budget: Budget, store: Store, train: Train, say: 
     yield record
     for first in range(0, budget.trials, search.generation):
         for number in range(first, first + search.generation):  # so that a longer search has the same trials
-            _suggest(record, number)
+            suggest(record, number)
         last = min(first + search.generation, budget.trials)
         _run_generation(record, store, range(first, last), train, say)
         yield record
@@ -102,25 +94,26 @@ def _run_generation(record: Record, store: Store, numbers: range, train: Train, 
     cells: dict[int, list[Cell]] = {}
     for number in numbers:
         trial = record.trials[number]
-        cells[number] = (
-            _make_cells(record, trial.number, trial.params) if trial.user_attrs.get("run_ids") else []
-        )
+        if trial.user_attrs.get("run_ids"):
+            cells[number] = make_cells(record, number, trial.params)
     for pause in [*_pauses(record.search), EVALUATIONS]:
-        running = [number for number in numbers if cells[number] and _is_running(record, number)]
+        running = [number for number in cells if _is_running(record, number)]
+        planned: list[Cell] = []
         until: dict[str, int] = {}
         for number in running:
+            planned += cells[number]
             steps = _evaluations(cells[number][0].run, pause)
-            for cell in cells[number]:
-                until[cell.run_id] = 0 if EVALUATIONS in steps else max(steps.values())
-        if until:
-            train(_make_plan(record, [cell for number in running for cell in cells[number]]), until)
+            step = 0 if EVALUATIONS in steps else max(steps.values())
+            until |= dict.fromkeys((cell.run_id for cell in cells[number]), step)
+        if running:
+            train(_make_plan(record, planned), until)
         for number in running:
             _report(record, store, number, cells[number], pause)
         pruned = [str(number) for number in running if record.trials[number].state == TrialState.PRUNED]
         if pruned:
             say(f"Stopped early: trial {', '.join(pruned)}.")
     for number in numbers:
-        _finish(record, store, number, cells[number])
+        _finish(record, store, number, cells.get(number, []))
 
 
 def _pauses(search: Search) -> list[int]:
@@ -149,127 +142,11 @@ def _is_running(record: Record, number: int) -> bool:
     return trial.state == TrialState.RUNNING and "run_ids" in trial.user_attrs
 
 
-def _make_cells(record: Record, number: int, params: Mapping[str, Any]) -> list[Cell]:
-    run = record.search.make_run(params, steps=record.budget.steps)
-    cells = []
-    for seed in record.budget.seeds:
-        cells.append(Cell(f"trial-{number:03}", seed, replace(run, seed=seed)))
-    return cells
-
-
 def _make_plan(record: Record, cells: Sequence[Cell]) -> Plan:
     search = record.search
     conditions = [cell.condition for cell in cells]
     study = Study.without_file(f"search-{search.label}", search.full_title, conditions, world=search.world)
     return Plan(study, tuple(cells))
-
-
-# --- Suggestions -----------------------------------------------------------------------------------
-
-
-def _suggest(record: Record, number: int) -> None:
-    """Add the next trial to the log; one that waits there, because a user enqueued it, is filled in."""
-    while True:
-        trials = record.trials
-        waiting = trials[number] if number < len(trials) else None
-        if waiting and waiting.state != TrialState.WAITING:
-            return
-        suggestion = _sample(record, number, waiting)
-        with record.writing():
-            if len(record.trials) != len(trials):
-                continue  # something was added meanwhile
-            if waiting is None:
-                record.study.add_trial(suggestion)
-            elif record.trials[number].state == TrialState.WAITING:
-                _fill(record, waiting, suggestion)
-            return
-
-
-def _sample(record: Record, number: int, waiting: FrozenTrial | None) -> FrozenTrial:
-    """Return a trial as the sampler suggests it, or as far as it was given."""
-    search = record.search
-    given = waiting.system_attrs.get("fixed_params", {}) if waiting else {}
-    if waiting is None and number < len(search.start):
-        given = search.params_of(search.start[number])
-    about: dict[str, Any] = {"seeds": record.budget.seeds, "run_ids": []}
-    for name, value in given.items():
-        if not search.holds({name: value}):
-            about["note"] = f"was enqueued with {name} = {shown(value)}, which is not in its space"
-            return create_trial(state=TrialState.RUNNING, user_attrs=about)
-    study = _study_before(record, number)
-    stream = f"{search.name}/{search.sampler_seed}" if search.sampler_seed else search.name
-    seed = stream_seed(stream, "sampler", number) % 2**32
-    if given:
-        study.enqueue_trial(given)
-    with _calling(record, f"sampler {search.sampler.name}"):
-        study.sampler = search.sampler.create(seed=seed)
-        trial = study.ask()
-        params = search.suggest(lambda parameter: trial._suggest(parameter.name, parameter.distribution))
-    try:
-        cells = _make_cells(record, number, params)
-        about["run_ids"] = [cell.run_id for cell in cells]
-        about["config_id"] = config_id(cells[0].run)
-    except UserError as error:
-        about["note"] = str(error)
-    for key, value in about.items():
-        trial.set_user_attr(key, value)
-    attributes = study._storage.get_study_system_attrs(study._study_id)
-    if attributes:
-        study._storage.set_trial_system_attr(trial._trial_id, STUDY_ATTRIBUTES, attributes)
-    return study._storage.get_trial(trial._trial_id)
-
-
-def _study_before(record: Record, number: int) -> optuna.Study:
-    """Return a study in memory as it is when a trial is suggested.
-
-    The trials of earlier generations have ended, and those of its own generation are running.
-    """
-    search = record.search
-    study = optuna.create_study(study_name=search.name, directions=search.directions)
-    attributes: Mapping[str, Any] = {}
-    first = number - number % search.generation
-    for trial in record.trials[:number]:
-        study.add_trial(trial if trial.number < first else _as_suggested(trial, trial.system_attrs))
-        attributes = trial.system_attrs.get(STUDY_ATTRIBUTES, attributes)
-    for key, value in attributes.items():
-        study._storage.set_study_system_attr(study._study_id, key, value)
-    return study
-
-
-def _as_suggested(trial: FrozenTrial, system_attributes: Mapping[str, Any]) -> FrozenTrial:
-    return create_trial(
-        state=TrialState.RUNNING,
-        params=trial.params,
-        distributions=trial.distributions,
-        user_attrs=trial.user_attrs,
-        system_attrs=dict(system_attributes),
-    )
-
-
-def _fill(record: Record, waiting: FrozenTrial, suggestion: FrozenTrial) -> None:
-    """Write a suggestion into a trial that waits; cut short, it waits on, and gets the same again."""
-    storage, trial_id = record.study._storage, waiting._trial_id
-    for name, distribution in suggestion.distributions.items():
-        value = distribution.to_internal_repr(suggestion.params[name])
-        storage.set_trial_param(trial_id, name, value, distribution)
-    for key, value in suggestion.user_attrs.items():
-        storage.set_trial_user_attr(trial_id, key, value)
-    for key, value in suggestion.system_attrs.items():
-        storage.set_trial_system_attr(trial_id, key, value)
-    storage.set_trial_state_values(trial_id, TrialState.RUNNING)
-
-
-@contextmanager
-def _calling(record: Record, name: str) -> Iterator[None]:
-    """Say in a line what a sampler or pruner of anybody's cannot do."""
-    try:
-        with warnings.catch_warnings(action="ignore"):  # of what is experimental
-            yield
-    except Exception as error:
-        raise UserError(
-            f"search {record.search.name}: {name}: {type(error).__name__}: {error}; "
-            "change its arguments in the search's file, or move the log away"
-        ) from None
 
 
 # --- Values ----------------------------------------------------------------------------------------
@@ -290,8 +167,9 @@ def _report(record: Record, store: Store, number: int, cells: Sequence[Cell], pa
             value = trial_value(objective, read_rows(store, cells, step))
         if math.isfinite(value):
             reports[evaluation] = value
-    at_end = EVALUATIONS in evaluations
-    pruned, attributes = (False, {}) if at_end else _prune(record, trial, reports)
+    pruned, attributes = False, dict[str, Any]()
+    if EVALUATIONS not in evaluations:
+        pruned, attributes = prune(record, trial, reports)
     with record.writing():
         if not _is_running(record, number):
             return  # another process was faster
@@ -306,52 +184,31 @@ def _report(record: Record, store: Store, number: int, cells: Sequence[Cell], pa
             storage.set_trial_state_values(trial._trial_id, TrialState.PRUNED, [latest])
 
 
-def _prune(record: Record, trial: FrozenTrial, reports: Mapping[int, float]) -> tuple[bool, dict[str, Any]]:
-    """Ask the pruner at each report, with the trials of earlier generations alone to compare with.
-
-    So it decides alike however often the search is stopped.
-
-    Returns:
-        Whether the trial is stopped, and what the pruner has noted of it.
-    """
-    if record.search.pruner is None:
-        return False, {}
-    pruned = False
-    with _calling(record, f"pruner {record.search.pruner.name}"):
-        pruner = record.search.pruner.create()
-        study = _study_before(record, trial.number)
-        study.add_trial(_as_suggested(trial, {}))
-        trial_id = study.get_trials(deepcopy=False)[-1]._trial_id
-        for evaluation, value in sorted(reports.items()):
-            study._storage.set_trial_intermediate_value(trial_id, evaluation, value)
-            pruned = pruned or pruner.prune(study, study._storage.get_trial(trial_id))
-        return pruned, study._storage.get_trial(trial_id).system_attrs
-
-
 def _finish(record: Record, store: Store, number: int, cells: Sequence[Cell]) -> None:
     """Store the values of a trial, or that it failed, unless it has ended."""
     if not _is_running(record, number):
         return
-    trial = record.trials[number]
-    rows = read_rows(store, cells)
-    notes = [trial.user_attrs["note"]] if "note" in trial.user_attrs else []
-    values = []
-    for objective in record.search.objectives.values() if rows else ():
-        value = trial_value(objective, rows)
-        values.append(value)
-        if not math.isfinite(value):
-            notes.append(f"a run has no {objective.outcome}, or none that is finite")
-    diverged = sum(row.status == "diverged" for row in rows)
-    if diverged:
-        notes.append(f"{diverged} of {len(rows)} runs diverged")
+    notes: list[str] = []
+    values: list[float] = []
+    if cells:  # else the trial has a note of why it can have no runs
+        rows = read_rows(store, cells)
+        for objective in record.search.objectives.values():
+            value = trial_value(objective, rows)
+            values.append(value)
+            if not math.isfinite(value):
+                notes.append(f"a run has no {objective.outcome}, or none that is finite")
+        diverged = sum(row.status == "diverged" for row in rows)
+        if diverged:
+            notes.append(f"{diverged} of {len(rows)} runs diverged")
     is_complete = bool(values) and all(map(math.isfinite, values))
+    trial_id = record.trials[number]._trial_id
     with record.writing():
         if not _is_running(record, number):
             return  # another process was faster
         storage = record.study._storage
         if notes:
-            storage.set_trial_user_attr(trial._trial_id, "note", "; ".join(notes))
+            storage.set_trial_user_attr(trial_id, "note", "; ".join(notes))
         if is_complete:
-            storage.set_trial_state_values(trial._trial_id, TrialState.COMPLETE, values)
+            storage.set_trial_state_values(trial_id, TrialState.COMPLETE, values)
         else:
-            storage.set_trial_state_values(trial._trial_id, TrialState.FAIL)
+            storage.set_trial_state_values(trial_id, TrialState.FAIL)

@@ -61,7 +61,7 @@ def test_another_budget_has_a_log_of_its_own_and_the_latest_is_read(
     first = make_task(4).record(store)
     other = make_task(4, steps=4096)
     assert other.record(store).path != first.path
-    assert any(f"had other steps, and stays in {first.path}" in note for note in other.notes)
+    assert any(f"the search in {first.path} had other steps" in note for note in other.notes)
     assert read_record(store, "formula", "text").budget.steps == 4096
     assert make_task(5).record(store).path == first.path
     assert read_record(store, "formula", "text").budget.steps == 2048
@@ -147,19 +147,25 @@ def test_a_line_that_another_program_is_writing_stays(
 # --- What is not read ------------------------------------------------------------------------------
 
 REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
-    "an unknown operation": (lambda log: log + '{"op_code": 99}\n', "damaged"),
-    "no operation": (lambda log: log + "[1]\n", "damaged"),
-    "no log": (lambda log: "dear diary\n\n", "damaged"),
+    "an unknown operation": (lambda log: log + '{"op_code": 99}\n', "not a whole log of search formula"),
+    "no operation": (lambda log: log + "[1]\n", "not a whole log of search formula"),
+    "no log": (lambda log: "dear diary\n\n", "not a whole log of search formula"),
     "another study": (
         lambda log: log.replace('"study_name":"formula"', '"study_name":"mine"'),
-        "contains mine, not search formula; move it away",
+        "not a whole log of search formula",
     ),
-    "attributes of anybody": (lambda log: log.replace('"pneuma":{', '"pneuma":"mine","x":{'), "damaged"),
+    "attributes of anybody": (
+        lambda log: log.replace('"pneuma":{', '"pneuma":"mine","x":{'),
+        "not a whole log of search formula",
+    ),
     "choices that were text": (
         lambda log: log.replace("[0.5, null]", '[\\"0.5\\", \\"none\\"]'),
-        "trial 0 is outside the search's space",
+        "trial 0 is not the search's",
     ),
-    "an infinite value": (lambda log: log.replace('"values":[0.', '"values":[Infinity,0.'), "damaged"),
+    "an infinite value": (
+        lambda log: log.replace('"values":[0.', '"values":[Infinity,0.'),
+        "not a whole log of search formula",
+    ),
 }
 
 

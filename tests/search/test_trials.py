@@ -67,9 +67,10 @@ class Killed(Exception):
     ],
 )
 def test_a_search_is_the_same_however_often_it_is_killed(
-    make_task: MakeTask, store: Store, more: str, monkeypatch: pytest.MonkeyPatch
+    make_task: MakeTask, store: Store, formula: Formula, more: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is killed while it writes a line, of which a part is left in the log."""
+    formula.status = "diverged" if "QMC" in more else "done"  # such trials have notes
     task = make_task(12, more=RANGE + more)
     alone = task.solve()
     append = JournalFileBackend.append_logs
