@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import math
 import os
 import re
 import stat
@@ -24,6 +25,8 @@ _CHECKSUM, _END = "sha256", b"\n}\n"
 MADE_BY = "made by pneuma"
 """Words in a report and in an exported policy, by which a command knows what it may replace."""
 LONGEST_REASON = 100
+LONGEST_INTEGER = 20
+"""Characters of the least number of 64 bits."""
 _STORAGE_PROBLEMS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{32}")
 STALE_SECONDS = 600
@@ -166,14 +169,33 @@ def create_whole(path: Path, data: bytes) -> None:
 
 
 def parse_json(data: bytes | str) -> dict[str, Any]:
-    """Parse a JSON object; ValueError for anything else."""
+    """Parse a JSON object whose numbers are finite and of at most 64 bits, as all that is written here.
+
+    Raises:
+        ValueError: for anything else.
+    """
     try:
-        document = json.loads(data)
+        document = json.loads(
+            data, parse_int=_parse_integer, parse_float=_parse_float, parse_constant=_parse_float
+        )
     except (RecursionError, MemoryError) as error:
         raise ValueError(str(error)) from None
     if not isinstance(document, dict):
         raise ValueError("is no JSON object")
     return document
+
+
+def _parse_integer(text: str) -> int:
+    if len(text) > LONGEST_INTEGER or not -(2**63) <= int(text) < 2**63:
+        raise ValueError(f"the number {text[:LONGEST_INTEGER]} … is too large")
+    return int(text)
+
+
+def _parse_float(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"the number {text[:LONGEST_INTEGER]} is not finite")
+    return number
 
 
 def names_in(folder: Path) -> list[str]:

@@ -21,7 +21,7 @@ from pneuma.files import checksum
 from pneuma.store.index import RunIndex
 from pneuma.store.published import encode_published
 from pneuma.store.row_builder import stored_row
-from pneuma.store.rows import decode_row
+from pneuma.store.rows import decode_row, encode_row
 from pneuma.store.store import ROW_FILE, Status, Store
 from pneuma.store.tables import from_ipc, from_parquet
 from pneuma.study.plan import Query
@@ -183,6 +183,30 @@ def test_untrusted_a_row_of_wrong_inner_types_is_one_line_that_names_its_run(sto
     assert index.row(RUN) is None
     (told,) = index.problems
     assert str(store.run_folder(RUN)) in told and "\n" not in told
+
+
+HUGE = "1" + 400 * "0"
+TEXTS = {"fields": '{"steps": 1000, "slots": @}', "provenance": '{"wall_seconds": @}',
+         "signs": '{"unit": 1, "signs": {"no entropy": [@, 1]}}'}  # fmt: skip
+
+
+@pytest.mark.parametrize("number", [HUGE, f"-{HUGE}", "1e999", "-Infinity", "NaN"])
+@pytest.mark.parametrize("column", TEXTS)
+def test_untrusted_a_number_that_no_run_can_have_is_one_line_that_names_its_run(
+    store: Store, column: str, number: str
+) -> None:
+    """In the run's own row, and in a published one."""
+    text = TEXTS[column].replace("@", number)
+    clone = Store(store.root / "clone")
+    _forged(study_of(store, ONE), clone, {}, column, text)
+    cells = from_ipc(store.read_file(RUN, ROW_FILE)).to_pydict()
+    cells = {**{name: values[0] for name, values in cells.items()}, column: text}
+    store.save_run(RUN, Status("done", 1000), {"run.json": b"{}", ROW_FILE: encode_row(cells)})
+    for place, folder in ((store, store.run_folder(RUN)), (clone, clone.published_path("mine"))):
+        index = RunIndex(place, shipped=False)
+        assert index.row(RUN) is None
+        (problem,) = index.problems
+        assert problem.startswith(f"{folder}: cannot be read (") and "\n" not in problem
 
 
 # --- The working folder ------------------------------------------------------------------------------

@@ -116,7 +116,7 @@ def plot(
 
     def draw(name: str, world: str | None) -> Page:
         data = picked.open(name, world)
-        parts = by_environment(data)
+        parts = {env: part for env, part in by_environment(data).items() if part.rows}
         shown = parts if len(parts) > 1 else data
         if beside:
             known = {*data.conditions, *(name for part in parts.values() for name in part.conditions)}
