@@ -9,11 +9,12 @@ over those that have a value at t. Nothing is extrapolated.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
+from functools import cache, cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -25,9 +26,11 @@ from pneuma.analysis.intervals import LEAST_RUNS, LEVEL
 from pneuma.analysis.outcomes import LARGEST, is_foreign
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError, unknown_name
+from pneuma.schema import plain
 from pneuma.store.quantities import ACTION_QUANTITIES, EVALUATION_QUANTITIES, evaluation_column
 from pneuma.store.rows import Row
 from pneuma.store.series import Series, make_grid
+from pneuma.study.shipped import random_returns_file
 
 STEPS, EPISODES, WALL_CLOCK = "steps", "episodes", "wall-clock"
 """What curves may lie over, as `X_AXES` has it."""
@@ -223,6 +226,40 @@ def random_levels(data: StudyData, quantity: str) -> dict[str, float]:
     if levels and np.ptp([*levels.values()]) <= NEAR:
         return dict.fromkeys(levels, float(np.mean([*levels.values()])))
     return levels
+
+
+OF_OBSERVATION = ("observation", "perceive", "order", "scale", "observe_facing")
+"""Settings of a world that change nothing for a player who does not look."""
+
+
+def random_returns(data: StudyData) -> pd.Series | None:
+    """Return what a random player earns in training, by step; None if it was not measured in such a world.
+
+    It was measured over a million steps of four environments, as training curves are
+    (`studies/random_returns.py`). Where XP is never reset, it depends on both.
+    """
+    for measured in _measured_returns():
+        if all(_is_measured_world(measured, fields) for fields in data.fields.values()):
+            curve = pd.Series(measured["mean"], make_grid(measured["steps"]), dtype=float)
+            return curve[curve.index <= data.budget].dropna()
+    return None
+
+
+def _is_measured_world(measured: Mapping[str, Any], fields: Mapping[str, Any]) -> bool:
+    """Return whether fields are of the world in which a random player was measured."""
+    if fields.get("env") != measured["env"]:
+        return False
+    settings = measured["settings"]
+    if settings["xp_scope"] != "episode" and fields.get("slots") != measured["slots"]:
+        return False
+    decisive = [name for name in settings if name not in OF_OBSERVATION]
+    return all(plain(fields.get(name)) == plain(settings[name]) for name in decisive)
+
+
+@cache
+def _measured_returns() -> list[dict[str, Any]]:
+    file = random_returns_file()
+    return [*json.loads(file.read_text(encoding="utf-8")).values()] if file.is_file() else []
 
 
 # --- Centres and bands -----------------------------------------------------------------------------

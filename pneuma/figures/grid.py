@@ -46,6 +46,7 @@ NARROW = 2.5
 LONG_AXIS = 5000
 """An axis longer than this has numbers with a k."""
 RANDOM_PLAYER = "random player"
+RANDOM_LOOK: Any = {"color": GREY, "linestyle": (0, (1, 2)), "linewidth": 0.9, "zorder": 1.2}
 ROW_INCHES, LEAST_ROW_INCHES, LONGEST_INCHES = 0.28, 0.1, 7.6
 """Heights in inches: of a row, usual and least, and of all rows or panels that fit a page."""
 LEAST_PANEL_INCHES, LEAST_GAP = 0.8, 0.08
@@ -334,7 +335,7 @@ def draw_random_player(
     and a condition's line is in its row. A level far above `top`, the highest point that is drawn, gets no
     line: it would flatten everything else.
     """
-    look: Any = {"color": GREY, "linestyle": (0, (1, 2)), "linewidth": 0.9, "zorder": 1.2}
+    look = RANDOM_LOOK
     draw = axes.axhline if rows is None else axes.axvline
     near = {name: at for name, at in levels.items() if name in colours and at <= FAR * max(top, 0.01)}
     if len({*levels.values()}) == 1:

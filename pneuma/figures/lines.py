@@ -30,6 +30,7 @@ from pneuma.analysis.curves import (
     checked_band,
     curve_names,
     random_levels,
+    random_returns,
     study_curves,
 )
 from pneuma.analysis.intervals import LEAST_RUNS
@@ -251,6 +252,9 @@ def _draw(axes: Axes, column: Column, name: str) -> None:
     grid.draw_random_player(
         axes, random_levels(data, name), _highest([*curves, *others]), colours, words=words
     )
+    returns = random_returns(data) if name == "return" and column.x == STEPS else None
+    if returns is not None:
+        axes.plot(returns, label=grid.RANDOM_PLAYER, **grid.RANDOM_LOOK)
     axes.set_xlim(0, end)
     if percent and not column.log:
         top = min(max(axes.get_ylim()[1], 0.01), 1 + grid.BELOW_ZERO)

@@ -16,7 +16,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from pneuma.analysis.curves import curve_names, random_levels
+from pneuma.analysis.curves import curve_names, random_levels, random_returns
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_foreign, is_return, known_values, primary
 from pneuma.analysis.study_data import StudyData
@@ -217,6 +217,12 @@ def _draw_runs(
         begin, top = ends
         grid.draw_random_player(axes, levels, top, colours, [*found.values])
         axes.set_xlim(begin, max(axes.get_xlim()[1], 1.05 * (top - begin) + begin, begin + 0.01))
+
+    elif found.outcome == "final-return":
+        returns = random_returns(found.data)
+        if returns is not None and len(returns):
+            level = float(returns.iloc[-1])
+            axes.axvline(level, label=f"{grid.RANDOM_PLAYER} ({grid.number(level)})", **grid.RANDOM_LOOK)
 
 
 def _beside(values: np.ndarray, reach: float) -> np.ndarray:

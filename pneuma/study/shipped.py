@@ -25,6 +25,11 @@ def shipped_tables() -> Path:
     return shipped_folder("pneuma.published", "results/published")
 
 
+def random_returns_file() -> Path:
+    """Return what `studies/random_returns.py` printed: what a random player earns in each world."""
+    return shipped_tables() / "random-returns.json"
+
+
 def shipped_names(folder: Path) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.toml") if not path.stem.startswith("claims"))
 

@@ -1,0 +1,76 @@
+"""What a random player earns in each world, measured as a run of chapter 6 is.
+
+    python studies/random_returns.py > results/published/random-returns.json
+
+A policy whose weights are all zero draws each action with the same probability. It plays in four environments
+for a million steps, with the streams of twenty seeds. Returns are averaged over the twentieth of the budget
+before each of 200 points, as training curves are. In the published code's world XP is never reset, and its
+return rises by itself.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import numpy as np
+
+from pneuma.config import OF_WORLDS, Run, as_fields, make_run
+from pneuma.engines.batched.rollout import Collector
+from pneuma.presets import BASES, WORLDS
+from pneuma.store.series import WINDOW_POINTS, episode_curve, make_grid
+
+STEPS, SLOTS, SEEDS = 1_000_448, 4, 20
+
+
+def random_run(world: str, seed: int) -> Run:
+    """Return the run of Table 6.2 in a world, with four environments."""
+    row = WORLDS[world]
+    fields = {**BASES["table-6-2"], **row.overrides, "env": row.env, "slots": SLOTS}
+    return make_run({**fields, "seed": seed, "steps": STEPS})
+
+
+def play(run: Run) -> np.ndarray:
+    """Return the curve of a random player's returns over a run, (200,)."""
+    collector = Collector(run)
+    features = collector.observations.shape[1]
+    uniform = (
+        (np.zeros((features, collector.actions), np.float32), np.zeros(collector.actions, np.float32)),
+    )
+    steps: list[int] = []
+    returns: list[float] = []
+    for first_step in range(0, run.steps, run.steps_per_update):
+        rollout = collector.collect(uniform)
+        for episode in collector.episode_rows(rollout, first_step):
+            steps.append(episode["step"])
+            returns.append(episode["return"])
+    grid = make_grid(run.steps)
+    return episode_curve(
+        np.array(steps), np.array(returns), grid, trailing=False, from_step=grid[WINDOW_POINTS], end=run.steps
+    )
+
+
+def measure(world: str) -> dict[str, Any]:
+    """Return what a random player earns in a world: its settings, and the mean curve with its spread."""
+    curves = np.array([play(random_run(world, seed)) for seed in range(SEEDS)])
+    run = as_fields(random_run(world, 0))
+    return {
+        "env": run["env"],
+        "settings": {name: run[name] for name in OF_WORLDS},
+        "slots": SLOTS,
+        "steps": STEPS,
+        "seeds": SEEDS,
+        "mean": _numbers(curves.mean(axis=0)),
+        "sd": _numbers(curves.std(axis=0, ddof=1)),
+    }
+
+
+def _numbers(curve: np.ndarray) -> list[float | None]:
+    """Return the points of a curve; None where it has no value yet."""
+    return [None if np.isnan(value) else round(float(value), 2) for value in curve]
+
+
+if __name__ == "__main__":
+    json.dump({world: measure(world) for world in WORLDS}, sys.stdout, indent=1)
+    print()
