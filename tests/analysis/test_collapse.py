@@ -39,6 +39,13 @@ def after(shares: np.ndarray, first: int, value: float, last: int = 20) -> np.nd
 # --- Onset ---------------------------------------------------------------------------
 
 
+def apart(second: int) -> np.ndarray:
+    """Return updates with a policy of one action from 61 to 64, and from another one on as long."""
+    updates = one_action(61, second + 3)
+    updates[64 : second - 1] = healthy()[: second - 65]
+    return updates
+
+
 SEEN: dict[str, tuple[np.ndarray, np.ndarray, dict[str, Any], dict[str, Any]]] = {
     # name: (updates, evaluations, what else is told of the run, what is found)
     "one action to the end": (
@@ -59,6 +66,15 @@ SEEN: dict[str, tuple[np.ndarray, np.ndarray, dict[str, Any], dict[str, Any]]] =
     # From update 61 at step 6,100 on, a twentieth of the budget, 500 steps, is over at update 66.
     "shorter than a twentieth": (one_action(61, 65), learning(), {}, {"collapsed": False}),
     "as long as a twentieth": (one_action(61, 66), learning(), {}, {"collapsed": True}),
+    # Each half is 300 steps long, and 200 apart: a hundredth of the budget, and an update.
+    "interrupted for a hundredth": (apart(66), learning(), {}, {"collapsed": True, "onset_step": 6100}),
+    "interrupted for longer": (apart(67), learning(), {}, {"collapsed": False}),
+    # From 0.2, half of it is a tenth less; from 0.19, half of it is less of a fall.
+    "a fall by a tenth": (
+        healthy(), after(np.full(20, 0.2), 15, 0.1), {},
+        {"collapsed": True, "signs": ("fall",), "onset_step": 7500},
+    ),
+    "a fall by less": (healthy(), after(np.full(20, 0.19), 15, 0.095), {}, {"collapsed": False}),
 }  # fmt: skip
 
 

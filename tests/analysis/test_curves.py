@@ -15,7 +15,7 @@ from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.store.index import RunIndex
 from pneuma.store.quantities import WINDOWS
-from pneuma.store.series import held_curve, make_grid, update_curve
+from pneuma.store.series import held_curve, make_grid, peak_curve, update_curve
 from pneuma.store.store import Store
 from pneuma.study.plan import Query
 
@@ -161,6 +161,13 @@ def test_evaluation_curves_stand_at_the_evaluations_own_steps(store: Store) -> N
     np.testing.assert_array_equal(second.runs.T, [[0, 1]])
 
 
+def test_of_several_evaluations_at_one_step_the_last_counts(store: Store) -> None:
+    shares = {("a", 0): [(64, 0.25), (64, 0.75), (128, 0.5), (128, 1.0)]}
+    data = _study(store, dict.fromkeys(shares, {}), shares)
+    (curve,) = study_curves(data, ["share_killed"])["share_killed"]
+    assert curve.runs[0].to_dict() == {64: 0.75, 128: 1.0}
+
+
 def test_runs_that_were_evaluated_at_unlike_steps_share_those_of_the_fewest(store: Store) -> None:
     """Between its evaluations the other is on a straight line, and before and after them it has no value."""
     shares = {("a", 0): [(20, 0.2), (120, 0.6)], ("a", 1): [(50, 0.0), (100, 0.5), (150, 1.0)]}
@@ -224,6 +231,12 @@ def test_an_update_that_is_not_finite_counts_as_none() -> None:
     step, values = np.array([10.0, 15.0, 20.0, 60.0]), np.array([1.0, NAN, 5.0, np.inf])
     curve = update_curve(step, values, GRID, 200)
     np.testing.assert_equal(_at(curve, 15, 19, 20, 60, 200), [1, 1, 5, 5, 5])  # 20: (10, 20] has 20 alone
+
+
+def test_a_peak_is_of_the_updates_since_the_point_before_up_to_its_own_step() -> None:
+    step, values = np.array([3.0, 3.5, 4.0, 4.5, 300.0]), np.array([1.0, 7.0, 5.0, 2.0, 9.0])
+    curve = peak_curve(step, values, GRID, np.fmax)
+    np.testing.assert_equal(_at(curve, 2, 3, 4, 5, 6, 200), [NAN, 1, 7, 2, NAN, 9])
 
 
 @pytest.mark.parametrize("huge", [1e17, -1e30])

@@ -15,6 +15,12 @@ def test_equal_spreads_need_what_cohens_tables_say(effect: float, seeds: int) ->
     assert seeds_for_means(effect, 1, 1) == pytest.approx(seeds, abs=1)
 
 
+@pytest.mark.parametrize(("effect", "seeds"), [(0.5, 34), (0.8, 15), (1.0, 10)])
+def test_an_arm_without_spread_needs_what_a_single_sample_does(effect: float, seeds: int) -> None:
+    """Welch's degrees of freedom are then the other arm's, n - 1; seeds of G*Power's one-sample t."""
+    assert seeds_for_means(effect, 1, 1e-9) == seeds_for_means(effect, 1e-9, 1) == seeds
+
+
 def test_simulated_studies_find_a_difference_that_often() -> None:
     generator = np.random.default_rng(1)
     seeds = seeds_for_means(0.05, 0.03, 0.06)

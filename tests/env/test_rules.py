@@ -34,6 +34,21 @@ def test_a_blow_knocks_back_60_px_away_from_the_hilt(arena: str) -> None:
         assert pair.monster("x", "y") == pytest.approx(place)
 
 
+def test_a_second_blow_does_not_extend_a_flight(arena: str) -> None:
+    # At the hilt itself, (54, 14), a blow knocks nowhere, for 30 ticks. The second attack begins in tick 25
+    # and strikes; in tick 31 the monster comes nearer by 2.5 px on x, as on y it is within 30 px.
+    pair = stage(arena, (54.0, 14.0), ticks=1)
+    pair.put(monsters=True, hp=[400])
+    hits = 0
+    for _ in range(30):
+        pair.play(ATTACK)
+        hits += pair.told("hits")[0]
+        assert pair.monster("x", "y") == (54.0, 14.0)
+    assert hits == 2
+    pair.play(ATTACK)
+    assert pair.monster("x", "y") == (51.5, 14.0)
+
+
 @pytest.mark.parametrize(
     ("what", "facing", "last", "outwards"),
     [
@@ -137,6 +152,20 @@ def test_everything_that_happens_in_a_step_is_told_once(arena: str) -> None:
     assert {name: pair.told(name)[0] for name in expected} == dict.fromkeys(expected, 0) | {
         "present": 8, "reward": 0.5,
     }  # fmt: skip
+
+
+def test_healing_saves_from_a_deadly_bite_in_the_same_tick(arena: str) -> None:
+    # One monster dies of the sword, which heals 7 HP, before another one bites for 7: 5 + 7 - 7 = 5.
+    pair = stage(arena, (80.0, 0.0), (-40.0, 0.0), ticks=1, still=True)
+    pair.put(hp=5)
+    pair.put(monsters=True, hp=[20])
+    pair.play(ATTACK)
+    assert (pair.told("kills"), pair.told("hp_lost"), pair.told("hp"), pair.told("died")) == (
+        [1],
+        [7],
+        [5],
+        [0],
+    )
 
 
 # --- The published code's quirks -----------------------------------------------------------------

@@ -80,8 +80,10 @@ def test_the_contents_of_a_level_folder_change_the_name(level: Path, file: str) 
     before = _name(level)
     assert _name(level) == before
     original = (level / file).read_bytes()
-    (level / file).write_bytes(original + b"\n")
-    assert _name(level) != before
+    assert len(original) > 100
+    for changed in (original + b"\n", original[:-1] + b"?"):  # of another length, and in its last byte alone
+        (level / file).write_bytes(changed)
+        assert _name(level) != before
     (level / file).write_bytes(original)
     assert _name(level) == before
 
