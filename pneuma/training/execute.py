@@ -40,30 +40,53 @@ MOST_IN_GROUP = 8
 def prepare(
     plan: Plan, store: Store, retry_failed: bool = False, until: Mapping[str, int] | None = None
 ) -> tuple[dict[str, Run], list[str]]:
-    """Check a plan, and note its runs as planned; return those to train, by id, and notes for the user.
+    """Check a plan, and note its runs as planned.
 
-    `until` has the only runs to train, with the step that each is to reach, or 0 for its end. If an
-    environment cannot be made, nothing is written.
+    If an environment cannot be made, nothing is written.
+
+    Args:
+        plan: which runs there are to be.
+        store: where they are kept.
+        retry_failed: whether runs that failed before are trained again.
+        until: the only runs to train, with the step that each is to reach, or 0 for its end; None for all.
+
+    Returns:
+        The runs to train, by id, and notes for the user.
     """
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
     if until is not None:
-        from pneuma.store.checkpoints import sound_checkpoint  # pydantic: not for `--help`
-
-        latest = {name: sound_checkpoint(store.run_folder(name)) for name in todo.keys() & until.keys()}
-        reached = {name: each.step if each else 0 for name, each in latest.items()}
-        todo = {
-            name: run for name, run in todo.items() if name in until and not 0 < until[name] <= reached[name]
-        }
+        todo = _not_yet_at(until, todo, store)
     check_environments(todo.values())
     store.check_writable()
     for name, run in todo.items():
         store.plan_run(name, run_identity(run))
     if plan.query.study:
-        if plan.study.path and plan.study.own_path:
-            store.write(store.studies / plan.study.path.name, plan.study.path.read_bytes())
-        note_query(store, plan)
+        _note_study(plan, store)
     return todo, _notes(plan, statuses, todo)
+
+
+def _not_yet_at(until: Mapping[str, int], todo: Mapping[str, Run], store: Store) -> dict[str, Run]:
+    """Return the runs in `until` whose checkpoints are not at the step there yet."""
+    from pneuma.store.checkpoints import sound_checkpoint  # pydantic: not for `--help`
+
+    remaining = {}
+    for name, run in todo.items():
+        if name not in until:
+            continue
+        checkpoint = sound_checkpoint(store.run_folder(name))
+        reached_step = checkpoint.step if checkpoint else 0
+        if until[name] == 0 or reached_step < until[name]:
+            remaining[name] = run
+    return remaining
+
+
+def _note_study(plan: Plan, store: Store) -> None:
+    """Keep a user's own study file in the results folder, and what was last asked of the study."""
+    study = plan.study
+    if study.path and study.own_path:
+        store.write(store.studies / study.path.name, study.path.read_bytes())
+    note_query(store, plan)
 
 
 def execute(
@@ -74,38 +97,44 @@ def execute(
     Raises:
         KeyboardInterrupt: after Ctrl-C, once every run has reached a checkpoint.
     """
-    cells: dict[str, list[Cell]] = {}
+    cells_by_run: dict[str, list[Cell]] = {}
     for cell in plan.cells:
-        cells.setdefault(cell.run_id, []).append(cell)
-    ended: dict[str, Event] = {}
+        cells_by_run.setdefault(cell.run_id, []).append(cell)
+    end_events: dict[str, Event] = {}
 
     def report(event: Event) -> None:
+        run_id = event["run_id"]
         if event["event"] == "end":
-            ended[event["run_id"]] = event
-        for cell in cells[event["run_id"]]:
+            end_events[run_id] = event
+        for cell in cells_by_run[run_id]:
             on_progress(cell, event)
 
     if todo:
         load_executor(how).run_groups(groups(todo, how.workers), store, how, report)
-    return cell_results(plan, store, todo, ended)
+    return cell_results(plan, store, todo, end_events)
 
 
 def cell_results(
-    plan: Plan, store: Store, todo: Collection[str], ended: Mapping[str, Event] = {}
+    plan: Plan, store: Store, todo: Collection[str], end_events: Mapping[str, Event] = {}
 ) -> list[CellResult]:
     """Return the state of a plan's cells, without those that are only published.
 
-    The final event of a run, in `ended`, counts where the end could not be stored. Of the runs in `todo` that
-    have none, the finished ones were trained.
+    Args:
+        plan: whose cells.
+        store: where their runs are kept.
+        todo: the runs that were to be trained. Finished ones without an end event were trained.
+        end_events: the final event of each run that has ended. It counts where the end could not be stored.
     """
     results = []
     for cell in plan.cells:
-        status, end = store.status(cell.run_id), ended.get(cell.run_id, {})
-        trained = bool(end["trained"]) if end else status.finished and cell.run_id in todo
-        if end and not status.finished:
-            status = Status(end["status"], status.step)
+        status = store.status(cell.run_id)
+        trained, reason = status.finished and cell.run_id in todo, ""
+        if event := end_events.get(cell.run_id):
+            trained, reason = event["trained"], event.get("reason", "")
+            if not status.finished:
+                status = Status(event["status"], status.step)
         if status.finished or cell.run_id not in plan.published:
-            reason = end.get("reason") or store.failure(cell.run_id)
+            reason = reason or store.failure(cell.run_id)
             results.append(CellResult(cell, status, trained, reason))
     return results
 
@@ -116,14 +145,17 @@ def groups(todo: Mapping[str, Run], workers: int) -> list[dict[str, Run]]:
     Compiled runs of equal shapes share a process, so that their programs are compiled or loaded once. Groups
     stay small enough to keep every worker busy.
     """
-    by_shape: dict[Any, list[tuple[str, Run]]] = {}
+    runs_by_shape: dict[Any, list[tuple[str, Run]]] = {}
     for name, run in todo.items():
-        shape = tuple(getattr(run, key) for key in SHAPED_BY)
-        by_shape.setdefault(name if run.engine == "sb3" else shape, []).append((name, run))
+        shape = tuple(getattr(run, field) for field in SHAPED_BY)
+        key = name if run.engine == "sb3" else shape
+        runs_by_shape.setdefault(key, []).append((name, run))
     size = min(MOST_IN_GROUP, math.ceil(len(todo) / workers))
-    return [
-        dict(runs[first : first + size]) for runs in by_shape.values() for first in range(0, len(runs), size)
-    ]
+    divided = []
+    for runs in runs_by_shape.values():
+        for start in range(0, len(runs), size):
+            divided.append(dict(runs[start : start + size]))
+    return divided
 
 
 def kept_step(status: Status) -> int:
@@ -133,32 +165,36 @@ def kept_step(status: Status) -> int:
 
 def missing(plan: Plan, statuses: Mapping[str, Status], retry_failed: bool = False) -> dict[str, Run]:
     """Return the plan's runs to train, by id: not finished, published or (unless retried) failed."""
-    return {
-        cell.run_id: cell.run
-        for cell in plan.cells
-        for status in [statuses[cell.run_id]]
-        if not status.finished and (retry_failed or not status.failed) and cell.run_id not in plan.published
-    }
+    todo = {}
+    for cell in plan.cells:
+        status = statuses[cell.run_id]
+        if status.finished or cell.run_id in plan.published:
+            continue
+        if retry_failed or not status.failed:
+            todo[cell.run_id] = cell.run
+    return todo
 
 
 def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) -> list[str]:
+    notes = []
     labels = {cell.run_id: f"{cell.condition} seed {cell.seed}" for cell in plan.cells}
-    notes = [
-        f"{labels[name]}: {status.detail!r} is damaged; the run is trained again"
-        for name, status in statuses.items()
-        if status.name == "damaged" and name in todo
-    ]
-    published = {name for name in plan.published if not statuses[name].finished}
+    failures = []
+    for name, status in statuses.items():
+        if status.name == "damaged" and name in todo:
+            notes.append(f"{labels[name]}: {status.detail!r} is damaged; the run is trained again")
+        if status.failed and name not in todo and name not in plan.published:
+            failures.append(status.name)
+    published = [name for name in plan.published if not statuses[name].finished]
     if published:
         runs = counted(len(published), "published run")
         notes.append(f"{runs} not trained: figures and numbers take them from there")
-    if open_ones := sum(map(is_open, todo.values())):
-        runs = counted(open_ones, "run")
+    open_runs = [run for run in todo.values() if is_open(run)]
+    if open_runs:
+        runs = counted(len(open_runs), "run")
         notes.append(f"{runs} by a learner whose state is not stored: stopped or killed, it begins anew")
-    failed = [name for name, status in statuses.items() if status.failed and name not in {*todo, *published}]
-    if failed:
-        kinds = ", ".join(sorted({statuses[name].name for name in failed}))
-        notes.append(f"{counted(len(failed), 'run')} failed before ({kinds}); --retry-failed tries again")
+    if failures:
+        kinds = ", ".join(sorted(set(failures)))
+        notes.append(f"{counted(len(failures), 'run')} failed before ({kinds}); --retry-failed tries again")
     return notes
 
 
@@ -166,10 +202,13 @@ def check_environments(runs: Iterable[Run]) -> None:
     """Make each distinct environment of some runs once, with a learner of no fields, to find mistakes."""
     from pneuma.engines.environment import check_environment  # gymnasium: not for `--help`
 
-    names = ("env", *OF_GYMNASIUM, "engine", "algorithm")
-    distinct: dict[Any, Run] = {}
+    fields = ("env", *OF_GYMNASIUM, "engine", "algorithm")
+    run_by_environment: dict[Any, Run] = {}
     for run in runs:
-        made = (env_config(run), *(getattr(run, name) for name in names))
-        distinct[replace(run, seed=0) if is_open(run) else made] = run
-    for run in distinct.values():
+        if is_open(run):
+            key: Any = replace(run, seed=0)  # its learner is made too
+        else:
+            key = env_config(run), *(getattr(run, field) for field in fields)
+        run_by_environment[key] = run
+    for run in run_by_environment.values():
         check_environment(run)
