@@ -173,8 +173,9 @@ def _refuse_overlaps(level: Level, bodies: Sequence[_Body], obstacles: Sequence[
     high = np.array([obstacle.high for obstacle in obstacles])
     for body in bodies:
         depth = np.minimum(high, body.high) - np.maximum(low, body.low)
-        for index in np.flatnonzero((depth > rules.CONTACT_EPS).all(axis=1)):  # touching is no overlap
-            obstacle = obstacles[int(index)]
+        overlapping = (depth > rules.CONTACT_EPS).all(axis=1)  # touching is no overlap
+        for index in np.flatnonzero(overlapping).tolist():
+            obstacle = obstacles[index]
             if obstacle.name != body.name:  # itself, or another player's body at one place
                 raise UserError(f"level {level.name}: {body.name} begins inside {obstacle.name}")
 
