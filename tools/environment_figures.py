@@ -59,11 +59,11 @@ def draw_level(folder: Path) -> list[Path]:
     level = worlds.level
     renderer = Renderer(worlds, "map", panel=False)
     image = renderer.frame(0)
-    left, top, right, bottom = renderer.extent
+    shown = renderer.extent
     with house_style():
         figure = Figure(figsize=(5.2, 4.7), layout="constrained")
         axes = figure.subplots()
-        axes.imshow(image, extent=(left, right, bottom, top), interpolation="none")
+        axes.imshow(image, extent=(shown.left, shown.right, shown.bottom, shown.top), interpolation="none")
         axes.plot(
             *level.starts.T, "*", color="#FFD400", markeredgecolor="black", markersize=9, label="start places"
         )

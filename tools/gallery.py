@@ -161,8 +161,8 @@ def _training(episodes: Sequence[Mapping[str, Any]]) -> Figure:
     for episode in episodes:
         worlds, act = replay(episode)
         renderer = Renderer(worlds, panel=False)
-        frame, (left, top, right, _) = renderer.frame(), renderer.extent
-        corner, scale = np.array([left, top]), frame.shape[1] / (right - left)
+        frame, shown = renderer.frame(), renderer.extent
+        corner, scale = np.array([shown.left, shown.top]), frame.shape[1] / shown.width
         path = []
         while worlds.worlds["ending"][0] == 0 and worlds.worlds["monsters_left"][0] > 0:
             path.append([worlds.players["x"][0, 0], worlds.players["y"][0, 0]])

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import convolve1d
 
 from pneuma.env import rules
-from pneuma.env.level import BRIDGE, GRASS, SAND, SNOW, WATER, Level
+from pneuma.env.level import BRIDGE, GRASS, SAND, SNOW, WATER, Level, Rectangle
 from pneuma.env.sprites import TILE, read_art, rgb
 
 SHORE_TILES = 2
@@ -29,56 +29,61 @@ _EDGES = {
 _RAIL_COLOURS = ("d09d68", "5b3a2e")
 _VARIANTS = (0, 0, 0, 0, 1, 1, 2, 3)
 """The variant of its ground for a tile, by three bits of its hash."""
-_SOFT = (WATER, SNOW, GRASS, SAND)
+_LAND = (SNOW, GRASS, SAND)
 _ROUNDING = 6
 _RAIL = 4
 
 
 def paint_ground(ground: np.ndarray) -> np.ndarray:
-    """Paint a map's ground, (rows, columns) of `ground_kinds`: (16 rows, 16 columns, 3) uint8."""
-    kinds = _soften(np.where(ground == BRIDGE, WATER, ground))
+    """Paint a map's ground, (rows, columns) of `visible_ground`: (16 rows, 16 columns, 3) uint8."""
+    pixel_ground = _soften(np.where(ground == BRIDGE, WATER, ground))
     image = _texture(ground.shape, WATER)
-    for kind in (SNOW, GRASS, SAND):
-        np.copyto(image, _texture(ground.shape, kind), where=(kinds == kind)[..., None])
-    _paint_water(image, kinds)
-    _paint_banks(image, kinds)
-    framed = np.pad(ground, 1, constant_values=WATER)
-    for row, column in np.argwhere(framed == BRIDGE).tolist():
-        _paint_bridge(image, framed, row, column)
+    for code in _LAND:
+        np.copyto(image, _texture(ground.shape, code), where=(pixel_ground == code)[..., None])
+    _paint_water(image, pixel_ground)
+    _paint_banks(image, pixel_ground)
+    framed_ground = np.pad(ground, 1, constant_values=WATER)
+    for row, column in np.argwhere(framed_ground == BRIDGE).tolist():
+        _paint_bridge(image, framed_ground, row, column)
     return image
 
 
 def tile_hash(row: np.ndarray | int, column: np.ndarray | int, salt: int = 0) -> np.ndarray:
     """Return 32 well-mixed bits for each tile, from which all variation between tiles follows."""
-    mixed = np.array(row, np.uint64) * np.uint64(0x9E3779B1) ^ np.array(column, np.uint64) * np.uint64(
-        0x85EBCA77
-    )
+    mixed_rows = np.array(row, np.uint64) * np.uint64(0x9E3779B1)
+    mixed_columns = np.array(column, np.uint64) * np.uint64(0x85EBCA77)
+    mixed = mixed_rows ^ mixed_columns
     for factor in (0xC2B2AE3D, 0x2C1B3C6D):
         mixed = (mixed + np.uint64(salt)) & np.uint64(0xFFFFFFFF)
         mixed = (mixed ^ (mixed >> np.uint64(15))) * np.uint64(factor)
     return (mixed >> np.uint64(16) & np.uint64(0xFFFFFFFF)).astype(np.int64)
 
 
-def _texture(shape: tuple[int, ...], kind: int) -> np.ndarray:
+def _texture(shape: tuple[int, ...], code: int) -> np.ndarray:
     """Return a map of one ground, each tile in the variant that its hash selects."""
     rows, columns = shape
-    drawn = _ground_pictures(kind)
-    variants = np.concatenate([drawn, drawn[:, :, ::-1]])  # and each the other way round
+    pictures = _ground_pictures(code)
+    mirrored = pictures[:, :, ::-1]
+    variants = np.concatenate([pictures, mirrored])
     row, column = np.ogrid[:rows, :columns]
-    mixed = tile_hash(row, column, kind)
-    chosen = np.array(_VARIANTS)[mixed % 8] + mixed // 8 % 2 * len(drawn)
-    tiles = variants[chosen]  # (rows, columns, 16, 16, 3)
+    mixed = tile_hash(row, column, code)
+    variant_by_tile = np.array(_VARIANTS)[mixed % 8] + mixed // 8 % 2 * len(pictures)
+    tiles = variants[variant_by_tile]  # (rows, columns, 16, 16, 3)
     image = tiles.swapaxes(1, 2).reshape(rows * TILE, columns * TILE, 3)
-    plain = (image == drawn[0, 0, 0]).all(axis=-1)
-    image[plain & (_wobble(shape, 10 + kind, 32) > 8)] = rgb(_PATCHES[kind])
+    background = pictures[0, 0, 0]
+    is_background = (image == background).all(axis=-1)
+    image[is_background & (_wobble(shape, 10 + code, 32) > 8)] = rgb(_PATCHES[code])
     return image
 
 
 @cache
-def _ground_pictures(kind: int) -> np.ndarray:
+def _ground_pictures(code: int) -> np.ndarray:
     """Return the four variants of one ground, (4, 16, 16, 3); a bridge has two."""
-    row = read_art("ground.png")[TILE * kind : TILE * (kind + 1), :, :3]
-    return np.stack(np.split(row, 4, axis=1)[: 2 if kind == BRIDGE else 4])
+    sheet = read_art("ground.png")[TILE * code : TILE * (code + 1), :, :3]
+    pictures = np.stack(np.split(sheet, 4, axis=1))
+    if code == BRIDGE:
+        return pictures[:2]
+    return pictures
 
 
 def _soften(ground: np.ndarray) -> np.ndarray:
@@ -87,24 +92,25 @@ def _soften(ground: np.ndarray) -> np.ndarray:
     Each pixel takes the most frequent ground in a small square around it, shifted by a smooth noise. Only
     whole numbers are used, so that every processor paints the same picture.
     """
-    kinds = np.zeros((ground.shape[0] * TILE, ground.shape[1] * TILE), np.uint8)
-    most = np.full(kinds.shape, -1000, np.int32)
-    for kind in _SOFT:
-        mask = ground == kind
-        if not mask.any():
+    pixel_ground = np.zeros((ground.shape[0] * TILE, ground.shape[1] * TILE), np.uint8)
+    highest_count = np.full(pixel_ground.shape, -1000, np.int32)
+    for code in (WATER, *_LAND):
+        tiles = ground == code
+        if not tiles.any():
             continue
-        share = _sum_around(mask.repeat(TILE, 0).repeat(TILE, 1), _ROUNDING)
-        share += np.where(share > 0, _wobble(ground.shape, kind), -1000)
-        kinds[share > most] = kind
-        np.maximum(most, share, out=most)
-    return kinds
+        count = _sum_around(tiles.repeat(TILE, 0).repeat(TILE, 1), _ROUNDING)
+        count += np.where(count > 0, _wobble(ground.shape, code), -1000)
+        pixel_ground[count > highest_count] = code
+        np.maximum(highest_count, count, out=highest_count)
+    return pixel_ground
 
 
 def _sum_around(pixels: np.ndarray, radius: int) -> np.ndarray:
     """Return the sum of the pixels in a square of 2 radius + 1 around each."""
-    total, ones = pixels.astype(np.int32), np.ones(2 * radius + 1)
+    total = pixels.astype(np.int32)
+    weights = np.ones(2 * radius + 1)
     for axis in (0, 1):
-        total = convolve1d(total, ones, axis, mode="nearest")
+        total = convolve1d(total, weights, axis, mode="nearest")
     return total
 
 
@@ -113,42 +119,44 @@ def _wobble(shape: tuple[int, ...], salt: int, step: int = 8) -> np.ndarray:
     counts = [length * TILE // step + 2 for length in shape]
     row, column = np.ogrid[: counts[0], : counts[1]]
     noise = tile_hash(row, column, 100 + salt).astype(np.int32) % 73 - 36
-    weight = np.arange(step, dtype=np.int32)
     for axis in (0, 1):
         noise = np.moveaxis(noise, axis, 0)
-        low, high = noise[:-1].repeat(step, 0), noise[1:].repeat(step, 0)
-        part = np.tile(weight, len(noise) - 1)[:, None]
-        noise = np.moveaxis((low * (step - part) + high * part) // step, 0, axis)
-    rounded = _sum_around(noise[: shape[0] * TILE, : shape[1] * TILE], step // 4)
-    return rounded // (2 * (step // 4) + 1) ** 2
+        before = noise[:-1].repeat(step, 0)
+        after = noise[1:].repeat(step, 0)
+        weight = np.tile(np.arange(step, dtype=np.int32), len(noise) - 1)[:, None]
+        noise = np.moveaxis((before * (step - weight) + after * weight) // step, 0, axis)
+    blurred = _sum_around(noise[: shape[0] * TILE, : shape[1] * TILE], step // 4)
+    return blurred // (2 * (step // 4) + 1) ** 2
 
 
-def _paint_water(image: np.ndarray, kinds: np.ndarray) -> None:
+def _paint_water(image: np.ndarray, pixel_ground: np.ndarray) -> None:
     """Lighten the shallows and draw foam along the shore."""
-    water, land = kinds == WATER, kinds != WATER
-    shape = (kinds.shape[0] // TILE, kinds.shape[1] // TILE)
+    water = pixel_ground == WATER
+    land = pixel_ground != WATER
+    shape = (pixel_ground.shape[0] // TILE, pixel_ground.shape[1] // TILE)
     noise = _wobble(shape, 7)
     shallow = water & (_sum_around(land, 9) + noise > 50)
     image[shallow] = rgb(_SHALLOWS)
-    near = [_sum_around(land, radius) > 0 for radius in (1, 4, 5)]
-    image[water & (near[0] | (near[2] & ~near[1] & (noise > 6)))] = rgb(_FOAM)
+    near, further, furthest = [_sum_around(land, radius) > 0 for radius in (1, 4, 5)]
+    image[water & (near | (furthest & ~further & (noise > 6)))] = rgb(_FOAM)
 
 
-def _paint_banks(image: np.ndarray, kinds: np.ndarray) -> None:
+def _paint_banks(image: np.ndarray, pixel_ground: np.ndarray) -> None:
     """Draw the rims where the land ends or turns, and the banks that face south."""
-    water = np.pad(kinds == WATER, 4, mode="edge")
-    height, width = kinds.shape
+    water = np.pad(pixel_ground == WATER, 4, mode="edge")
+    height, width = pixel_ground.shape
 
     def water_at(down: int, right: int = 0) -> np.ndarray:
         return water[4 + down : 4 + down + height, 4 + right : 4 + right + width]
 
     rim = water_at(0, -1) | water_at(0, 1) | water_at(-1)
-    rim[1:] |= (kinds[1:] != kinds[:-1]) & (kinds[:-1] != WATER)
-    upper, lower = water_at(3) | water_at(4), water_at(1) | water_at(2)
-    for kind in (SNOW, GRASS, SAND):
-        mask = kinds == kind
-        for where, colour in zip((rim, upper, lower), _EDGES[kind], strict=True):
-            image[mask & where] = rgb(colour)
+    rim[1:] |= (pixel_ground[1:] != pixel_ground[:-1]) & (pixel_ground[:-1] != WATER)
+    upper_bank = water_at(3) | water_at(4)
+    lower_bank = water_at(1) | water_at(2)
+    for code in _LAND:
+        ground = pixel_ground == code
+        for edge, colour in zip((rim, upper_bank, lower_bank), _EDGES[code], strict=True):
+            image[ground & edge] = rgb(colour)
 
 
 def _paint_bridge(image: np.ndarray, ground: np.ndarray, row: int, column: int) -> None:
@@ -158,46 +166,54 @@ def _paint_bridge(image: np.ndarray, ground: np.ndarray, row: int, column: int) 
     """
     variants = _ground_pictures(BRIDGE)
     planks = variants[int(tile_hash(row - 1, column - 1)) % len(variants)]
-    upright = _leads_down(ground, row, column)
-    if not upright:
+    if not _leads_down(ground, row, column):
         image, ground, row, column = image.swapaxes(0, 1), ground.T, column, row
-    top, left = (row - 1) * TILE, (column - 1) * TILE
-    ends = [ground[row + way, column] not in (WATER, BRIDGE) for way in (-1, 1)]
-    first, last = max(top - _RAIL * ends[0], 0), min(top + TILE + _RAIL * ends[1], image.shape[0])
-    image[first:last, left : left + TILE] = planks[np.arange(first - top, last - top) % TILE]
-    for way, edge in ((-1, left), (1, left + TILE - 2)):
-        if ground[row, column + way] == WATER:
-            for place, colour in enumerate(_RAIL_COLOURS, start=edge):
-                image[first:last, place] = rgb(colour)
+    first_row = (row - 1) * TILE
+    first_column = (column - 1) * TILE
+    start = first_row
+    if ground[row - 1, column] not in (WATER, BRIDGE):
+        start = max(first_row - _RAIL, 0)
+    end = first_row + TILE
+    if ground[row + 1, column] not in (WATER, BRIDGE):
+        end = min(end + _RAIL, image.shape[0])
+    plank_rows = np.arange(start - first_row, end - first_row) % TILE
+    image[start:end, first_column : first_column + TILE] = planks[plank_rows]
+    for neighbour, edge in ((column - 1, first_column), (column + 1, first_column + TILE - 2)):
+        if ground[row, neighbour] == WATER:
+            for offset, colour in enumerate(_RAIL_COLOURS):
+                image[start:end, edge + offset] = rgb(colour)
 
 
 def _leads_down(ground: np.ndarray, row: int, column: int) -> bool:
-    for way in (-1, 1):
-        r = row
-        while ground[r, column] == BRIDGE:
-            r += way
-        if ground[r, column] == WATER:
+    """Return whether a bridge has land at its upper and lower end."""
+    for step in (-1, 1):
+        end = row
+        while ground[end, column] == BRIDGE:
+            end += step
+        if ground[end, column] == WATER:
             return False
     return True
 
 
-def ground_kinds(level: Level) -> np.ndarray:
+def visible_ground(level: Level) -> np.ndarray:
     """Return the ground of each tile of a level, (rows, columns) of `WATER` to `BRIDGE`.
 
-    Any other code is drawn as grass. The coast is always water.
+    Any other code looks like grass. The coast is always water.
     """
-    kinds = np.where((level.ground >= 0) & (level.ground <= BRIDGE), level.ground, GRASS)
-    return np.where(level.terrain == rules.COAST, WATER, kinds)
+    has_picture = (level.ground >= WATER) & (level.ground <= BRIDGE)
+    ground = np.where(has_picture, level.ground, GRASS)
+    return np.where(level.terrain == rules.COAST, WATER, ground)
 
 
-def land_and_shore(levels: Sequence[Level]) -> tuple[int, int, int, int]:
-    """Return left, top, width and height of the land of all levels and the water around, in art pixels."""
+def land_and_shore(levels: Sequence[Level]) -> Rectangle:
+    """Return the box of the land of all levels and the water around, in art pixels."""
     land = np.any([level.terrain != rules.COAST for level in levels], axis=0)
-    edges = []
-    for axis in (0, 1):
-        lines = np.flatnonzero(land.any(axis=axis))
-        first, last = (lines[0], lines[-1]) if lines.size else (0, land.shape[1 - axis] - 1)
-        start = max(int(first) - SHORE_TILES, 0)
-        edges.append((start, min(int(last) + 1 + SHORE_TILES, land.shape[1 - axis]) - start))
-    (left, width), (top, height) = edges
-    return left * TILE, top * TILE, width * TILE, height * TILE
+    first_row, end_row = _span(land.any(axis=1))
+    first_column, end_column = _span(land.any(axis=0))
+    return Rectangle(first_column * TILE, first_row * TILE, end_column * TILE, end_row * TILE)
+
+
+def _span(has_land: np.ndarray) -> tuple[int, int]:
+    """Return the first and the end of the rows, or columns, with land and the shore around."""
+    rows = np.flatnonzero(has_land).tolist() or [0, len(has_land) - 1]
+    return max(rows[0] - SHORE_TILES, 0), min(rows[-1] + 1 + SHORE_TILES, len(has_land))

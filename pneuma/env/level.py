@@ -31,7 +31,7 @@ that overlapped the wall by a rounding error could not slide along it."""
 
 
 class Rectangle(NamedTuple):
-    """A part of the plane, in pixels."""
+    """A part of the plane, in pixels; y points down."""
 
     left: float
     top: float

@@ -36,24 +36,26 @@ class Hunter:
     SIDE_STEPS = 4
 
     def __init__(self, worlds: Worlds) -> None:
-        self._left_off = np.full((2, *worlds.players.shape), np.nan)  # where the last walk began
-        self._detour = np.zeros(worlds.players.shape, np.int64)  # steps left of a way round
-        self._way = np.zeros(worlds.players.shape, np.int64)
+        self._last_walk = np.full((2, *worlds.players.shape), np.nan)  # x and y where it began
+        self._detour_steps = np.zeros(worlds.players.shape, np.int64)  # that are left of a way round
+        self._detour_facing = np.zeros(worlds.players.shape, np.int64)
 
     def act(self, worlds: Worlds) -> np.ndarray:
         """Return (N, P) actions; those of players who are busy do not matter."""
         fresh = worlds.worlds["steps"] == 0
-        self._left_off[:, fresh], self._detour[fresh] = np.nan, 0
+        self._last_walk[:, fresh] = np.nan
+        self._detour_steps[fresh] = 0
         monsters, players = worlds.monsters[:, None, :], worlds.players[:, :, None]
         alive = monsters["hp"] > 0  # (N, 1, M)
-        dx, dy = (monsters[axis] - players[axis] for axis in "xy")  # from player to monster, (N, P, M)
+        dx = monsters["x"] - players["x"]  # from player to monster, (N, P, M)
+        dy = monsters["y"] - players["y"]
         hits = np.stack([_in_reach(worlds, dx, dy, facing) & alive for facing in range(4)])  # (4, N, P, M)
         strikes = _pick(np.any(hits, axis=-1), worlds.players["facing"])
         free = (worlds.players["busy"] < TICKS_PER_STEP) & (worlds.players["hp"] > 0)
         free &= alive.any(axis=-1) & (worlds.worlds["ending"] == 0)[:, None]
         walks = free & ~strikes
-        way, aside = self._towards(dx, dy, alive, hits)
-        return np.where(walks, self._go_round(worlds, walks, way, aside), rules.ATTACK)
+        ahead, aside = self._towards(dx, dy, alive, hits)
+        return np.where(walks, self._go_round(worlds, walks, ahead, aside), rules.ATTACK)
 
     def _towards(
         self, dx: np.ndarray, dy: np.ndarray, alive: np.ndarray, hits: np.ndarray
@@ -62,40 +64,48 @@ class Hunter:
 
         A monster that a turn would hit is nearer than all others.
         """
-        order = np.where(hits.any(axis=0), 0.0, 1.0) + np.hypot(dx, dy) / FARTHEST
-        nearest = np.where(alive, order, np.inf).argmin(axis=-1)[..., None]
-        dx, dy = (np.take_along_axis(each, nearest, -1)[..., 0] for each in (dx, dy))
+        distances = np.where(hits.any(axis=0), 0.0, 1.0) + np.hypot(dx, dy) / FARTHEST
+        nearest = np.where(alive, distances, np.inf).argmin(axis=-1)[..., None]
+        dx = np.take_along_axis(dx, nearest, -1)[..., 0]
+        dy = np.take_along_axis(dy, nearest, -1)[..., 0]
         hit = np.take_along_axis(hits, nearest[None], -1)[..., 0]  # (4, N, P)
-        along_x, along_y = np.where(dx > 0, rules.RIGHT, rules.LEFT), np.where(dy > 0, rules.DOWN, rules.UP)
+        along_x = np.where(dx > 0, rules.RIGHT, rules.LEFT)
+        along_y = np.where(dy > 0, rules.DOWN, rules.UP)
         sideways = np.abs(dx) > np.abs(dy)
-        longer, shorter = np.where(sideways, along_x, along_y), np.where(sideways, along_y, along_x)
-        turn = ~_pick(hit, longer) & _pick(hit, shorter)
-        return np.where(turn, shorter, longer), np.where(turn, longer, shorter)
+        longer = np.where(sideways, along_x, along_y)
+        shorter = np.where(sideways, along_y, along_x)
+        turns = ~_pick(hit, longer) & _pick(hit, shorter)
+        return np.where(turns, shorter, longer), np.where(turns, longer, shorter)
 
-    def _go_round(self, worlds: Worlds, walks: np.ndarray, way: np.ndarray, aside: np.ndarray) -> np.ndarray:
+    def _go_round(
+        self, worlds: Worlds, walks: np.ndarray, ahead: np.ndarray, aside: np.ndarray
+    ) -> np.ndarray:
         """Return the direction, or another one for a few steps if the player was stopped.
 
         First aside, then round to the right. Later players go further, so that two do not block each other
         for ever. All arrays are (N, P).
         """
-        place = np.stack([worlds.players["x"], worlds.players["y"]])
-        stopped = (place == self._left_off).all(axis=0) & walks
-        again = stopped & (self._detour > 0)
-        self._way = np.where(again, (self._way + 1) % 4, np.where(stopped, aside, self._way))
-        steps = self.SIDE_STEPS * (1 + np.arange(worlds.players.shape[1]))
-        self._detour = np.where(stopped, steps, np.maximum(self._detour - walks, 0))
-        self._left_off = np.where(walks, place, np.nan)
-        return np.where(self._detour > 0, self._way, way)
+        position = np.stack([worlds.players["x"], worlds.players["y"]])
+        stopped = (position == self._last_walk).all(axis=0) & walks
+        stopped_again = stopped & (self._detour_steps > 0)
+        facing = np.where(stopped, aside, self._detour_facing)
+        self._detour_facing = np.where(stopped_again, (self._detour_facing + 1) % 4, facing)
+        most_steps = self.SIDE_STEPS * (1 + np.arange(worlds.players.shape[1]))
+        fewer_steps = np.maximum(self._detour_steps - walks, 0)
+        self._detour_steps = np.where(stopped, most_steps, fewer_steps)
+        self._last_walk = np.where(walks, position, np.nan)
+        return np.where(self._detour_steps > 0, self._detour_facing, ahead)
 
 
 def _in_reach(worlds: Worlds, dx: np.ndarray, dy: np.ndarray, facing: int) -> np.ndarray:
     """Return which monsters an attack in a direction would hit as they stand: (N, P, M)."""
-    kinds = worlds.monster_stats[worlds.worlds["level"]][:, None, :]  # (N, 1, M)
+    monster_stats = worlds.monster_stats[worlds.worlds["level"]][:, None, :]  # (N, 1, M)
     meets = np.ones(dx.shape, bool)
     for offset, axis, side in ((dx, "x", "width"), (dy, "y", "height")):
         centre = worlds.player_stats["sword"][axis][:, facing, None]  # (P, 1)
         half = worlds.player_stats["sword"][f"half_{side}"][:, facing, None]
-        meets &= np.abs(offset + kinds[f"body_{axis}"] - centre) < half + kinds[f"half_{side}"]
+        distance = np.abs(offset + monster_stats[f"body_{axis}"] - centre)
+        meets &= distance < half + monster_stats[f"half_{side}"]
     return meets
 
 

@@ -17,8 +17,8 @@ from PIL import Image
 
 from pneuma.env import rules, sprites
 from pneuma.env.characters import FACINGS, TICKS_PER_STEP
-from pneuma.env.ground import ground_kinds, land_and_shore, paint_ground, tile_hash
-from pneuma.env.level import GRASS, SAND, SNOW
+from pneuma.env.ground import land_and_shore, paint_ground, tile_hash, visible_ground
+from pneuma.env.level import GRASS, SAND, SNOW, Rectangle
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
@@ -71,7 +71,7 @@ class Renderer:
     Attributes:
         size: width and height of a frame, with the strips.
         background: (height, width, 3) the bare ground of the whole level, in art pixels.
-        shown: left, top, width and height of what the map shows of it: the land and two tiles around.
+        shown: the box of what the map shows of it: the land and two tiles around.
     """
 
     def __init__(
@@ -100,26 +100,32 @@ class Renderer:
         self._scenes: dict[int, tuple[np.ndarray, tuple[Item, ...]]] = {}
         self.background, self._obstacles = self._scene(0)
         self.shown = land_and_shore(worlds.levels)
-        _, _, width, height = self.shown
         if camera == "follow":
-            self._factor, (width, height) = zoom, VIEW
+            self._factor = zoom
+            width, height = VIEW
         else:
+            width, height = int(self.shown.width), int(self.shown.height)
             self._factor = max(round(MAP_SIDE / max(height, width)), 1)
         self._size = width * self._factor, height * self._factor
         self._panel_factor = min(max(self._size[0] // PANEL_WIDTH, 1), 3)
-        players = worlds.players.shape[1]
-        strips = 1 if players == 1 else 1 + players
-        height = PANEL_GAP + strips * (PANEL_LINE + PANEL_GAP)
-        self._panel = height * self._panel_factor // 2 * 2 if panel else 0  # even, as videos need it
+        self._panel = 0
+        if panel:
+            strips = len(self._strip_pieces(0, 0))
+            panel_height = PANEL_GAP + strips * (PANEL_LINE + PANEL_GAP)
+            self._panel = panel_height * self._panel_factor // 2 * 2  # even, as videos need it
         self.size = self._size[0], self._size[1] + self._panel
 
     @property
-    def extent(self) -> tuple[float, float, float, float]:
-        """Left, top, right and bottom of what the map shows, in pixels of the world."""
+    def extent(self) -> Rectangle:
+        """The box of what the map shows, in pixels of the world."""
         level = self.worlds.level
         scale = level.tile / sprites.TILE
-        left, top, width, height = (scale * side for side in self.shown)
-        return level.left + left, level.top + top, level.left + left + width, level.top + top + height
+        return Rectangle(
+            left=level.left + scale * self.shown.left,
+            top=level.top + scale * self.shown.top,
+            right=level.left + scale * self.shown.right,
+            bottom=level.top + scale * self.shown.bottom,
+        )
 
     def _scene(self, index: int) -> tuple[np.ndarray, tuple[Item, ...]]:
         """Return the bare ground of a level, painted at the first call, and its obstacles."""
@@ -127,54 +133,60 @@ class Renderer:
             level = self.worlds.levels[index]
             if level.terrain.size > MOST_TILES:
                 raise UserError(f"level {level.name}: too large to draw; at most {MOST_TILES:,} tiles")
-            ground = ground_kinds(level)
-            solid = level.terrain == rules.SOLID
-            self._scenes[index] = paint_ground(ground), tuple(_obstacles(solid, ground))
+            ground = visible_ground(level)
+            obstacles = tuple(_obstacles(level.terrain == rules.SOLID, ground))
+            self._scenes[index] = paint_ground(ground), obstacles
         return self._scenes[index]
 
     def frame(self, world: int = 0, player: int = 0) -> np.ndarray:
         """Return the frame of one world, (height, width, 3) uint8, with one of its players in view."""
         self.background, self._obstacles = self._scene(int(self.worlds.worlds["level"][world]))
-        left, top = self._corner(world, player)
-        width, height = (side // self._factor for side in self._size)
+        corner_x, corner_y = self._corner(world, player)
+        width, height = self._size[0] // self._factor, self._size[1] // self._factor
         canvas = Image.new("RGB", (width, height), SEA)
-        canvas.paste(Image.fromarray(self.background), (-left, -top))
+        canvas.paste(Image.fromarray(self.background), (-corner_x, -corner_y))
         items = [*self._obstacles, *self._monsters(world), *self._bars(world), *self._players(world)]
         for item in sorted(items, key=lambda item: item.foot):
-            sprites.blend(canvas, item.picture, item.left - left, item.top - top)
-        frame = np.asarray(canvas.resize(self._size, Image.Resampling.NEAREST))
-        return np.concatenate([self._strips(world, player), frame]) if self._panel else frame.copy()
+            sprites.blend(canvas, item.picture, item.left - corner_x, item.top - corner_y)
+        frame = np.array(canvas.resize(self._size, Image.Resampling.NEAREST))
+        if self._panel:
+            return np.concatenate([self._strips(world, player), frame])
+        return frame
 
     # --- Cameras ---------------------------------------------------------------------------------
 
     def _corner(self, world: int, player: int) -> tuple[int, int]:
         """Return left and top of what the camera shows of the level, in art pixels."""
         if self.camera == "map":
-            return self.shown[:2]
-        row = self.worlds.players[world, player]
-        x, y = self._place(row["x"], row["y"])
+            return int(self.shown.left), int(self.shown.top)
+        position = self.worlds.players[world, player]
+        x, y = self._place(position["x"], position["y"])
         rows, columns = self.background.shape[:2]
         return _clamp(x, VIEW[0], columns), _clamp(y, VIEW[1], rows)
 
     def _place(self, x: float, y: float) -> tuple[int, int]:
+        """Return the art pixel of a place in the world."""
         level = self.worlds.level
         scale = sprites.TILE / level.tile
         return int((x - level.left) * scale // 1), int((y - level.top) * scale // 1)
 
     # --- What stands in the world ----------------------------------------------------------------
 
-    def _kinds(self, world: int) -> np.ndarray:
+    def _level_stats(self, world: int) -> np.ndarray:
+        """Return the stats of a world's monsters."""
         return self.worlds.monster_stats[self.worlds.worlds["level"][world]]
 
     def _monsters(self, world: int) -> Iterator[Item]:
-        kinds = self.worlds.levels[self.worlds.worlds["level"][world]].monsters
-        monsters, stats_of_all = self.worlds.monsters[world], self._kinds(world)
-        for monster, stats, (kind, _, _) in zip(monsters, stats_of_all, kinds, strict=True):
+        places = self.worlds.levels[self.worlds.worlds["level"][world]].monsters
+        level_stats = self._level_stats(world)
+        for monster, stats, place in zip(self.worlds.monsters[world], level_stats, places, strict=True):
             if monster["hp"] <= 0:
                 continue
-            flash = sprites.WHITE if monster["knocked"] // 8 % 2 else ""
+            flash = ""
+            if monster["knocked"] // 8 % 2:
+                flash = sprites.WHITE
             pose = int((monster["x"] + monster["y"]) // (STRIDE / 2)) % 2
-            picture = sprites.monster_picture(kind, pose, bool(monster["noticed"]), flash)
+            picture = sprites.monster_picture(place.name, pose, bool(monster["noticed"]), flash)
             yield from self._standing(picture, monster, stats)
 
     def _players(self, world: int) -> Iterator[Item]:
@@ -184,20 +196,25 @@ class Renderer:
             if player["hp"] <= 0:
                 yield from self._standing(sprites.obstacle_picture("grave"), player, stats)
                 continue
-            flash = sprites.RED if bitten[index] else ""
-            does = player["action_kind"] if player["busy"] > 0 else 0
+            flash = ""
+            if bitten[index]:
+                flash = sprites.RED
             yield from self._standing(_player_picture(index, player, flash), player, stats)
-            if does == rules.BLADE:
+            if player["busy"] == 0:
+                continue
+            if player["action_kind"] == rules.BLADE:
                 yield from self._blow(player, stats)
-            elif does == rules.BURNING:
+            elif player["action_kind"] == rules.BURNING:
                 yield from self._flames(player, stats)
-            elif does == rules.HEALING:
+            elif player["action_kind"] == rules.HEALING:
                 yield from self._pluses(player, stats)
 
     def _bitten(self, world: int) -> np.ndarray:
-        monsters, stats = self.worlds.monsters[world], self._kinds(world)
-        fresh = monsters["bite"] > (stats["bite_ticks"] - FLASH_TICKS)[:, None]  # (M, players)
-        fresh &= (monsters["bite"] > 0) & (monsters["hp"] > 0)[:, None]
+        """Return which players were bitten a moment ago, (P,)."""
+        monsters = self.worlds.monsters[world]
+        living = (monsters["hp"] > 0)[:, None]
+        fresh_ticks = (self._level_stats(world)["bite_ticks"] - FLASH_TICKS)[:, None]
+        fresh = (monsters["bite"] > 0) & (monsters["bite"] > fresh_ticks) & living  # (M, players)
         return np.asarray(fresh.any(axis=0))
 
     def _standing(self, picture: np.ndarray, body: Any, stats: Any) -> Iterator[Item]:
@@ -205,35 +222,45 @@ class Renderer:
 
     def _blow(self, player: Any, stats: Any) -> Iterator[Item]:
         """Yield a sword, and the arc over the box that it strikes."""
-        way, facing = player["facing"], FACINGS[player["facing"]]
+        facing = player["facing"]
+        direction = FACINGS[facing]
         moment = int(sprites.SWINGS * (stats["swing"] - player["busy"]) // stats["swing"])
         strike = stats["sword"]
-        half_width, half_height = strike["half_width"][way], strike["half_height"][way]
-        x, y = player["x"] + strike["x"][way], player["y"] + strike["y"][way]
-        left, top = self._place(x - half_width, y - half_height)
-        right, bottom = self._place(x + half_width, y + half_height)
-        arc = sprites.slash_picture(right - left + 1, bottom - top + 1, facing, moment)
-        _, foot = self._place(0.0, max(y + half_height, _foot(player, stats)))
-        yield Item(foot + 0.1, arc, left, top)
-        x, y = self._place(player["x"] + strike["hilt_x"][way], player["y"] + strike["hilt_y"][way])
+        half_width, half_height = strike["half_width"][facing], strike["half_height"][facing]
+        x, y = player["x"] + strike["x"][facing], player["y"] + strike["y"][facing]
+        first_column, first_row = self._place(x - half_width, y - half_height)
+        last_column, last_row = self._place(x + half_width, y + half_height)
+        arc = sprites.slash_picture(
+            width=last_column - first_column + 1,
+            height=last_row - first_row + 1,
+            facing=direction,
+            moment=moment,
+        )
+        _, arc_foot = self._place(0.0, max(y + half_height, _foot(player, stats)))
+        yield Item(arc_foot + 0.1, arc, first_column, first_row)
+        x, y = self._place(player["x"] + strike["hilt_x"][facing], player["y"] + strike["hilt_y"][facing])
         _, foot = self._place(0.0, _foot(player, stats))
-        sword = sprites.sword_picture(facing, moment)
-        yield _centred(foot + (-0.2 if facing == "up" else 0.2), sword, x, y)
+        sword = sprites.sword_picture(direction, moment)
+        if direction == "up":
+            yield _centred(foot - 0.2, sword, x, y)
+        else:
+            yield _centred(foot + 0.2, sword, x, y)
 
     def _flames(self, player: Any, stats: Any) -> Iterator[Item]:
         """Yield flames all over the box that burns, which die down in the last third."""
-        way, ticks = player["facing"], int(stats["flame_ticks"])
+        facing, ticks = player["facing"], int(stats["flame_ticks"])
         age = ticks - int(player["busy"])
-        left_over = min(3 * int(player["busy"]), ticks) * 13 // ticks
+        flame_rows = min(3 * int(player["busy"]), ticks) * 13 // ticks
         strike = stats["flame"]
-        width, height = 2 * strike["half_width"][way], 2 * strike["half_height"][way]
-        columns, rows = (max(round(side / FLAME_GAP), 1) for side in (width, height))
+        width, height = 2 * strike["half_width"][facing], 2 * strike["half_height"][facing]
+        columns = max(round(width / FLAME_GAP), 1)
+        rows = max(round(height / FLAME_GAP), 1)
         for row, column in np.ndindex(rows, columns):
             x, y = self._place(
-                player["x"] + strike["x"][way] + width * ((column + 0.5) / columns - 0.5),
-                player["y"] + strike["y"][way] + height * ((row + 1) / rows - 0.5),
+                player["x"] + strike["x"][facing] + width * ((column + 0.5) / columns - 0.5),
+                player["y"] + strike["y"][facing] + height * ((row + 1) / rows - 0.5),
             )
-            picture = sprites.flame_picture(age // 4 + row + column, max(left_over, 3))
+            picture = sprites.flame_picture(age // 4 + row + column, max(flame_rows, 3))
             yield _above(y, picture, x, y)
 
     def _pluses(self, player: Any, stats: Any) -> Iterator[Item]:
@@ -245,11 +272,11 @@ class Renderer:
 
     def _bars(self, world: int) -> Iterator[Item]:
         groups = (
-            (self.worlds.monsters, self._kinds(world), sprites.RED, 20),
-            (self.worlds.players, self.worlds.player_stats, sprites.GOLD, 19),
+            (self.worlds.monsters[world], self._level_stats(world), sprites.RED, 20),
+            (self.worlds.players[world], self.worlds.player_stats, sprites.GOLD, 19),
         )
-        for bodies, all_stats, colour, height in groups:
-            for body, stats in zip(bodies[world], all_stats, strict=True):
+        for bodies, stats_by_body, colour, height in groups:
+            for body, stats in zip(bodies, stats_by_body, strict=True):
                 if 0 < body["hp"] < stats["hp"]:
                     bar = _gauge(body["hp"], stats["hp"], colour, BAR_WIDTH)
                     x, y = self._place(body["x"], _foot(body, stats))
@@ -258,29 +285,37 @@ class Renderer:
     # --- The strips above ------------------------------------------------------------------------
 
     def _strips(self, world: int, player: int) -> np.ndarray:
-        """Return a strip of the world and its player; in teams one of the world, then one for each player."""
-        players = self.worlds.players.shape[1]
-        if players == 1:
-            rows = [[*self._badges(), *self._player_pieces(world, 0), *self._world_pieces(world)]]
-        else:
-            rows = [[*self._badges(), *self._world_pieces(world)]]
-            for index in range(players):
-                rows.append([_name(index, index == player), *self._player_pieces(world, index)])
+        """Return the strips above a frame, one below the other."""
         strips = Image.new("RGB", (self._size[0], self._panel), f"#{sprites.PLATE}")
         factor = self._panel_factor
-        top = PANEL_GAP
-        for row in rows:
-            left = PANEL_GAP
-            for picture in row:
+        line_top = PANEL_GAP
+        for pieces in self._strip_pieces(world, player):
+            column = PANEL_GAP
+            for picture in pieces:
                 height, width = picture.shape[:2]
+                picture_top = line_top + (PANEL_LINE - height) // 2
                 enlarged = picture.repeat(factor, 1).repeat(factor, 0)
-                sprites.blend(strips, enlarged, left * factor, (top + (PANEL_LINE - height) // 2) * factor)
-                left += width + PANEL_GAP
-            top += PANEL_LINE + PANEL_GAP
+                sprites.blend(strips, enlarged, column * factor, picture_top * factor)
+                column += width + PANEL_GAP
+            line_top += PANEL_LINE + PANEL_GAP
         return np.asarray(strips)
 
-    def _badges(self) -> list[np.ndarray]:
-        return [sprites.badge_picture(*self._badge)] if self._badge else []
+    def _strip_pieces(self, world: int, player: int) -> list[list[np.ndarray]]:
+        """Return pictures for each strip: of the world and its player; in teams of the world, and of each."""
+        badges = []
+        if self._badge:
+            badges.append(sprites.badge_picture(*self._badge))
+        players = self.worlds.players.shape[1]
+        if players == 1:
+            return [badges + self._player_pieces(world, 0) + self._world_pieces(world)]
+        strips = [badges + self._world_pieces(world)]
+        for index in range(players):
+            plate = sprites.PLATE
+            if index == player:
+                plate = PLAYER_PLATE
+            name = sprites.badge_picture(f"P{index + 1}", plate)
+            strips.append([name] + self._player_pieces(world, index))
+        return strips
 
     def _player_pieces(self, world: int, player: int) -> list[np.ndarray]:
         """Return bars and numbers of a player; rounded up, so that only the dead have 0 HP."""
@@ -309,16 +344,12 @@ class Renderer:
         return [sprites.text_picture(text) for text in texts]
 
 
-def _name(player: int, is_in_view: bool) -> np.ndarray:
-    """Return a player's name in the strip, on a plate if the frame is its view."""
-    name = f"P{player + 1}"
-    return sprites.badge_picture(name, PLAYER_PLATE if is_in_view else sprites.PLATE)
-
-
-def _gauge(left: float, full: float, colour: str, width: int, height: int = 1) -> np.ndarray:
-    """Return a bar of what is left; it is empty only when nothing is."""
-    filled = min(max(round(width * float(left) / float(full)), int(left > 0)), width)
-    return sprites.bar_picture(filled, width, colour, height)
+def _gauge(points: float, full_points: float, colour: str, width: int, height: int = 1) -> np.ndarray:
+    """Return a bar of the points that are left; it is empty only if there are none."""
+    filled = round(width * float(points) / float(full_points))
+    if points > 0:
+        filled = max(filled, 1)
+    return sprites.bar_picture(min(filled, width), width, colour, height)
 
 
 def _foot(body: Any, stats: Any) -> float:
@@ -339,20 +370,21 @@ def _upright(picture: np.ndarray, x: int, foot: int) -> Iterator[Item]:
 
 
 def _obstacles(solid: np.ndarray, ground: np.ndarray) -> Iterator[Item]:
-    kinds = {SNOW: ("pine",), GRASS: ("tree", "tree", "rock"), SAND: ("cactus",)}
+    names_by_ground = {SNOW: ("pine",), GRASS: ("tree", "tree", "rock"), SAND: ("cactus",)}
     for row, column in np.argwhere(solid).tolist():
-        names = kinds.get(int(ground[row, column]), ("rock",))
+        names = names_by_ground.get(int(ground[row, column]), ("rock",))
         picture = sprites.obstacle_picture(names[int(tile_hash(row, column)) % len(names)])
         yield from _upright(picture, column * sprites.TILE + sprites.TILE // 2, (row + 1) * sprites.TILE - 2)
 
 
 def _player_picture(index: int, player: Any, flash: str) -> np.ndarray:
     """Return a player standing, walking or attacking; the position decides which foot is in front."""
-    facing = FACINGS[player["facing"]]
+    pose = "stand"
     if player["busy"] > 0:
-        return sprites.player_picture(index, facing, "strike", flash)
-    phase = int((player["x"] + player["y"]) // STRIDE) % 2
-    return sprites.player_picture(index, facing, "stride" if phase else "stand", flash)
+        pose = "strike"
+    elif int((player["x"] + player["y"]) // STRIDE) % 2:
+        pose = "stride"
+    return sprites.player_picture(index, FACINGS[player["facing"]], pose, flash)
 
 
 def _clamp(centre: int, length: int, available: int) -> int:

@@ -49,15 +49,17 @@ def player_picture(index: int, facing: str, pose: str, flash: str = "") -> np.nd
 
 
 @cache
-def monster_picture(kind: str, pose: int, alert: bool = False, flash: str = "") -> np.ndarray:
+def monster_picture(name: str, pose: int, alert: bool = False, flash: str = "") -> np.ndarray:
     """Return the picture of a monster in one of two poses; its eyes show if it has noticed a player.
 
-    `art/monsters/KIND.png` holds both poses, calm above alert; other kinds look like `stranger.png`.
+    `art/monsters/NAME.png` holds both poses, calm above alert; others look like `stranger.png`.
     """
-    known = {path.stem for path in (ART / "monsters").iterdir()}
-    sheet = read_art(f"monsters/{kind if kind in known else 'stranger'}.png")
+    if not (ART / "monsters" / f"{name}.png").is_file():
+        name = "stranger"
+    sheet = read_art(f"monsters/{name}.png")
     height, width = sheet.shape[0] // 2, sheet.shape[1] // 2
-    return _flashed(sheet[alert * height :][:height, pose * width :][:, :width], flash)
+    row, column = alert * height, pose * width
+    return _flashed(sheet[row : row + height, column : column + width], flash)
 
 
 @cache
@@ -80,7 +82,7 @@ def shadow_picture(width: int) -> np.ndarray:
     y = (2 * np.arange(height) + 1 - height)[:, None] * width
     x = (2 * np.arange(width) + 1 - width)[None] * height
     picture = np.zeros((height, width, 4), np.uint8)
-    picture[x * x + y * y <= (width * height) ** 2] = (*rgb(OUTLINE), 80)
+    picture[x * x + y * y <= (width * height) ** 2] = _opaque(OUTLINE, 80)
     return picture
 
 
@@ -100,37 +102,42 @@ def slash_picture(width: int, height: int, facing: str, moment: int) -> np.ndarr
     0 to `SWINGS` - 1.
     """
     turns = _QUARTER_TURNS[facing]
-    ahead, across = (height, width) if turns % 2 == 0 else (width, height)
-    along = (2 * np.arange(ahead) + 1)[::-1, None] / (2 * ahead)  # 1 at the far end, 0 at the player
-    aside = (2 * np.arange(across) + 1)[None] / across - 1
-    edge = along**4 + aside**4
-    picture = np.zeros((ahead, across, 4), np.uint8)
-    picture[edge <= 1.05] = (*rgb(STEEL), 90)
-    passed = (aside <= 2 * (moment + 1) / SWINGS - 1) & (along > 0.25)
-    picture[(edge <= 1.05) & (edge > 0.45) & passed] = (*rgb(STEEL), 170)
-    picture[(edge <= 1.05) & (edge > 0.7) & passed] = (*rgb(WHITE), 240)
+    rows, columns = height, width
+    if turns % 2:
+        rows, columns = width, height
+    ahead = (2 * np.arange(rows) + 1)[::-1, None] / (2 * rows)  # 1 at the far end, 0 at the player
+    aside = (2 * np.arange(columns) + 1)[None] / columns - 1
+    distance = ahead**4 + aside**4
+    inside = distance <= 1.05
+    picture = np.zeros((rows, columns, 4), np.uint8)
+    picture[inside] = _opaque(STEEL, 90)
+    passed = inside & (aside <= 2 * (moment + 1) / SWINGS - 1) & (ahead > 0.25)
+    picture[passed & (distance > 0.45)] = _opaque(STEEL, 170)
+    picture[passed & (distance > 0.7)] = _opaque(WHITE, 240)
     return np.rot90(picture, turns)
 
 
 @cache
-def flame_picture(moment: int, left_over: int) -> np.ndarray:
-    """Return a flame, flickering by moments; of its 13 rows the lowest are left over as it goes out."""
-    lean = _FLICKER[moment % len(_FLICKER)]
+def flame_picture(moment: int, height: int) -> np.ndarray:
+    """Return a flame, flickering by moments; of its 13 rows only the lowest show as it goes out."""
+    lean_by_row = _FLICKER[moment % len(_FLICKER)]
     picture = np.zeros((len(_FLAME), 13, 4), np.uint8)
     x = 2 * np.arange(13) - 12
-    for row, half in enumerate(_FLAME):
-        off = abs(x - 2 * lean[min(row // 2, len(lean) - 1)])
+    for row, half_width in enumerate(_FLAME):
+        lean = lean_by_row[min(row // 2, len(lean_by_row) - 1)]
+        distance = abs(x - 2 * lean)
         for colour, inset in ((EMBER, 0), (FIRE, 2), (GOLD, 5)):
-            picture[row, off <= half - inset] = (*rgb(colour), 255)
-    whole = outlined(picture)
-    return whole[len(whole) - left_over :]
+            picture[row, distance <= half_width - inset] = _opaque(colour)
+    flame = outlined(picture)
+    return flame[len(flame) - height :]
 
 
 @cache
 def plus_picture() -> np.ndarray:
     """Return the sign of healing."""
     picture = np.zeros((5, 5, 4), np.uint8)
-    picture[2, :] = picture[:, 2] = (*rgb(LEAF), 255)
+    picture[2, :] = _opaque(LEAF)
+    picture[:, 2] = _opaque(LEAF)
     return outlined(picture)
 
 
@@ -138,7 +145,7 @@ def outlined(picture: np.ndarray) -> np.ndarray:
     """Return a picture with an outline around it, two art pixels wider and higher."""
     framed = np.pad(picture, ((1, 1), (1, 1), (0, 0)))
     inside = framed[..., 3] > 0
-    framed[binary_dilation(inside) & ~inside] = (*rgb(OUTLINE), 255)
+    framed[binary_dilation(inside) & ~inside] = _opaque(OUTLINE)
     return framed
 
 
@@ -149,9 +156,9 @@ def outlined(picture: np.ndarray) -> np.ndarray:
 def bar_picture(filled: int, width: int, colour: str, height: int = 1) -> np.ndarray:
     """Return a framed bar with the first `filled` of its `width` art pixels coloured."""
     picture = np.empty((height + 2, width + 2, 4), np.uint8)
-    picture[...] = (*rgb(OUTLINE), 255)
-    picture[1:-1, 1:-1] = (*rgb("7a6070"), 255)
-    picture[1:-1, 1 : 1 + filled] = (*rgb(colour), 255)
+    picture[...] = _opaque(OUTLINE)
+    picture[1:-1, 1:-1] = _opaque("7a6070")
+    picture[1:-1, 1 : 1 + filled] = _opaque(colour)
     return picture
 
 
@@ -167,16 +174,22 @@ def badge_picture(text: str, colour: str) -> np.ndarray:
 
 def text_picture(text: str) -> np.ndarray:
     """Return a line of text, 7 art pixels high, in capitals; characters without a glyph are blank."""
-    glyphs, gap = _glyphs(), np.zeros((7, 1, 4), np.uint8)
-    pieces = [piece for letter in text.upper() for piece in (glyphs.get(letter, gap.repeat(3, 1)), gap)]
+    gap = np.zeros((7, 1, 4), np.uint8)
+    pieces = []
+    for letter in text.upper():
+        pieces.append(_glyphs().get(letter, gap.repeat(3, 1)))
+        pieces.append(gap)
     return np.concatenate(pieces or [gap], axis=1)
 
 
 @cache
 def _glyphs() -> dict[str, np.ndarray]:
+    glyphs = {}
     cells = np.split(read_art("font.png"), len(LETTERS), axis=1)
-    widths = (int(np.flatnonzero(cell[..., 3].any(axis=0))[-1]) + 1 for cell in cells)
-    return {letter: cell[:, :width] for letter, cell, width in zip(LETTERS, cells, widths, strict=True)}
+    for letter, cell in zip(LETTERS, cells, strict=True):
+        inked_columns = np.flatnonzero(cell[..., 3].any(axis=0))
+        glyphs[letter] = cell[:, : inked_columns[-1] + 1]
+    return glyphs
 
 
 # --- What can be done with pictures --------------------------------------------------------------
@@ -191,6 +204,12 @@ def blend(canvas: Image.Image, picture: np.ndarray, left: int, top: int) -> None
 def rgb(colour: str) -> tuple[int, int, int]:
     red, green, blue = bytes.fromhex(colour)
     return red, green, blue
+
+
+def _opaque(colour: str, opacity: int = 255) -> tuple[int, int, int, int]:
+    """Return a colour with its opacity."""
+    red, green, blue = rgb(colour)
+    return red, green, blue, opacity
 
 
 def _flashed(picture: np.ndarray, colour: str) -> np.ndarray:

@@ -41,13 +41,14 @@ Act = Callable[[Worlds], np.ndarray]
 
 def keys_to_action(action_names: Sequence[str]) -> dict[tuple[int, ...], int]:
     """Return what keys do that are held alone or in pairs, for `gymnasium.utils.play.play`."""
-    actions: dict[int, int] = {}
+    action_by_key: dict[int, int] = {}
     for action, name in enumerate(action_names):
         for key in KEYS[name]:
-            actions[key] = action
-    pairs = combinations(sorted(actions), 2)
-    alone = {(key,): action for key, action in actions.items()}
-    return alone | {(first, second): max(actions[first], actions[second]) for first, second in pairs}
+            action_by_key[key] = action
+    actions: dict[tuple[int, ...], int] = {(key,): action for key, action in action_by_key.items()}
+    for first, second in combinations(sorted(action_by_key), 2):
+        actions[first, second] = max(action_by_key[first], action_by_key[second])
+    return actions
 
 
 class Rendering:
@@ -77,7 +78,9 @@ class Rendering:
 
     def render(self) -> Any:
         """Return the frame of the first world, (height, width, 3) uint8, if there is a render mode."""
-        return self._frame(0) if self.render_mode else None
+        if self.render_mode is None:
+            return None
+        return self._frame(0)
 
     def _frame(self, world: int, player: int = 0) -> np.ndarray:
         if self._renderer is None:
@@ -140,9 +143,9 @@ def encode_gif(frames: Iterable[np.ndarray], frames_per_second: float = FRAME_RA
 
     Its times are hundredths of a second, which add up to the right length.
     """
-    first, *others = [Image.fromarray(frame) for frame in frames]
-    ends = [round(100 * number / frames_per_second) for number in range(len(others) + 2)]
+    images = [Image.fromarray(frame) for frame in frames]
+    ends = [round(100 * number / frames_per_second) for number in range(len(images) + 1)]
     durations = [10 * (end - start) for start, end in pairwise(ends)]
     file = BytesIO()
-    first.save(file, "gif", save_all=True, append_images=others, duration=durations, loop=0)
+    images[0].save(file, "gif", save_all=True, append_images=images[1:], duration=durations, loop=0)
     return file.getvalue()
