@@ -151,15 +151,16 @@ class Characters(Table):
 
     @model_validator(mode="after")
     def _known_names(self) -> Characters:
-        for name, player in self.players.items():
+        for class_name, player in self.players.items():
             if player.weapon not in self.weapons:
-                raise wrong(f"[players.{name}] weapon: {unknown_name('weapon', player.weapon, self.weapons)}")
-        codes = {START_CODE: "a start place"}
-        for name, monster in self.monsters.items():
-            if monster.code in codes:
-                message = f"code = {monster.code} already stands for {codes[monster.code]}"
-                raise wrong(f"[monsters.{name}] {message}")
-            codes[monster.code] = name
+                unknown = unknown_name("weapon", player.weapon, self.weapons)
+                raise wrong(f"[players.{class_name}] weapon: {unknown}")
+        names_by_code = {START_CODE: "a start place"}
+        for monster_name, monster in self.monsters.items():
+            if monster.code in names_by_code:
+                problem = f"code = {monster.code} already stands for {names_by_code[monster.code]}"
+                raise wrong(f"[monsters.{monster_name}] {problem}")
+            names_by_code[monster.code] = monster_name
         return self
 
 
@@ -208,11 +209,11 @@ def monster_codes(characters: Characters) -> dict[int, str]:
 def player_stats(characters: Characters, classes: Sequence[str]) -> np.ndarray:
     """Return the stats of each player, (P,) `state.PLAYER_STATS`."""
     stats = np.zeros(len(classes), state.PLAYER_STATS)
-    for row, name in zip(stats, classes, strict=True):
-        if name not in characters.players:
-            raise unknown_name("class", name, characters.players)
-        player = characters.players[name]
-        _fill_player(row, player, characters.weapons[player.weapon], characters.spells)
+    for stats_row, class_name in zip(stats, classes, strict=True):
+        if class_name not in characters.players:
+            raise unknown_name("class", class_name, characters.players)
+        player = characters.players[class_name]
+        _fill_player(stats_row, player, characters.weapons[player.weapon], characters.spells)
     return stats
 
 
@@ -221,15 +222,15 @@ def monster_stats(
 ) -> np.ndarray:
     """Return the stats of each monster of each level, (L, M) `state.MONSTER_STATS`."""
     stats_by_name = {}
-    for name, monster in characters.monsters.items():
-        row = np.zeros(1, state.MONSTER_STATS)[0]
-        _fill_monster(row, monster)
-        row["reach_squared"] = _reach(row, players, magic) ** 2
-        stats_by_name[name] = row.item()
-    rows = []
+    for monster_name, monster in characters.monsters.items():
+        monster_row = np.zeros(1, state.MONSTER_STATS)[0]
+        _fill_monster(monster_row, monster)
+        monster_row["reach_squared"] = _reach(monster_row, players, magic) ** 2
+        stats_by_name[monster_name] = monster_row.item()
+    rows_by_level = []
     for level in levels:
-        rows.append([stats_by_name[monster.name] for monster in level.monsters])
-    return np.array(rows, state.MONSTER_STATS)
+        rows_by_level.append([stats_by_name[monster.name] for monster in level.monsters])
+    return np.array(rows_by_level, state.MONSTER_STATS)
 
 
 def fastest(players: np.ndarray, monsters: np.ndarray) -> float:
@@ -245,35 +246,35 @@ def _ticks(seconds: float) -> int:
     return round(seconds * TICKS_PER_SECOND)
 
 
-def _fill_body(row: Any, body: _Body) -> None:
-    row["hp"] = body.hp
-    row["speed"] = body.speed / TICKS_PER_SECOND
-    row["half_width"] = body.body[0] / 2
-    row["half_height"] = body.body[1] / 2
-    row["body_x"], row["body_y"] = body.body_at
-    row["safe"] = _ticks(body.invulnerable)
+def _fill_body(stats: Any, body: _Body) -> None:
+    stats["hp"] = body.hp
+    stats["speed"] = body.speed / TICKS_PER_SECOND
+    stats["half_width"] = body.body[0] / 2
+    stats["half_height"] = body.body[1] / 2
+    stats["body_x"], stats["body_y"] = body.body_at
+    stats["safe"] = _ticks(body.invulnerable)
 
 
-def _fill_player(row: Any, player: Player, weapon: Weapon, spells: Spells) -> None:
-    _fill_body(row, player)
-    row["energy"] = player.energy
-    row["energy_gain"] = player.energy_recovery * player.magic / TICKS_PER_SECOND
-    row["swing"] = _ticks(weapon.swing)
-    row["flame_ticks"] = _ticks(spells.flame.cast)
-    row["flame_cost"] = spells.flame.cost
-    row["heal_ticks"] = _ticks(spells.heal.cast)
-    row["heal_cost"] = spells.heal.cost
-    row["heal"] = spells.heal.strength
-    row["heal_reach"] = spells.heal.reach
-    _fill_strike(row["sword"], weapon.box, weapon.reach, weapon.damage + player.attack)
+def _fill_player(stats: Any, player: Player, weapon: Weapon, spells: Spells) -> None:
+    _fill_body(stats, player)
+    stats["energy"] = player.energy
+    stats["energy_gain"] = player.energy_recovery * player.magic / TICKS_PER_SECOND
+    stats["swing"] = _ticks(weapon.swing)
+    stats["flame_ticks"] = _ticks(spells.flame.cast)
+    stats["flame_cost"] = spells.flame.cost
+    stats["heal_ticks"] = _ticks(spells.heal.cast)
+    stats["heal_cost"] = spells.heal.cost
+    stats["heal"] = spells.heal.strength
+    stats["heal_reach"] = spells.heal.reach
+    _fill_strike(stats["sword"], weapon.box, weapon.reach, weapon.damage + player.attack)
     hilt = weapon.hilt or weapon.reach
-    row["sword"]["hilt_x"], row["sword"]["hilt_y"] = np.transpose(hilt.places())
-    row["sword"]["knock_speed"] = weapon.knock_back / TICKS_PER_SECOND
-    row["sword"]["knock_ticks"] = _ticks(weapon.knock_back_time)
+    stats["sword"]["hilt_x"], stats["sword"]["hilt_y"] = np.transpose(hilt.places())
+    stats["sword"]["knock_speed"] = weapon.knock_back / TICKS_PER_SECOND
+    stats["sword"]["knock_ticks"] = _ticks(weapon.knock_back_time)
     flame_box = (spells.flame.length, spells.flame.width)
     flame_reach = Reach(**dict.fromkeys(FACINGS, spells.flame.length / 2))
-    _fill_strike(row["flame"], flame_box, flame_reach, spells.flame.strength + player.magic)
-    row["flame"]["knock_ticks"] = -1
+    _fill_strike(stats["flame"], flame_box, flame_reach, spells.flame.strength + player.magic)
+    stats["flame"]["knock_ticks"] = -1
 
 
 def _fill_strike(strike: Any, box: tuple[float, ...], reach: Reach, damage: float) -> None:
@@ -284,21 +285,21 @@ def _fill_strike(strike: Any, box: tuple[float, ...], reach: Reach, damage: floa
     strike["damage"] = damage
 
 
-def _fill_monster(row: Any, monster: Monster) -> None:
-    _fill_body(row, monster)
-    row["notice_squared"] = monster.notice**2
-    row["notice_x"], row["notice_y"] = monster.notice_at
-    row["attack_squared"] = monster.attack**2
-    row["attack_x"], row["attack_y"] = monster.attack_at
-    row["stand_off"] = monster.stand_off
-    row["damage"] = monster.damage
-    row["bite_ticks"] = _ticks(monster.bite_time)
-    row["xp"] = monster.xp
-    row["heal"] = monster.heal
-    row["knock_ticks"] = -1
+def _fill_monster(stats: Any, monster: Monster) -> None:
+    _fill_body(stats, monster)
+    stats["notice_squared"] = monster.notice**2
+    stats["notice_x"], stats["notice_y"] = monster.notice_at
+    stats["attack_squared"] = monster.attack**2
+    stats["attack_x"], stats["attack_y"] = monster.attack_at
+    stats["stand_off"] = monster.stand_off
+    stats["damage"] = monster.damage
+    stats["bite_ticks"] = _ticks(monster.bite_time)
+    stats["xp"] = monster.xp
+    stats["heal"] = monster.heal
+    stats["knock_ticks"] = -1
     if monster.knock_back is not None and monster.knock_back_time is not None:
-        row["knock_speed"] = monster.knock_back / TICKS_PER_SECOND
-        row["knock_ticks"] = _ticks(monster.knock_back_time)
+        stats["knock_speed"] = monster.knock_back / TICKS_PER_SECOND
+        stats["knock_ticks"] = _ticks(monster.knock_back_time)
 
 
 def _reach(monster: Any, players: np.ndarray, magic: bool) -> float:

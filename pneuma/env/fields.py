@@ -182,8 +182,8 @@ def with_environment(env: str, settings: Mapping[str, object]) -> dict[str, Any]
 def with_layout(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return fields with those that their observation layout implies, where they leave them open."""
     filled = dict(values)
-    for key, implied in OBSERVATION_FIELDS[values.get("observation", "thesis")].items():
-        filled[key] = values.get(key) or implied
+    for field_name, implied in OBSERVATION_FIELDS[values.get("observation", "thesis")].items():
+        filled[field_name] = values.get(field_name) or implied
     return filled
 
 
@@ -195,15 +195,15 @@ def resolve_world(values: Mapping[str, Any]) -> dict[str, Any]:
     """Fill in what an observation layout implies, and check fields that depend on each other."""
     resolved = with_layout(values)
     players = resolved.get("players", 1)
-    for key in OF_PLAYERS:
-        names = resolved.get(key)
+    for field_name in OF_PLAYERS:
+        names = resolved.get(field_name)
         if not names:
             continue
         if len(names) not in (1, players):
-            problem = f"{key} has {len(names)} names for {players} players"
+            problem = f"{field_name} has {len(names)} names for {players} players"
             raise UserError(f"{problem}: give one, or one each")
         if len(set(names)) == 1:
-            resolved[key] = names[:1]
+            resolved[field_name] = names[:1]
     if players == 1:
         resolved.pop("shared_reward", None)
     if not is_random_level(resolved.get("level", "")):
@@ -241,13 +241,13 @@ def own_rewards(names: Iterable[str]) -> list[str]:
 
 def read_fields(config: type[EnvConfig], values: Mapping[str, object]) -> dict[str, Any]:
     """Check fields of a configuration and return each in its final type."""
-    return {key: read_field(config, key, value) for key, value in values.items()}
+    return {field_name: read_field(config, field_name, value) for field_name, value in values.items()}
 
 
-def read_field(config: type[EnvConfig], key: str, value: object) -> Any:
+def read_field(config: type[EnvConfig], field_name: str, value: object) -> Any:
     from pneuma import schema  # pydantic: not for `import pneuma`
 
-    return schema.read_field(config, key, value)
+    return schema.read_field(config, field_name, value)
 
 
 # --- The table of arguments ----------------------------------------------------------------------
@@ -257,13 +257,13 @@ def arguments_table() -> str:
     """Return a Markdown table of all fields: their defaults, in the three worlds where they differ."""
     worlds = [vars(make_env_config({}, env)) for env in ENVIRONMENTS]
     rows = ["| argument | default | meaning |", "| --- | --- | --- |"]
-    for name, hint in get_type_hints(EnvConfig, include_extras=True).items():
-        defaults = [_default_text(world[name]) for world in worlds]
+    for field_name, hint in get_type_hints(EnvConfig, include_extras=True).items():
+        defaults = [_default_text(world[field_name]) for world in worlds]
         if len(set(defaults)) == 1:
             defaults = defaults[:1]
         for note in hint.__metadata__:
             if isinstance(note, DocInfo):
-                rows.append(f"| `{name}` | {', '.join(defaults)} | {note.documentation} |")
+                rows.append(f"| `{field_name}` | {', '.join(defaults)} | {note.documentation} |")
     return "\n".join(rows)
 
 

@@ -38,50 +38,50 @@ def paint_ground(ground: np.ndarray) -> np.ndarray:
     """Paint a map's ground, (rows, columns) of `visible_ground`: (16 rows, 16 columns, 3) uint8."""
     pixel_ground = _soften(np.where(ground == BRIDGE, WATER, ground))
     image = _texture(ground.shape, WATER)
-    for code in _LAND:
-        np.copyto(image, _texture(ground.shape, code), where=(pixel_ground == code)[..., None])
+    for ground_code in _LAND:
+        np.copyto(image, _texture(ground.shape, ground_code), where=(pixel_ground == ground_code)[..., None])
     _paint_water(image, pixel_ground)
     _paint_banks(image, pixel_ground)
     framed_ground = np.pad(ground, 1, constant_values=WATER)
-    for row, column in np.argwhere(framed_ground == BRIDGE).tolist():
-        _paint_bridge(image, framed_ground, row, column)
+    for tile_row, tile_column in np.argwhere(framed_ground == BRIDGE).tolist():
+        _paint_bridge(image, framed_ground, tile_row, tile_column)
     return image
 
 
-def tile_hash(row: np.ndarray | int, column: np.ndarray | int, salt: int = 0) -> np.ndarray:
+def tile_hash(tile_row: np.ndarray | int, tile_column: np.ndarray | int, hash_salt: int = 0) -> np.ndarray:
     """Return 32 well-mixed bits for each tile, from which all variation between tiles follows."""
-    mixed_rows = np.array(row, np.uint64) * np.uint64(0x9E3779B1)
-    mixed_columns = np.array(column, np.uint64) * np.uint64(0x85EBCA77)
+    mixed_rows = np.array(tile_row, np.uint64) * np.uint64(0x9E3779B1)
+    mixed_columns = np.array(tile_column, np.uint64) * np.uint64(0x85EBCA77)
     mixed = mixed_rows ^ mixed_columns
     for factor in (0xC2B2AE3D, 0x2C1B3C6D):
-        mixed = (mixed + np.uint64(salt)) & np.uint64(0xFFFFFFFF)
+        mixed = (mixed + np.uint64(hash_salt)) & np.uint64(0xFFFFFFFF)
         mixed = (mixed ^ (mixed >> np.uint64(15))) * np.uint64(factor)
     return (mixed >> np.uint64(16) & np.uint64(0xFFFFFFFF)).astype(np.int64)
 
 
-def _texture(shape: tuple[int, ...], code: int) -> np.ndarray:
+def _texture(shape: tuple[int, ...], ground_code: int) -> np.ndarray:
     """Return a map of one ground, each tile in the variant that its hash selects."""
     rows, columns = shape
-    pictures = _ground_pictures(code)
+    pictures = _ground_pictures(ground_code)
     mirrored = pictures[:, :, ::-1]
     variants = np.concatenate([pictures, mirrored])
-    row, column = np.ogrid[:rows, :columns]
-    mixed = tile_hash(row, column, code)
+    tile_row, tile_column = np.ogrid[:rows, :columns]
+    mixed = tile_hash(tile_row, tile_column, ground_code)
     variant_by_tile = np.array(_VARIANTS)[mixed % 8] + mixed // 8 % 2 * len(pictures)
     tiles = variants[variant_by_tile]  # (rows, columns, 16, 16, 3)
     image = tiles.swapaxes(1, 2).reshape(rows * TILE, columns * TILE, 3)
     background = pictures[0, 0, 0]
     is_background = (image == background).all(axis=-1)
-    image[is_background & (_wobble(shape, 10 + code, 32) > 8)] = rgb(_PATCHES[code])
+    image[is_background & (_wobble(shape, 10 + ground_code, 32) > 8)] = rgb(_PATCHES[ground_code])
     return image
 
 
 @cache
-def _ground_pictures(code: int) -> np.ndarray:
+def _ground_pictures(ground_code: int) -> np.ndarray:
     """Return the four variants of one ground, (4, 16, 16, 3); a bridge has two."""
-    sheet = read_art("ground.png")[TILE * code : TILE * (code + 1), :, :3]
+    sheet = read_art("ground.png")[TILE * ground_code : TILE * (ground_code + 1), :, :3]
     pictures = np.stack(np.split(sheet, 4, axis=1))
-    if code == BRIDGE:
+    if ground_code == BRIDGE:
         return pictures[:2]
     return pictures
 
@@ -94,13 +94,13 @@ def _soften(ground: np.ndarray) -> np.ndarray:
     """
     pixel_ground = np.zeros((ground.shape[0] * TILE, ground.shape[1] * TILE), np.uint8)
     highest_count = np.full(pixel_ground.shape, -1000, np.int32)
-    for code in (WATER, *_LAND):
-        tiles = ground == code
+    for ground_code in (WATER, *_LAND):
+        tiles = ground == ground_code
         if not tiles.any():
             continue
         count = _sum_around(tiles.repeat(TILE, 0).repeat(TILE, 1), _ROUNDING)
-        count += np.where(count > 0, _wobble(ground.shape, code), -1000)
-        pixel_ground[count > highest_count] = code
+        count += np.where(count > 0, _wobble(ground.shape, ground_code), -1000)
+        pixel_ground[count > highest_count] = ground_code
         np.maximum(highest_count, count, out=highest_count)
     return pixel_ground
 
@@ -114,11 +114,11 @@ def _sum_around(pixels: np.ndarray, radius: int) -> np.ndarray:
     return total
 
 
-def _wobble(shape: tuple[int, ...], salt: int, step: int = 8) -> np.ndarray:
+def _wobble(shape: tuple[int, ...], hash_salt: int, step: int = 8) -> np.ndarray:
     """Return smooth noise from -36 to 36 over all art pixels, by lattice points `step` apart."""
     counts = [length * TILE // step + 2 for length in shape]
-    row, column = np.ogrid[: counts[0], : counts[1]]
-    noise = tile_hash(row, column, 100 + salt).astype(np.int32) % 73 - 36
+    tile_row, tile_column = np.ogrid[: counts[0], : counts[1]]
+    noise = tile_hash(tile_row, tile_column, 100 + hash_salt).astype(np.int32) % 73 - 36
     for axis in (0, 1):
         noise = np.moveaxis(noise, axis, 0)
         before = noise[:-1].repeat(step, 0)
@@ -153,44 +153,44 @@ def _paint_banks(image: np.ndarray, pixel_ground: np.ndarray) -> None:
     rim[1:] |= (pixel_ground[1:] != pixel_ground[:-1]) & (pixel_ground[:-1] != WATER)
     upper_bank = water_at(3) | water_at(4)
     lower_bank = water_at(1) | water_at(2)
-    for code in _LAND:
-        ground = pixel_ground == code
-        for edge, colour in zip((rim, upper_bank, lower_bank), _EDGES[code], strict=True):
+    for ground_code in _LAND:
+        ground = pixel_ground == ground_code
+        for edge, colour in zip((rim, upper_bank, lower_bank), _EDGES[ground_code], strict=True):
             image[ground & edge] = rgb(colour)
 
 
-def _paint_bridge(image: np.ndarray, ground: np.ndarray, row: int, column: int) -> None:
+def _paint_bridge(image: np.ndarray, ground: np.ndarray, tile_row: int, tile_column: int) -> None:
     """Draw one tile of a bridge: planks across the way that it leads, rails over the water.
 
     The ground has a frame of water, which the image has not.
     """
     variants = _ground_pictures(BRIDGE)
-    planks = variants[int(tile_hash(row - 1, column - 1)) % len(variants)]
-    if not _leads_down(ground, row, column):
-        image, ground, row, column = image.swapaxes(0, 1), ground.T, column, row
-    first_row = (row - 1) * TILE
-    first_column = (column - 1) * TILE
+    planks = variants[int(tile_hash(tile_row - 1, tile_column - 1)) % len(variants)]
+    if not _leads_down(ground, tile_row, tile_column):
+        image, ground, tile_row, tile_column = image.swapaxes(0, 1), ground.T, tile_column, tile_row
+    first_row = (tile_row - 1) * TILE
+    first_column = (tile_column - 1) * TILE
     start = first_row
-    if ground[row - 1, column] not in (WATER, BRIDGE):
+    if ground[tile_row - 1, tile_column] not in (WATER, BRIDGE):
         start = max(first_row - _RAIL, 0)
-    end = first_row + TILE
-    if ground[row + 1, column] not in (WATER, BRIDGE):
-        end = min(end + _RAIL, image.shape[0])
-    plank_rows = np.arange(start - first_row, end - first_row) % TILE
-    image[start:end, first_column : first_column + TILE] = planks[plank_rows]
-    for neighbour, edge in ((column - 1, first_column), (column + 1, first_column + TILE - 2)):
-        if ground[row, neighbour] == WATER:
+    end_row = first_row + TILE
+    if ground[tile_row + 1, tile_column] not in (WATER, BRIDGE):
+        end_row = min(end_row + _RAIL, image.shape[0])
+    plank_rows = np.arange(start - first_row, end_row - first_row) % TILE
+    image[start:end_row, first_column : first_column + TILE] = planks[plank_rows]
+    for neighbour, edge in ((tile_column - 1, first_column), (tile_column + 1, first_column + TILE - 2)):
+        if ground[tile_row, neighbour] == WATER:
             for offset, colour in enumerate(_RAIL_COLOURS):
-                image[start:end, edge + offset] = rgb(colour)
+                image[start:end_row, edge + offset] = rgb(colour)
 
 
-def _leads_down(ground: np.ndarray, row: int, column: int) -> bool:
+def _leads_down(ground: np.ndarray, tile_row: int, tile_column: int) -> bool:
     """Return whether a bridge has land at its upper and lower end."""
     for step in (-1, 1):
-        end = row
-        while ground[end, column] == BRIDGE:
-            end += step
-        if ground[end, column] == WATER:
+        end_row = tile_row
+        while ground[end_row, tile_column] == BRIDGE:
+            end_row += step
+        if ground[end_row, tile_column] == WATER:
             return False
     return True
 

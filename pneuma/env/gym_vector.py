@@ -79,9 +79,9 @@ class PneumaVectorEnv(WithSpec, Rendering, VectorEnv[np.ndarray, np.ndarray, np.
         super().reset(seed=seeds[0])
         if not self.slots.begun and None in seeds:
             first = int(self.np_random.integers(2**62))
-            for world, world_seed in enumerate(seeds):
+            for world_index, world_seed in enumerate(seeds):
                 if world_seed is None:
-                    seeds[world] = first + world
+                    seeds[world_index] = first + world_index
         seeded = np.array([world_seed is not None for world_seed in seeds])
         self.state.seed([world_seed or 0 for world_seed in seeds], mask & seeded)
         self.slots.begun = True
@@ -94,7 +94,7 @@ class PneumaVectorEnv(WithSpec, Rendering, VectorEnv[np.ndarray, np.ndarray, np.
         if seed is None:
             return [None] * count
         if isinstance(seed, int | np.integer):
-            return [int(seed) + world for world in range(count)]
+            return [int(seed) + world_index for world_index in range(count)]
         if len(seed) != count:
             raise ValueError(f"{len(seed)} seeds for {count} worlds")
         seeds: list[int | None] = []
@@ -141,11 +141,12 @@ class PneumaVectorEnv(WithSpec, Rendering, VectorEnv[np.ndarray, np.ndarray, np.
     def _final_infos(self, ended: np.ndarray) -> dict[str, Any]:
         """Return the infos of the slots that ended, in Gymnasium's form for this autoreset mode."""
         infos: dict[str, Any] = {}
-        for slot in np.flatnonzero(ended).tolist():
-            info = ending_info(self.state, slot)
+        for slot_index in np.flatnonzero(ended).tolist():
+            info = ending_info(self.state, slot_index)
             if self.autoreset_mode == AutoresetMode.SAME_STEP:
-                world, player = divmod(slot, self.slots.players)
-                info["action_mask"] = self.state.masks[world, player].copy()
-                info = {"final_obs": self.state.observations[world, player].copy(), "final_info": info}
-            infos = self._add_info(infos, info, slot)
+                world_index, player_index = divmod(slot_index, self.slots.players)
+                info["action_mask"] = self.state.masks[world_index, player_index].copy()
+                final_observation = self.state.observations[world_index, player_index].copy()
+                info = {"final_obs": final_observation, "final_info": info}
+            infos = self._add_info(infos, info, slot_index)
         return infos

@@ -131,12 +131,12 @@ def _player_bounds(
     """Return the bounds of what a player observes of itself."""
     position = _position_bounds(settings, _land(levels))
     most_hp = float(player_stats["hp"] + _most_by_level(monster_stats["heal"]))  # by all kills, unhurt
-    hp = (0.0, most_hp * player_stats["hp_scale"])
+    hp_bounds = (0.0, most_hp * player_stats["hp_scale"])
     if config.observation == "pygame":
         energy = (0.0, player_stats["energy"] * player_stats["energy_scale"])
-        bounds = [*position, DIRECTION, DIRECTION, hp, energy]
+        bounds = [*position, DIRECTION, DIRECTION, hp_bounds, energy]
     else:
-        bounds = [*position, hp, _xp_bounds(settings, monster_stats, config)]
+        bounds = [*position, hp_bounds, _xp_bounds(settings, monster_stats, config)]
     if config.observe_facing:
         bounds += [FLAG] * 4
     return bounds
@@ -153,14 +153,14 @@ def _monster_bounds(
     settings: Any, monster_stats: np.ndarray, config: EnvConfig, levels: list[Level], diagonal: float
 ) -> list[Bounds]:
     """Return the bounds of a monster's row."""
-    hp = (0.0, (monster_stats["hp"] * monster_stats["hp_scale"]).max(initial=0.0))
+    hp_bounds = (0.0, (monster_stats["hp"] * monster_stats["hp_scale"]).max(initial=0.0))
     if config.observation == "godot":
         area = _land(levels)
         if config.terrain_stops == "players":  # monsters follow out over the sea
             area = levels[0].grid
-        return [*_position_bounds(settings, area), hp, DIRECTION, DIRECTION]
+        return [*_position_bounds(settings, area), hp_bounds, DIRECTION, DIRECTION]
     distance = (0.0, diagonal * monster_stats["distance_scale"].max(initial=0.0))
-    bounds = [distance, DIRECTION, DIRECTION, hp]
+    bounds = [distance, DIRECTION, DIRECTION, hp_bounds]
     if config.observation == "pygame":
         bounds.append((0.0, (monster_stats["xp"] * monster_stats["xp_scale"]).max(initial=0.0)))
     return bounds

@@ -121,11 +121,11 @@ def refuse_bad_places(
         closed |= level.terrain == rules.SOLID
     for body in starting + living:
         _refuse_beyond(level, body)
-    side = 2 * float(max(player_stats["half_width"].max(), player_stats["half_height"].max()))
-    cut_off = first_cut_off(level, ~closed, side, len(stopped_monsters))
+    longer_side = 2 * float(max(player_stats["half_width"].max(), player_stats["half_height"].max()))
+    cut_off = first_cut_off(level, ~closed, longer_side, len(stopped_monsters))
     if cut_off is not None:
         body = (starting[:: len(shapes)] + living)[cut_off]
-        problem = f"{body.name} is walled in or off the land, for a body of {side:g} px"
+        problem = f"{body.name} is walled in or off the land, for a body of {longer_side:g} px"
         raise UserError(f"level {level.name}: {problem}")
     for body in starting + stopped_monsters:
         _refuse_terrain(level, body, closed)
@@ -163,8 +163,8 @@ def _refuse_terrain(level: Level, body: _Body, closed: np.ndarray) -> None:
     end_column, end_row = np.ceil((body.high - corner) / level.tile).astype(int)
     under_body = closed[first_row:end_row, first_column:end_column]
     if under_body.any():
-        row, column = np.argwhere(under_body)[0]
-        tile = f"the tile in row {first_row + row + 1}, column {first_column + column + 1}"
+        tile_row, tile_column = np.argwhere(under_body)[0]
+        tile = f"the tile in row {first_row + tile_row + 1}, column {first_column + tile_column + 1}"
         raise body.refusal(level, f"overlaps {tile}: it would be stuck there")
 
 
@@ -221,9 +221,9 @@ def walkable_regions(free: np.ndarray, abreast: int = 1) -> np.ndarray:
 
 def _regions_at(regions: np.ndarray, abreast: int, level: Level, x: float, y: float) -> set[int]:
     """Return the regions of the bodies that cover the tile at (x, y)."""
-    row = int((y - level.top) // level.tile)
-    column = int((x - level.left) // level.tile)
-    first_row = max(row - abreast + 1, 0)
-    first_column = max(column - abreast + 1, 0)
-    covering = regions[first_row : row + 1, first_column : column + 1]
+    tile_row = int((y - level.top) // level.tile)
+    tile_column = int((x - level.left) // level.tile)
+    first_row = max(tile_row - abreast + 1, 0)
+    first_column = max(tile_column - abreast + 1, 0)
+    covering = regions[first_row : tile_row + 1, first_column : tile_column + 1]
     return set(covering.ravel().tolist()) - {0}

@@ -67,17 +67,17 @@ def load_levels(config: EnvConfig, monster_codes: Mapping[int, str]) -> list[Lev
     return [load_level(name, monster_codes, config.monsters) for name in names]
 
 
-def load_level(name: str, monster_codes: Mapping[int, str], monsters: str = "bamboo") -> Level:
+def load_level(level_name: str, monster_codes: Mapping[int, str], monsters: str = "bamboo") -> Level:
     """Load a level by its name.
 
     Args:
-        name: of a shipped or random level, or the path of a folder.
+        level_name: of a shipped or random level, or the path of a folder.
         monster_codes: the name of the monster that each code in a folder's tables stands for.
         monsters: who lives on random levels, as in `EnvConfig`.
     """
-    if name.startswith(RANDOM):
-        return random_level(*parse_name(name), monsters)
-    folder = _level_path(name)
+    if level_name.startswith(RANDOM):
+        return random_level(*parse_name(level_name), monsters)
+    folder = _level_path(level_name)
     header = _read_header(folder)
     obstacles = _read_layer(folder / "obstacles.csv")
     ground = np.full_like(obstacles, EMPTY)
@@ -88,7 +88,7 @@ def load_level(name: str, monster_codes: Mapping[int, str], monsters: str = "bam
     terrain = np.where(obstacles != EMPTY, rules.SOLID, rules.OPEN)
     terrain[np.isin(ground, header.coast)] = rules.COAST
     rows, columns = ground.shape
-    column, row = header.origin or (columns / 2, rows / 2)
+    origin_column, origin_row = header.origin or (columns / 2, rows / 2)
     starts = []
     living = []
     for code, x, y in _read_objects(folder / "objects.csv", monster_codes):
@@ -98,14 +98,14 @@ def load_level(name: str, monster_codes: Mapping[int, str], monsters: str = "bam
             living.append(MonsterPlace(monster_codes[code], x, y))
     if not starts:
         raise UserError(f"{folder / 'objects.csv'}: no start place")
-    if name.startswith("~"):
-        name = str(folder)
+    if level_name.startswith("~"):
+        level_name = str(folder)
     return Level(
-        name=name,
+        name=level_name,
         title=header.title,
         tile=header.tile,
-        left=-column * header.tile,
-        top=-row * header.tile,
+        left=-origin_column * header.tile,
+        top=-origin_row * header.tile,
         ground=ground,
         terrain=terrain.astype(np.uint8),
         starts=np.array(starts, np.float64),
@@ -122,80 +122,80 @@ def _read_header(folder: Path) -> Header:
     return read_model(Header, file)
 
 
-def level_files(name: str) -> list[Path]:
+def level_files(level_name: str) -> list[Path]:
     """Return the user's own files of a level; none for shipped and random levels."""
-    if not is_own_level(name):
+    if not is_own_level(level_name):
         return []
-    return _folder_files(_level_path(name))
+    return _folder_files(_level_path(level_name))
 
 
-def _level_path(name: str) -> Path:
-    if name in SHIPPED_LEVELS:
-        return LEVELS / name
-    path = Path(os.path.expanduser(name))
+def _level_path(level_name: str) -> Path:
+    if level_name in SHIPPED_LEVELS:
+        return LEVELS / level_name
+    path = Path(os.path.expanduser(level_name))
     if _folder_files(path):
         return path
     forms = f"{RANDOM}train:N, {RANDOM}test:N, or the path of a folder with obstacles.csv and objects.csv"
-    raise UserError(f"{unknown_name('level', name, SHIPPED_LEVELS)}, {forms}")
+    raise UserError(f"{unknown_name('level', level_name, SHIPPED_LEVELS)}, {forms}")
 
 
 def _folder_files(folder: Path) -> list[Path]:
-    paths = [folder / name for name in FOLDER_FILES]
+    paths = [folder / file_name for file_name in FOLDER_FILES]
     return [path for path in paths if path.is_file()]
 
 
-def _read_layer(path: Path) -> np.ndarray:
-    table = _read_table(path, np.int64)
+def _read_layer(table_path: Path) -> np.ndarray:
+    table = _read_table(table_path, np.int64)
     if not table.size or max(table.shape) > MAX_SIDE:
-        raise UserError(f"{path}: a layer has 1 to {MAX_SIDE} tiles a side")
-    return _codes(path, table)
+        raise UserError(f"{table_path}: a layer has 1 to {MAX_SIDE} tiles a side")
+    return _codes(table_path, table)
 
 
-def _read_objects(path: Path, monster_codes: Mapping[int, str]) -> list[tuple[int, float, float]]:
+def _read_objects(table_path: Path, monster_codes: Mapping[int, str]) -> list[tuple[int, float, float]]:
     """Return code, x and y of start places and monsters, in the file's order."""
     columns = [("code", np.int64), ("x", np.float64), ("y", np.float64)]
-    table = _read_table(path, columns, header="code,x,y")
+    table = _read_table(table_path, columns, header="code,x,y")
     if len(table) > MOST_PLACES:
-        raise UserError(f"{path}: more than {MOST_PLACES} start places and monsters are not allowed")
-    codes = _codes(path, table["code"][:, None])[:, 0].tolist()
+        raise UserError(f"{table_path}: more than {MOST_PLACES} start places and monsters are not allowed")
+    codes = _codes(table_path, table["code"][:, None])[:, 0].tolist()
     for column, pixels in ((2, table["x"]), (3, table["y"])):
         finite = np.isfinite(pixels)
         if not finite.all():
             row = int(finite.argmin())
-            raise UserError(f"{path}: row {row + 2}, column {column}: {pixels[row]} is not allowed")
+            raise UserError(f"{table_path}: row {row + 2}, column {column}: {pixels[row]} is not allowed")
     allowed = [START_CODE, *monster_codes]
     for code in codes:
         if code not in allowed:
-            raise UserError(f"{path}: unknown code {code}; known are {', '.join(map(str, allowed))}")
+            raise UserError(f"{table_path}: unknown code {code}; known are {', '.join(map(str, allowed))}")
     return list(zip(codes, table["x"].tolist(), table["y"].tolist(), strict=True))
 
 
-def _codes(path: Path, table: np.ndarray) -> np.ndarray:
+def _codes(table_path: Path, table: np.ndarray) -> np.ndarray:
     """Return codes without their highest four of 32 bits, by which Tiled turns its picture."""
     too_large = (table < -(2**31)) | (table >= 2**32)
     if too_large.any():
         row, column = np.argwhere(too_large)[0]
         code = table[row, column]
-        raise UserError(f"{path}: row {row + 1}, column {column + 1}: {code} is not allowed")
+        raise UserError(f"{table_path}: row {row + 1}, column {column + 1}: {code} is not allowed")
     return np.where(table == EMPTY, EMPTY, table % 2**28)
 
 
-def _read_table(path: Path, dtype: Any, header: str = "") -> np.ndarray:
+def _read_table(table_path: Path, dtype: Any, header: str = "") -> np.ndarray:
     """Return a CSV file of numbers: a table, or below a header a record for each row."""
-    lines = read_text(path).splitlines()
+    lines = read_text(table_path).splitlines()
     header_lines = 0
     dimensions: Literal[1, 2] = 2
     if header:
         header_lines = 1
         dimensions = 1
         if lines[:1] != [header]:
-            raise UserError(f"{path}: the first line must be {header}")
+            raise UserError(f"{table_path}: the first line must be {header}")
     rows = lines[header_lines:]
     try:
         with catch_warnings(action="ignore", category=UserWarning):  # that there are no rows
             return np.loadtxt(rows, dtype, delimiter=",", comments=None, ndmin=dimensions)
     except ValueError as error:
-        raise UserError(f"{path}: {_with_file_row(str(error), header_lines)}") from None
+        raise UserError(f"{table_path}: {_with_file_row(str(error), header_lines)}") from None
 
 
 def _with_file_row(message: str, header_lines: int) -> str:

@@ -23,8 +23,8 @@ def observe_player(state: State, world_index: int, player_index: int, notes_dist
     perceived = _order_monsters(state, world_index, player_index, notes_distance)
     numbers = state.observations[world_index, player_index]
     column = _write_player(state, world_index, player_index, numbers)
-    for rank in range(perceived):
-        column = _write_monster(state, world_index, player_index, rank, numbers, column)
+    for monster_rank in range(perceived):
+        column = _write_monster(state, world_index, player_index, monster_rank, numbers, column)
     if state.settings[0].rays > 0:
         column = _write_rays(state, world_index, player_index, numbers, column)
     for empty_column in range(column, len(numbers)):
@@ -58,8 +58,10 @@ def _order_monsters(state: State, world_index: int, player_index: int, notes_dis
         state.events[world_index, player_index].distance = nearest
     listed = min(listed, state.settings[0].perceived)
     if fixed_order:
-        for rank in range(listed):
-            _insert_by_index(state.scratch, rank, state.scratch[rank].order, state.scratch[rank].distance)
+        for monster_rank in range(listed):
+            monster_index = state.scratch[monster_rank].order
+            distance = state.scratch[monster_rank].distance
+            _insert_by_index(state.scratch, monster_rank, monster_index, distance)
     return listed
 
 
@@ -69,25 +71,25 @@ def _insert_by_distance(scratch: Array, listed: int, monster_index: int, distanc
 
     An insertion sort: for 14 items it is several times faster than numpy.argsort.
     """
-    rank = listed
-    while rank > 0 and scratch[rank - 1].distance > distance:
-        scratch[rank].order = scratch[rank - 1].order
-        scratch[rank].distance = scratch[rank - 1].distance
-        rank -= 1
-    scratch[rank].order = monster_index
-    scratch[rank].distance = distance
+    monster_rank = listed
+    while monster_rank > 0 and scratch[monster_rank - 1].distance > distance:
+        scratch[monster_rank].order = scratch[monster_rank - 1].order
+        scratch[monster_rank].distance = scratch[monster_rank - 1].distance
+        monster_rank -= 1
+    scratch[monster_rank].order = monster_index
+    scratch[monster_rank].distance = distance
 
 
 @inlined
 def _insert_by_index(scratch: Array, listed: int, monster_index: int, distance: float) -> None:
     """Do the same in the order of indices."""
-    rank = listed
-    while rank > 0 and scratch[rank - 1].order > monster_index:
-        scratch[rank].order = scratch[rank - 1].order
-        scratch[rank].distance = scratch[rank - 1].distance
-        rank -= 1
-    scratch[rank].order = monster_index
-    scratch[rank].distance = distance
+    monster_rank = listed
+    while monster_rank > 0 and scratch[monster_rank - 1].order > monster_index:
+        scratch[monster_rank].order = scratch[monster_rank - 1].order
+        scratch[monster_rank].distance = scratch[monster_rank - 1].distance
+        monster_rank -= 1
+    scratch[monster_rank].order = monster_index
+    scratch[monster_rank].distance = distance
 
 
 @inlined
@@ -118,7 +120,7 @@ def _write_player(state: State, world_index: int, player_index: int, numbers: Ar
 
 @inlined
 def _write_monster(
-    state: State, world_index: int, player_index: int, rank: int, numbers: Array, column: int
+    state: State, world_index: int, player_index: int, monster_rank: int, numbers: Array, column: int
 ) -> int:
     """Write a monster, by its rank in `scratch`, from a column on; return where the next one begins.
 
@@ -126,7 +128,7 @@ def _write_monster(
     published code's layout it stays where it died.
     """
     settings = state.settings[0]
-    monster_index = state.scratch[rank].order
+    monster_index = state.scratch[monster_rank].order
     player = state.players[world_index, player_index]
     monster = state.monsters[world_index, monster_index]
     monster_stats = state.monster_stats[state.worlds[world_index].level, monster_index]
@@ -141,7 +143,7 @@ def _write_monster(
         numbers[column + 3] = (player.x - monster.x) * inverse
         numbers[column + 4] = (player.y - monster.y) * inverse
         return column + 5
-    distance = state.scratch[rank].distance
+    distance = state.scratch[monster_rank].distance
     inverse = _inverse(distance)
     numbers[column] = 0.0
     if distance < math.inf:
@@ -175,20 +177,20 @@ def _write_rays(state: State, world_index: int, player_index: int, numbers: Arra
     player = state.players[world_index, player_index]
     level = state.worlds[world_index].level
     monsters = state.monsters.shape[1]
-    for ray in range(settings.rays):
-        dx = settings.ray_x[ray]
-        dy = settings.ray_y[ray]
+    for ray_index in range(settings.rays):
+        ray_x = settings.ray_x[ray_index]
+        ray_y = settings.ray_y[ray_index]
         nearest = math.inf
         sight = 0  # terrain
         for body_index in range(monsters + state.players.shape[1]):
             if body_index != monsters + player_index and rules.is_alive(state, world_index, body_index):
-                distance = _distance_to_body(state, world_index, body_index, player.x, player.y, dx, dy)
+                distance = _distance_to_body(state, world_index, body_index, player.x, player.y, ray_x, ray_y)
                 if distance < nearest:
                     nearest = distance
                     sight = 1  # another player
                     if body_index < monsters:
                         sight = 2 + state.monster_stats[level, body_index].sight
-        distance = _distance_to_terrain(state, world_index, player.x, player.y, dx, dy)
+        distance = _distance_to_terrain(state, world_index, player.x, player.y, ray_x, ray_y)
         if distance < nearest:
             nearest = distance
             sight = 0
@@ -201,12 +203,12 @@ def _write_rays(state: State, world_index: int, player_index: int, numbers: Arra
 
 @inlined
 def _distance_to_body(
-    state: State, world_index: int, body_index: int, x: float, y: float, dx: float, dy: float
+    state: State, world_index: int, body_index: int, from_x: float, from_y: float, ray_x: float, ray_y: float
 ) -> float:
     """Return the distance at which a ray enters a body; a ray that only touches it passes by."""
     middle_x, middle_y, half_width, half_height = rules.box(state, world_index, body_index)
-    enters_x, leaves_x = _between(middle_x - half_width - x, middle_x + half_width - x, dx)
-    enters_y, leaves_y = _between(middle_y - half_height - y, middle_y + half_height - y, dy)
+    enters_x, leaves_x = _between(middle_x - half_width - from_x, middle_x + half_width - from_x, ray_x)
+    enters_y, leaves_y = _between(middle_y - half_height - from_y, middle_y + half_height - from_y, ray_y)
     enters = max(enters_x, enters_y, 0.0)
     if enters < min(leaves_x, leaves_y):
         return enters
@@ -226,7 +228,9 @@ def _between(low: float, high: float, velocity: float) -> tuple[float, float]:
 
 
 @inlined
-def _distance_to_terrain(state: State, world_index: int, x: float, y: float, dx: float, dy: float) -> float:
+def _distance_to_terrain(
+    state: State, world_index: int, from_x: float, from_y: float, ray_x: float, ray_y: float
+) -> float:
     """Return the distance at which a ray meets a tile that stops players.
 
     It passes a corner only between two open tiles.
@@ -234,22 +238,22 @@ def _distance_to_terrain(state: State, world_index: int, x: float, y: float, dx:
     settings = state.settings[0]
     level = state.worlds[world_index].level
     stops = settings.player_stops
-    column = math.floor((x - settings.left) / settings.tile)
-    row = math.floor((y - settings.top) / settings.tile)
+    column = math.floor((from_x - settings.left) / settings.tile)
+    row = math.floor((from_y - settings.top) / settings.tile)
     step_x = -1
-    if dx > 0.0:
+    if ray_x > 0.0:
         step_x = 1
     step_y = -1
-    if dy > 0.0:
+    if ray_y > 0.0:
         step_y = 1
     distance = 0.0
     while not rules.blocked(state.terrain, level, column, row, stops):
         to_x = math.inf
-        if dx != 0.0:
-            to_x = (settings.left + (column + (dx > 0.0)) * settings.tile - x) / dx
+        if ray_x != 0.0:
+            to_x = (settings.left + (column + (ray_x > 0.0)) * settings.tile - from_x) / ray_x
         to_y = math.inf
-        if dy != 0.0:
-            to_y = (settings.top + (row + (dy > 0.0)) * settings.tile - y) / dy
+        if ray_y != 0.0:
+            to_y = (settings.top + (row + (ray_y > 0.0)) * settings.tile - from_y) / ray_y
         distance = max(min(to_x, to_y), 0.0)
         if to_x == to_y and (
             rules.blocked(state.terrain, level, column + step_x, row, stops)

@@ -47,34 +47,35 @@ class Hunter:
         self._detour_steps[fresh] = 0
         monsters, players = worlds.monsters[:, None, :], worlds.players[:, :, None]
         alive = monsters["hp"] > 0  # (N, 1, M)
-        dx = monsters["x"] - players["x"]  # from player to monster, (N, P, M)
-        dy = monsters["y"] - players["y"]
-        hits = np.stack([_in_reach(worlds, dx, dy, facing) & alive for facing in range(4)])  # (4, N, P, M)
+        offset_x = monsters["x"] - players["x"]  # from player to monster, (N, P, M)
+        offset_y = monsters["y"] - players["y"]
+        reached = [_in_reach(worlds, offset_x, offset_y, facing) for facing in range(4)]
+        hits = np.stack(reached) & alive  # (4, N, P, M)
         strikes = _pick(np.any(hits, axis=-1), worlds.players["facing"])
-        free = (worlds.players["busy"] < TICKS_PER_STEP) & (worlds.players["hp"] > 0)
-        free &= alive.any(axis=-1) & (worlds.worlds["ending"] == 0)[:, None]
-        walks = free & ~strikes
-        ahead, aside = self._towards(dx, dy, alive, hits)
+        can_act = (worlds.players["busy"] < TICKS_PER_STEP) & (worlds.players["hp"] > 0)
+        can_act &= alive.any(axis=-1) & (worlds.worlds["ending"] == 0)[:, None]
+        walks = can_act & ~strikes
+        ahead, aside = self._towards(offset_x, offset_y, alive, hits)
         return np.where(walks, self._go_round(worlds, walks, ahead, aside), rules.ATTACK)
 
     def _towards(
-        self, dx: np.ndarray, dy: np.ndarray, alive: np.ndarray, hits: np.ndarray
+        self, offset_x: np.ndarray, offset_y: np.ndarray, alive: np.ndarray, hits: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the direction to the monster that is nearest, and the one to go aside, (N, P) each.
 
         A monster that a turn would hit is nearer than all others.
         """
-        distances = np.where(hits.any(axis=0), 0.0, 1.0) + np.hypot(dx, dy) / FARTHEST
+        distances = np.where(hits.any(axis=0), 0.0, 1.0) + np.hypot(offset_x, offset_y) / FARTHEST
         nearest = np.where(alive, distances, np.inf).argmin(axis=-1)[..., None]
-        dx = np.take_along_axis(dx, nearest, -1)[..., 0]
-        dy = np.take_along_axis(dy, nearest, -1)[..., 0]
-        hit = np.take_along_axis(hits, nearest[None], -1)[..., 0]  # (4, N, P)
-        along_x = np.where(dx > 0, rules.RIGHT, rules.LEFT)
-        along_y = np.where(dy > 0, rules.DOWN, rules.UP)
-        sideways = np.abs(dx) > np.abs(dy)
+        offset_x = np.take_along_axis(offset_x, nearest, -1)[..., 0]
+        offset_y = np.take_along_axis(offset_y, nearest, -1)[..., 0]
+        nearest_hits = np.take_along_axis(hits, nearest[None], -1)[..., 0]  # (4, N, P)
+        along_x = np.where(offset_x > 0, rules.RIGHT, rules.LEFT)
+        along_y = np.where(offset_y > 0, rules.DOWN, rules.UP)
+        sideways = np.abs(offset_x) > np.abs(offset_y)
         longer = np.where(sideways, along_x, along_y)
         shorter = np.where(sideways, along_y, along_x)
-        turns = ~_pick(hit, longer) & _pick(hit, shorter)
+        turns = ~_pick(nearest_hits, longer) & _pick(nearest_hits, shorter)
         return np.where(turns, shorter, longer), np.where(turns, longer, shorter)
 
     def _go_round(
@@ -97,11 +98,11 @@ class Hunter:
         return np.where(self._detour_steps > 0, self._detour_facing, ahead)
 
 
-def _in_reach(worlds: Worlds, dx: np.ndarray, dy: np.ndarray, facing: int) -> np.ndarray:
+def _in_reach(worlds: Worlds, offset_x: np.ndarray, offset_y: np.ndarray, facing: int) -> np.ndarray:
     """Return which monsters an attack in a direction would hit as they stand: (N, P, M)."""
     monster_stats = worlds.monster_stats[worlds.worlds["level"]][:, None, :]  # (N, 1, M)
-    meets = np.ones(dx.shape, bool)
-    for offset, axis, side in ((dx, "x", "width"), (dy, "y", "height")):
+    meets = np.ones(offset_x.shape, bool)
+    for offset, axis, side in ((offset_x, "x", "width"), (offset_y, "y", "height")):
         centre = worlds.player_stats["sword"][axis][:, facing, None]  # (P, 1)
         half = worlds.player_stats["sword"][f"half_{side}"][:, facing, None]
         distance = np.abs(offset + monster_stats[f"body_{axis}"] - centre)

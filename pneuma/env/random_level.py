@@ -93,11 +93,11 @@ def random_level(split: str, number: int, monsters: str = "bamboo") -> Level:
     raise UserError(f"level {RANDOM}{split}:{number}: no room for {MONSTERS} monsters")
 
 
-def _attempt(draw: Draw, split: str, number: int, population: tuple[str, ...]) -> Level | None:
+def _attempt(draw_uniform: Draw, split: str, number: int, population: tuple[str, ...]) -> Level | None:
     """Generate an island with everything on it; None if it is not valid."""
-    ground = _draw_ground(draw)
-    terrain = _draw_terrain(draw, ground)
-    tiles = _choose_tiles(draw, terrain, STARTS + MONSTERS)
+    ground = _draw_ground(draw_uniform)
+    terrain = _draw_terrain(draw_uniform, ground)
+    tiles = _choose_tiles(draw_uniform, terrain, STARTS + MONSTERS)
     tiles_by_ground = np.bincount(ground.ravel(), minlength=BRIDGE + 1)
     if tiles is None or not LEAST_LAND <= tiles_by_ground[SNOW:].sum() <= MOST_LAND:
         return None
@@ -122,32 +122,32 @@ def _attempt(draw: Draw, split: str, number: int, population: tuple[str, ...]) -
 # --- The ground ----------------------------------------------------------------------------------
 
 
-def _draw_ground(draw: Draw) -> np.ndarray:
+def _draw_ground(draw_uniform: Draw) -> np.ndarray:
     """Return (rows, columns) ground codes of one island in the water."""
-    land = _draw_land(draw)
+    land = _draw_land(draw_uniform)
     rows = np.arange(ROWS)[:, None]
-    snow_ends = _draw_border(draw, 17, 3) + _draw_noise(draw, 3) * 3
-    sand_begins = _draw_border(draw, 33, 2)
+    snow_ends = _draw_border(draw_uniform, 17, 3) + _draw_noise(draw_uniform, 3) * 3
+    sand_begins = _draw_border(draw_uniform, 33, 2)
     ground = np.where(rows < snow_ends, SNOW, np.where(rows < sand_begins, GRASS, SAND))
     ground[~land] = WATER
-    if draw(1)[0] < 0.6:
-        _dig_strait(draw, ground, sand_begins)
+    if draw_uniform(1)[0] < 0.6:
+        _dig_strait(draw_uniform, ground, sand_begins)
     regions = walkable_regions(ground != WATER)
     ground[regions != _largest(regions)] = WATER
     return ground
 
 
-def _draw_land(draw: Draw) -> np.ndarray:
+def _draw_land(draw_uniform: Draw) -> np.ndarray:
     """Return (rows, columns) bool: a rough oval with bays and capes, without tiny islands and lakes."""
-    width = 19 + 5 * draw(1)[0]
-    height = 16 + 4 * draw(1)[0]
-    corners = 0.7 * draw(1)[0]
+    width = 19 + 5 * draw_uniform(1)[0]
+    height = 16 + 4 * draw_uniform(1)[0]
+    corners = 0.7 * draw_uniform(1)[0]
     across = ((np.arange(COLUMNS) - (COLUMNS - 1) / 2) / width)[None, :]
     down = ((np.arange(ROWS) - (ROWS - 1) / 2) / height)[:, None]
     squared_x, squared_y = across * across, down * down
     oval = squared_x + squared_y  # how far out, 1 on the shore
     box = squared_x * squared_x + squared_y * squared_y
-    rough = 1.1 * (_draw_noise(draw, 9) - 0.5) + 0.5 * (_draw_noise(draw, 4) - 0.5)
+    rough = 1.1 * (_draw_noise(draw_uniform, 9) - 0.5) + 0.5 * (_draw_noise(draw_uniform, 4) - 0.5)
     land = oval * (1 - corners) + box * corners + rough < 1
     inside = np.zeros_like(land)
     inside[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
@@ -157,24 +157,24 @@ def _draw_land(draw: Draw) -> np.ndarray:
     return _without_specks(without_lakes, 12)
 
 
-def _draw_border(draw: Draw, row: int, swing: float) -> np.ndarray:
+def _draw_border(draw_uniform: Draw, row: int, swing: float) -> np.ndarray:
     """Return, for each column, the row at which one ground changes to the next."""
-    along = _draw_noise(draw, 8)[0]  # (columns,)
-    tilt = (draw(1)[0] - 0.5) * 8 * (np.arange(COLUMNS) / COLUMNS - 0.5)
-    return row + (draw(1)[0] - 0.5) * 4 + tilt + (along - 0.5) * 4 * swing
+    along = _draw_noise(draw_uniform, 8)[0]  # (columns,)
+    tilt = (draw_uniform(1)[0] - 0.5) * 8 * (np.arange(COLUMNS) / COLUMNS - 0.5)
+    return row + (draw_uniform(1)[0] - 0.5) * 4 + tilt + (along - 0.5) * 4 * swing
 
 
-def _dig_strait(draw: Draw, ground: np.ndarray, sand_begins: np.ndarray) -> None:
+def _dig_strait(draw_uniform: Draw, ground: np.ndarray, sand_begins: np.ndarray) -> None:
     """Separate the sand by a strait, with two or three bridges where both shores have room."""
-    width = 2 + int(draw(1)[0] * 2)
+    width = 2 + int(draw_uniform(1)[0] * 2)
     shore = np.ceil(sand_begins).astype(np.int64)
     bridge_columns = _bridge_columns(ground, shore, width)
     rows = np.arange(ROWS)[:, None]
     ground[(rows >= shore) & (rows < shore + width)] = WATER
-    bridges = 2 + int(draw(1)[0] * 2)
+    bridges = 2 + int(draw_uniform(1)[0] * 2)
     for section in np.array_split(bridge_columns, bridges):
         if len(section):
-            column = int(section[int(draw(1)[0] * len(section))])
+            column = int(section[int(draw_uniform(1)[0] * len(section))])
             ground[shore[column] : shore[column] + width, column - 1 : column + 2] = BRIDGE
 
 
@@ -192,31 +192,31 @@ def _bridge_columns(ground: np.ndarray, shore: np.ndarray, width: int) -> np.nda
 # --- Obstacles and places ------------------------------------------------------------------------
 
 
-def _draw_terrain(draw: Draw, ground: np.ndarray) -> np.ndarray:
+def _draw_terrain(draw_uniform: Draw, ground: np.ndarray) -> np.ndarray:
     """Return (rows, columns) uint8: the coast, and obstacles inland, with varying density."""
     inland = _count_around((ground != WATER) & (ground != BRIDGE)) == 9
-    chance = 0.01 + 0.12 * np.maximum(_draw_noise(draw, 5) - 0.4, 0)
-    stones = inland & (draw(ROWS * COLUMNS).reshape(ROWS, COLUMNS) < chance)
+    chance = 0.01 + 0.12 * np.maximum(_draw_noise(draw_uniform, 5) - 0.4, 0)
+    stones = inland & (draw_uniform(ROWS * COLUMNS).reshape(ROWS, COLUMNS) < chance)
     terrain = np.where(stones, rules.SOLID, rules.OPEN)
     terrain[ground == WATER] = rules.COAST
     return terrain.astype(np.uint8)
 
 
-def _choose_tiles(draw: Draw, terrain: np.ndarray, count: int) -> np.ndarray | None:
+def _choose_tiles(draw_uniform: Draw, terrain: np.ndarray, count: int) -> np.ndarray | None:
     """Return (count, 2) rows and columns, start places first, far apart and with open tiles around."""
     free = terrain == rules.OPEN
     regions = walkable_regions(free)
     roomy = (regions == _largest(regions)) & (_count_around(free) == 9)
     tiles = np.argwhere(roomy)
-    tiles = tiles[np.argsort(draw(len(tiles)), kind="stable")]
+    tiles = tiles[np.argsort(draw_uniform(len(tiles)), kind="stable")]
     selected: list[np.ndarray] = []
     while len(selected) < count and len(tiles):
         tile = tiles[0]
         selected.append(tile)
-        gap = MONSTER_GAP
+        least_distance = MONSTER_GAP
         if len(selected) <= STARTS:
-            gap = START_GAP
-        tiles = tiles[((tiles - tile) ** 2).sum(axis=1) >= gap * gap]
+            least_distance = START_GAP
+        tiles = tiles[((tiles - tile) ** 2).sum(axis=1) >= least_distance * least_distance]
     if len(selected) < count:
         return None
     return np.array(selected)
@@ -225,10 +225,10 @@ def _choose_tiles(draw: Draw, terrain: np.ndarray, count: int) -> np.ndarray | N
 # --- Shapes --------------------------------------------------------------------------------------
 
 
-def _draw_noise(draw: Draw, cell: int) -> np.ndarray:
+def _draw_noise(draw_uniform: Draw, cell: int) -> np.ndarray:
     """Return (rows, columns) smooth random numbers in [0, 1) that change over `cell` tiles."""
     cell_rows, cell_columns = ROWS // cell + 2, COLUMNS // cell + 2
-    corners = draw(cell_rows * cell_columns).reshape(cell_rows, cell_columns)
+    corners = draw_uniform(cell_rows * cell_columns).reshape(cell_rows, cell_columns)
     row, below = _cells(ROWS, cell)
     column, beyond = _cells(COLUMNS, cell)
     upper = corners[row][:, column] * (1 - beyond) + corners[row][:, column + 1] * beyond

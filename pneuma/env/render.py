@@ -127,39 +127,42 @@ class Renderer:
             bottom=level.top + scale * self.shown.bottom,
         )
 
-    def _scene(self, index: int) -> tuple[np.ndarray, tuple[Item, ...]]:
+    def _scene(self, level_index: int) -> tuple[np.ndarray, tuple[Item, ...]]:
         """Return the bare ground of a level, painted at the first call, and its obstacles."""
-        if index not in self._scenes:
-            level = self.worlds.levels[index]
+        if level_index not in self._scenes:
+            level = self.worlds.levels[level_index]
             if level.terrain.size > MOST_TILES:
                 raise UserError(f"level {level.name}: too large to draw; at most {MOST_TILES:,} tiles")
             ground = visible_ground(level)
             obstacles = tuple(_obstacles(level.terrain == rules.SOLID, ground))
-            self._scenes[index] = paint_ground(ground), obstacles
-        return self._scenes[index]
+            self._scenes[level_index] = paint_ground(ground), obstacles
+        return self._scenes[level_index]
 
-    def frame(self, world: int = 0, player: int = 0) -> np.ndarray:
+    def frame(self, world_index: int = 0, player_index: int = 0) -> np.ndarray:
         """Return the frame of one world, (height, width, 3) uint8, with one of its players in view."""
-        self.background, self._obstacles = self._scene(int(self.worlds.worlds["level"][world]))
-        corner_x, corner_y = self._corner(world, player)
+        self.background, self._obstacles = self._scene(int(self.worlds.worlds["level"][world_index]))
+        corner_x, corner_y = self._corner(world_index, player_index)
         width, height = self._size[0] // self._factor, self._size[1] // self._factor
         canvas = Image.new("RGB", (width, height), SEA)
         canvas.paste(Image.fromarray(self.background), (-corner_x, -corner_y))
-        items = [*self._obstacles, *self._monsters(world), *self._bars(world), *self._players(world)]
+        items = list(self._obstacles)
+        items += self._monsters(world_index)
+        items += self._bars(world_index)
+        items += self._players(world_index)
         for item in sorted(items, key=lambda item: item.foot):
             sprites.blend(canvas, item.picture, item.left - corner_x, item.top - corner_y)
         frame = np.array(canvas.resize(self._size, Image.Resampling.NEAREST))
         if self._panel:
-            return np.concatenate([self._strips(world, player), frame])
+            return np.concatenate([self._strips(world_index, player_index), frame])
         return frame
 
     # --- Cameras ---------------------------------------------------------------------------------
 
-    def _corner(self, world: int, player: int) -> tuple[int, int]:
+    def _corner(self, world_index: int, player_index: int) -> tuple[int, int]:
         """Return left and top of what the camera shows of the level, in art pixels."""
         if self.camera == "map":
             return int(self.shown.left), int(self.shown.top)
-        position = self.worlds.players[world, player]
+        position = self.worlds.players[world_index, player_index]
         x, y = self._place(position["x"], position["y"])
         rows, columns = self.background.shape[:2]
         return _clamp(x, VIEW[0], columns), _clamp(y, VIEW[1], rows)
@@ -172,60 +175,62 @@ class Renderer:
 
     # --- What stands in the world ----------------------------------------------------------------
 
-    def _level_stats(self, world: int) -> np.ndarray:
+    def _level_stats(self, world_index: int) -> np.ndarray:
         """Return the stats of a world's monsters."""
-        return self.worlds.monster_stats[self.worlds.worlds["level"][world]]
+        return self.worlds.monster_stats[self.worlds.worlds["level"][world_index]]
 
-    def _monsters(self, world: int) -> Iterator[Item]:
-        places = self.worlds.levels[self.worlds.worlds["level"][world]].monsters
-        level_stats = self._level_stats(world)
-        for monster, stats, place in zip(self.worlds.monsters[world], level_stats, places, strict=True):
+    def _monsters(self, world_index: int) -> Iterator[Item]:
+        monsters = self.worlds.monsters[world_index]
+        level_stats = self._level_stats(world_index)
+        places = self.worlds.levels[self.worlds.worlds["level"][world_index]].monsters
+        for monster, monster_stats, place in zip(monsters, level_stats, places, strict=True):
             if monster["hp"] <= 0:
                 continue
-            flash = ""
+            flash_colour = ""
             if monster["knocked"] // 8 % 2:
-                flash = sprites.WHITE
+                flash_colour = sprites.WHITE
             pose = int((monster["x"] + monster["y"]) // (STRIDE / 2)) % 2
-            picture = sprites.monster_picture(place.name, pose, bool(monster["noticed"]), flash)
-            yield from self._standing(picture, monster, stats)
+            picture = sprites.monster_picture(place.name, pose, bool(monster["noticed"]), flash_colour)
+            yield from self._standing(picture, monster, monster_stats)
 
-    def _players(self, world: int) -> Iterator[Item]:
-        bitten = self._bitten(world)
-        for index, player in enumerate(self.worlds.players[world]):
-            stats = self.worlds.player_stats[index]
+    def _players(self, world_index: int) -> Iterator[Item]:
+        bitten = self._bitten(world_index)
+        for player_index, player in enumerate(self.worlds.players[world_index]):
+            player_stats = self.worlds.player_stats[player_index]
             if player["hp"] <= 0:
-                yield from self._standing(sprites.obstacle_picture("grave"), player, stats)
+                yield from self._standing(sprites.obstacle_picture("grave"), player, player_stats)
                 continue
-            flash = ""
-            if bitten[index]:
-                flash = sprites.RED
-            yield from self._standing(_player_picture(index, player, flash), player, stats)
+            flash_colour = ""
+            if bitten[player_index]:
+                flash_colour = sprites.RED
+            picture = _player_picture(player_index, player, flash_colour)
+            yield from self._standing(picture, player, player_stats)
             if player["busy"] == 0:
                 continue
             if player["action_kind"] == rules.BLADE:
-                yield from self._blow(player, stats)
+                yield from self._blow(player, player_stats)
             elif player["action_kind"] == rules.BURNING:
-                yield from self._flames(player, stats)
+                yield from self._flames(player, player_stats)
             elif player["action_kind"] == rules.HEALING:
-                yield from self._pluses(player, stats)
+                yield from self._pluses(player, player_stats)
 
-    def _bitten(self, world: int) -> np.ndarray:
+    def _bitten(self, world_index: int) -> np.ndarray:
         """Return which players were bitten a moment ago, (P,)."""
-        monsters = self.worlds.monsters[world]
+        monsters = self.worlds.monsters[world_index]
         living = (monsters["hp"] > 0)[:, None]
-        fresh_ticks = (self._level_stats(world)["bite_ticks"] - FLASH_TICKS)[:, None]
+        fresh_ticks = (self._level_stats(world_index)["bite_ticks"] - FLASH_TICKS)[:, None]
         fresh = (monsters["bite"] > 0) & (monsters["bite"] > fresh_ticks) & living  # (M, players)
         return np.asarray(fresh.any(axis=0))
 
     def _standing(self, picture: np.ndarray, body: Any, stats: Any) -> Iterator[Item]:
         return _upright(picture, *self._place(body["x"], _foot(body, stats)))
 
-    def _blow(self, player: Any, stats: Any) -> Iterator[Item]:
+    def _blow(self, player: Any, player_stats: Any) -> Iterator[Item]:
         """Yield a sword, and the arc over the box that it strikes."""
         facing = player["facing"]
         direction = FACINGS[facing]
-        moment = int(sprites.SWINGS * (stats["swing"] - player["busy"]) // stats["swing"])
-        strike = stats["sword"]
+        moment = int(sprites.SWINGS * (player_stats["swing"] - player["busy"]) // player_stats["swing"])
+        strike = player_stats["sword"]
         half_width, half_height = strike["half_width"][facing], strike["half_height"][facing]
         x, y = player["x"] + strike["x"][facing], player["y"] + strike["y"][facing]
         first_column, first_row = self._place(x - half_width, y - half_height)
@@ -236,44 +241,44 @@ class Renderer:
             facing=direction,
             moment=moment,
         )
-        _, arc_foot = self._place(0.0, max(y + half_height, _foot(player, stats)))
+        _, arc_foot = self._place(0.0, max(y + half_height, _foot(player, player_stats)))
         yield Item(arc_foot + 0.1, arc, first_column, first_row)
         x, y = self._place(player["x"] + strike["hilt_x"][facing], player["y"] + strike["hilt_y"][facing])
-        _, foot = self._place(0.0, _foot(player, stats))
+        _, foot = self._place(0.0, _foot(player, player_stats))
         sword = sprites.sword_picture(direction, moment)
         if direction == "up":
             yield _centred(foot - 0.2, sword, x, y)
         else:
             yield _centred(foot + 0.2, sword, x, y)
 
-    def _flames(self, player: Any, stats: Any) -> Iterator[Item]:
+    def _flames(self, player: Any, player_stats: Any) -> Iterator[Item]:
         """Yield flames all over the box that burns, which die down in the last third."""
-        facing, ticks = player["facing"], int(stats["flame_ticks"])
+        facing, ticks = player["facing"], int(player_stats["flame_ticks"])
         age = ticks - int(player["busy"])
         flame_rows = min(3 * int(player["busy"]), ticks) * 13 // ticks
-        strike = stats["flame"]
+        strike = player_stats["flame"]
         width, height = 2 * strike["half_width"][facing], 2 * strike["half_height"][facing]
         columns = max(round(width / FLAME_GAP), 1)
         rows = max(round(height / FLAME_GAP), 1)
-        for row, column in np.ndindex(rows, columns):
+        for flame_row, flame_column in np.ndindex(rows, columns):
             x, y = self._place(
-                player["x"] + strike["x"][facing] + width * ((column + 0.5) / columns - 0.5),
-                player["y"] + strike["y"][facing] + height * ((row + 1) / rows - 0.5),
+                player["x"] + strike["x"][facing] + width * ((flame_column + 0.5) / columns - 0.5),
+                player["y"] + strike["y"][facing] + height * ((flame_row + 1) / rows - 0.5),
             )
-            picture = sprites.flame_picture(age // 4 + row + column, max(flame_rows, 3))
+            picture = sprites.flame_picture(age // 4 + flame_row + flame_column, max(flame_rows, 3))
             yield _above(y, picture, x, y)
 
-    def _pluses(self, player: Any, stats: Any) -> Iterator[Item]:
+    def _pluses(self, player: Any, player_stats: Any) -> Iterator[Item]:
         """Yield signs of healing, which rise over everything."""
         x, y = self._place(player["x"], player["y"])
-        age = int(stats["heal_ticks"] - player["busy"])
+        age = int(player_stats["heal_ticks"] - player["busy"])
         for across, rise in PLUSES:
             yield _centred(inf, sprites.plus_picture(), x + across, y - rise - age // 3)
 
-    def _bars(self, world: int) -> Iterator[Item]:
+    def _bars(self, world_index: int) -> Iterator[Item]:
         groups = (
-            (self.worlds.monsters[world], self._level_stats(world), sprites.RED, 20),
-            (self.worlds.players[world], self.worlds.player_stats, sprites.GOLD, 19),
+            (self.worlds.monsters[world_index], self._level_stats(world_index), sprites.RED, 20),
+            (self.worlds.players[world_index], self.worlds.player_stats, sprites.GOLD, 19),
         )
         for bodies, stats_by_body, colour, height in groups:
             for body, stats in zip(bodies, stats_by_body, strict=True):
@@ -284,12 +289,12 @@ class Renderer:
 
     # --- The strips above ------------------------------------------------------------------------
 
-    def _strips(self, world: int, player: int) -> np.ndarray:
+    def _strips(self, world_index: int, player_index: int) -> np.ndarray:
         """Return the strips above a frame, one below the other."""
         strips = Image.new("RGB", (self._size[0], self._panel), f"#{sprites.PLATE}")
         factor = self._panel_factor
         line_top = PANEL_GAP
-        for pieces in self._strip_pieces(world, player):
+        for pieces in self._strip_pieces(world_index, player_index):
             column = PANEL_GAP
             for picture in pieces:
                 height, width = picture.shape[:2]
@@ -300,47 +305,49 @@ class Renderer:
             line_top += PANEL_LINE + PANEL_GAP
         return np.asarray(strips)
 
-    def _strip_pieces(self, world: int, player: int) -> list[list[np.ndarray]]:
+    def _strip_pieces(self, world_index: int, player_index: int) -> list[list[np.ndarray]]:
         """Return pictures for each strip: of the world and its player; in teams of the world, and of each."""
         badges = []
         if self._badge:
             badges.append(sprites.badge_picture(*self._badge))
         players = self.worlds.players.shape[1]
         if players == 1:
-            return [badges + self._player_pieces(world, 0) + self._world_pieces(world)]
-        strips = [badges + self._world_pieces(world)]
-        for index in range(players):
+            return [badges + self._player_pieces(world_index, 0) + self._world_pieces(world_index)]
+        strips = [badges + self._world_pieces(world_index)]
+        for strip_player in range(players):
             plate = sprites.PLATE
-            if index == player:
+            if strip_player == player_index:
                 plate = PLAYER_PLATE
-            name = sprites.badge_picture(f"P{index + 1}", plate)
-            strips.append([name] + self._player_pieces(world, index))
+            name = sprites.badge_picture(f"P{strip_player + 1}", plate)
+            strips.append([name] + self._player_pieces(world_index, strip_player))
         return strips
 
-    def _player_pieces(self, world: int, player: int) -> list[np.ndarray]:
+    def _player_pieces(self, world_index: int, player_index: int) -> list[np.ndarray]:
         """Return bars and numbers of a player; rounded up, so that only the dead have 0 HP."""
-        row, stats = self.worlds.players[world, player], self.worlds.player_stats[player]
+        player = self.worlds.players[world_index, player_index]
+        player_stats = self.worlds.player_stats[player_index]
+        hp, most_hp = player["hp"], player_stats["hp"]
         pictures = [
-            _gauge(row["hp"], stats["hp"], sprites.GOLD, *PANEL_BAR),
-            sprites.text_picture(f"HP {ceil(row['hp'])}/{ceil(stats['hp'])}"),
+            _gauge(hp, most_hp, sprites.GOLD, *PANEL_BAR),
+            sprites.text_picture(f"HP {ceil(hp)}/{ceil(most_hp)}"),
         ]
         if self.worlds.config.magic:
-            pictures += [
-                _gauge(row["energy"], max(stats["energy"], 1.0), sprites.BLUE, *PANEL_BAR),
-                sprites.text_picture(f"EN {int(row['energy'])}/{ceil(stats['energy'])}"),
-            ]
-        return [*pictures, sprites.text_picture(f"XP {ceil(row['xp'])}")]
+            energy, most_energy = player["energy"], player_stats["energy"]
+            pictures.append(_gauge(energy, max(most_energy, 1.0), sprites.BLUE, *PANEL_BAR))
+            pictures.append(sprites.text_picture(f"EN {int(energy)}/{ceil(most_energy)}"))
+        pictures.append(sprites.text_picture(f"XP {ceil(player['xp'])}"))
+        return pictures
 
-    def _world_pieces(self, world: int) -> list[np.ndarray]:
+    def _world_pieces(self, world_index: int) -> list[np.ndarray]:
         """Return the step, the monsters that are left, and how the episode has ended."""
-        worlds, state = self.worlds, self.worlds.worlds[world]
+        worlds, state = self.worlds, self.worlds.worlds[world_index]
         ticks = int(worlds.settings["ticks"][0])  # fewer while a step is shown in several frames
         texts = [
             f"STEP {int(state['steps']) * ticks // TICKS_PER_STEP}",
             f"MONSTERS {state['monsters_left']}/{worlds.monsters.shape[1]}",
         ]
         if state["ending"] != rules.RUNNING:
-            texts.append(worlds.ending(world).replace("-", " "))
+            texts.append(worlds.ending(world_index).replace("-", " "))
         return [sprites.text_picture(text) for text in texts]
 
 
@@ -371,20 +378,22 @@ def _upright(picture: np.ndarray, x: int, foot: int) -> Iterator[Item]:
 
 def _obstacles(solid: np.ndarray, ground: np.ndarray) -> Iterator[Item]:
     names_by_ground = {SNOW: ("pine",), GRASS: ("tree", "tree", "rock"), SAND: ("cactus",)}
-    for row, column in np.argwhere(solid).tolist():
-        names = names_by_ground.get(int(ground[row, column]), ("rock",))
-        picture = sprites.obstacle_picture(names[int(tile_hash(row, column)) % len(names)])
-        yield from _upright(picture, column * sprites.TILE + sprites.TILE // 2, (row + 1) * sprites.TILE - 2)
+    for tile_row, tile_column in np.argwhere(solid).tolist():
+        names = names_by_ground.get(int(ground[tile_row, tile_column]), ("rock",))
+        picture = sprites.obstacle_picture(names[int(tile_hash(tile_row, tile_column)) % len(names)])
+        middle = tile_column * sprites.TILE + sprites.TILE // 2
+        foot = (tile_row + 1) * sprites.TILE - 2
+        yield from _upright(picture, middle, foot)
 
 
-def _player_picture(index: int, player: Any, flash: str) -> np.ndarray:
+def _player_picture(player_index: int, player: Any, flash_colour: str) -> np.ndarray:
     """Return a player standing, walking or attacking; the position decides which foot is in front."""
     pose = "stand"
     if player["busy"] > 0:
         pose = "strike"
     elif int((player["x"] + player["y"]) // STRIDE) % 2:
         pose = "stride"
-    return sprites.player_picture(index, FACINGS[player["facing"]], pose, flash)
+    return sprites.player_picture(player_index, FACINGS[player["facing"]], pose, flash_colour)
 
 
 def _clamp(centre: int, length: int, available: int) -> int:

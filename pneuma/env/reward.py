@@ -30,15 +30,15 @@ SIGMOID_MIDDLE, SIGMOID_WIDTH = 150.0, 50.0  # pixels
 RewardFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], Any]
 
 
-def load_reward(name: str) -> RewardFunction:
-    module_name, _, function_name = name.partition(":")
+def load_reward(reward_name: str) -> RewardFunction:
+    module_name, _, function_name = reward_name.partition(":")
     try:
         module = load_module(module_name)
     except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
-        raise UserError(f"reward {name!r}: {type(error).__name__}: {error}") from None
+        raise UserError(f"reward {reward_name!r}: {type(error).__name__}: {error}") from None
     function = getattr(module, function_name, None)
     if not callable(function):
-        raise UserError(f"reward {name!r}: module {module_name} has no function {function_name}")
+        raise UserError(f"reward {reward_name!r}: module {module_name} has no function {function_name}")
     return function
 
 
@@ -48,21 +48,26 @@ def present(events: np.ndarray) -> np.ndarray:
 
 
 def custom_rewards(
-    function: RewardFunction, name: str, events: np.ndarray, players: np.ndarray, player_stats: np.ndarray
+    function: RewardFunction,
+    reward_name: str,
+    events: np.ndarray,
+    players: np.ndarray,
+    player_stats: np.ndarray,
 ) -> np.ndarray:
     """Call a user's reward and check its result: (N, P) numbers, finite for living players."""
     try:
         rewards = np.asarray(function(events, players, player_stats), np.float64)
     except (Exception, SystemExit) as error:  # whatever a user's function does
-        raise OwnCodeError(f"reward {name!r}: {_place(error)}{_description(error)}") from error
+        raise OwnCodeError(f"reward {reward_name!r}: {_place(error)}{_description(error)}") from error
     if rewards.shape != events.shape:
-        raise _refusal(function, name, f"returned shape {rewards.shape}, where {events.shape} was asked for")
+        problem = f"returned shape {rewards.shape}, where {events.shape} was asked for"
+        raise _refusal(function, reward_name, problem)
     rewards = np.where(present(events), rewards, 0.0)
     if not np.isfinite(rewards).all():
         problem = "returned a number that is not finite"
         if np.isinf(events["distance"][present(events)]).any():
             problem += "; events['distance'] is infinite where no monster lives"
-        raise _refusal(function, name, problem)
+        raise _refusal(function, reward_name, problem)
     return rewards
 
 
@@ -82,11 +87,11 @@ def _place(error: BaseException) -> str:
     return f"{frames[1].filename}, line {frames[1].lineno}: "
 
 
-def _refusal(function: RewardFunction, name: str, problem: str) -> UserError:
+def _refusal(function: RewardFunction, reward_name: str, problem: str) -> UserError:
     code = getattr(function, "__code__", None)
     if code is None:
-        return UserError(f"reward {name!r}: {problem}")
-    return UserError(f"reward {name!r}: {code.co_filename}, line {code.co_firstlineno}: {problem}")
+        return UserError(f"reward {reward_name!r}: {problem}")
+    return UserError(f"reward {reward_name!r}: {code.co_filename}, line {code.co_firstlineno}: {problem}")
 
 
 # --- The named formulas (compiled) -----------------------------------------------------------------

@@ -59,7 +59,7 @@ def _draw_below(world: Array, bound: int) -> Any:
 
 
 @inlined
-def begin_episode(state: State, world_index: int, start: int) -> None:
+def begin_episode(state: State, world_index: int, start_index: int) -> None:
     """Start an episode in one world, at a start place; below zero asks for one at random."""
     world = state.worlds[world_index]
     world.steps = 0
@@ -69,8 +69,8 @@ def begin_episode(state: State, world_index: int, start: int) -> None:
     world.level = 0
     if state.starts.shape[0] > 1:
         world.level = _draw_below(world, state.starts.shape[0])
-    world.start = start
-    if start < 0:
+    world.start = start_index
+    if start_index < 0:
         world.start = _draw_below(world, state.starts.shape[1])
     for player_index in range(state.players.shape[1]):
         player = state.players[world_index, player_index]
@@ -78,9 +78,9 @@ def begin_episode(state: State, world_index: int, start: int) -> None:
         state.players[world_index, player_index] = state.first_players[player_index]
         if state.settings[0].keep_xp:
             player.xp = kept_xp
-        start_index = (world.start + player_index) % state.starts.shape[1]
-        player.x = state.starts[world.level, start_index, 0]
-        player.y = state.starts[world.level, start_index, 1]
+        player_start = (world.start + player_index) % state.starts.shape[1]
+        player.x = state.starts[world.level, player_start, 0]
+        player.y = state.starts[world.level, player_start, 1]
         slot = state.slots[world_index, player_index]
         slot.returns = 0.0
         slot.lengths = 0
@@ -208,10 +208,10 @@ def _may_stir(state: State, world_index: int, monster_index: int) -> bool:
 
 
 @inlined
-def _squared_gap(x: float, y: float, player: Array, player_stats: Array) -> float:
+def _squared_gap(point_x: float, point_y: float, player: Array, player_stats: Array) -> float:
     """Return the squared distance from a point to a player's body."""
-    across = max(abs(player.x + player_stats.body_x - x) - player_stats.half_width, 0.0)
-    down = max(abs(player.y + player_stats.body_y - y) - player_stats.half_height, 0.0)
+    across = max(abs(player.x + player_stats.body_x - point_x) - player_stats.half_width, 0.0)
+    down = max(abs(player.y + player_stats.body_y - point_y) - player_stats.half_height, 0.0)
     return across * across + down * down
 
 
@@ -297,18 +297,18 @@ def ahead(state: State, world_index: int, player_index: int, among_bodies: bool)
     """Return where a player is after walking for one tick in the direction it faces."""
     facing = state.players[world_index, player_index].facing
     speed = state.player_stats[player_index].speed
-    dx = 0.0
-    dy = 0.0
+    step_x = 0.0
+    step_y = 0.0
     if facing == RIGHT:
-        dx = speed
+        step_x = speed
     elif facing == LEFT:
-        dx = -speed
+        step_x = -speed
     elif facing == DOWN:
-        dy = speed
+        step_y = speed
     else:
-        dy = -speed
+        step_y = -speed
     body_index = state.monsters.shape[1] + player_index
-    return moved(state, world_index, body_index, dx, dy, state.settings[0].player_stops, among_bodies)
+    return moved(state, world_index, body_index, step_x, step_y, state.settings[0].player_stops, among_bodies)
 
 
 # --- A tick: monsters are struck, sense, bite and move -------------------------------------------
@@ -332,19 +332,19 @@ def _tick_monster(state: State, world_index: int, monster_index: int) -> None:
             if squared_gap <= monster_stats.notice_squared and squared_gap < nearest:
                 nearest = squared_gap
                 target = player_index
-    dx = 0.0
-    dy = 0.0
+    step_x = 0.0
+    step_y = 0.0
     if monster.knocked > 0:
         monster.knocked -= 1
-        dx = monster.knock_x
-        dy = monster.knock_y
+        step_x = monster.knock_x
+        step_y = monster.knock_y
     elif target >= 0:
         player = state.players[world_index, target]
-        dx = _approach(player.x - monster.x, monster_stats.stand_off, monster_stats.speed)
-        dy = _approach(player.y - monster.y, monster_stats.stand_off, monster_stats.speed)
-    if dx != 0.0 or dy != 0.0:
+        step_x = _approach(player.x - monster.x, monster_stats.stand_off, monster_stats.speed)
+        step_y = _approach(player.y - monster.y, monster_stats.stand_off, monster_stats.speed)
+    if step_x != 0.0 or step_y != 0.0:
         stops = state.settings[0].monster_stops
-        monster.x, monster.y = moved(state, world_index, monster_index, dx, dy, stops, True)
+        monster.x, monster.y = moved(state, world_index, monster_index, step_x, step_y, stops, True)
         _pack(state, world_index, monster_index)
 
 
@@ -573,37 +573,45 @@ def record_step(state: State, world_index: int, actions: Array) -> None:
 
 @kernel
 def moved(
-    state: State, world_index: int, body_index: int, dx: float, dy: float, stops: int, among_bodies: bool
+    state: State,
+    world_index: int,
+    body_index: int,
+    step_x: float,
+    step_y: float,
+    stops: int,
+    among_bodies: bool,
 ) -> tuple[float, float]:
     """Return where a body moves, x first, in terrain, and among other bodies if asked for.
 
     Players come after monsters in `body_index`; `stops` has a bit for each code of terrain that stops it.
     """
     x, y, shape = body(state, world_index, body_index)
-    if dx != 0.0:
-        x = _moved_along(state, world_index, body_index, True, x, y, shape, dx, stops, among_bodies)
-    if dy != 0.0:
-        y = _moved_along(state, world_index, body_index, False, x, y, shape, dy, stops, among_bodies)
+    if step_x != 0.0:
+        x = _moved_along(state, world_index, body_index, True, x, y, shape, step_x, stops, among_bodies)
+    if step_y != 0.0:
+        y = _moved_along(state, world_index, body_index, False, x, y, shape, step_y, stops, among_bodies)
     return x, y
 
 
 @inlined
 def _moved_along(
-    state: State, world_index: int, body_index: int, on_x: bool, x: float, y: float,
+    state: State, world_index: int, body_index: int, along_x: bool, x: float, y: float,
     shape: tuple[float, float, float, float], distance: float, stops: int, among_bodies: bool,
 ) -> float:  # fmt: skip
     """Return x, or y, after a move along it, stopped flush at the first obstacle."""
-    start, _ = _turned(on_x, x, y)
-    offset, _ = _turned(on_x, shape[0], shape[1])
-    middle, middle_aside = _turned(on_x, x + shape[0], y + shape[1])
-    half, half_aside = _turned(on_x, shape[2], shape[3])
+    start, _ = _turned(along_x, x, y)
+    offset, _ = _turned(along_x, shape[0], shape[1])
+    middle, middle_aside = _turned(along_x, x + shape[0], y + shape[1])
+    half, half_aside = _turned(along_x, shape[2], shape[3])
     direction = -1.0
     if distance > 0.0:
         direction = 1.0
     end = middle + distance
-    limit = _stop_at_tiles(state, world_index, on_x, direction, end, half, middle_aside, half_aside, stops)
+    limit = _stop_at_tiles(state, world_index, along_x, direction, end, half, middle_aside, half_aside, stops)
     if among_bodies:
-        contact = _stop_at_bodies(state, body_index, on_x, direction, middle, half, middle_aside, half_aside)
+        contact = _stop_at_bodies(
+            state, body_index, along_x, direction, middle, half, middle_aside, half_aside
+        )
         limit = min(limit, contact)
     if direction * end <= limit:
         return start + distance
@@ -613,32 +621,32 @@ def _moved_along(
 
 
 @inlined
-def _turned(on_x: bool, x: Any, y: Any) -> tuple[Any, Any]:
+def _turned(along_x: bool, x: Any, y: Any) -> tuple[Any, Any]:
     """Return the coordinate along the axis of a move, then the one across it, or the reverse."""
-    if on_x:
+    if along_x:
         return x, y
     return y, x
 
 
 @inlined
 def _stop_at_tiles(
-    state: State, world_index: int, on_x: bool, direction: float, end: float, half: float,
+    state: State, world_index: int, along_x: bool, direction: float, end: float, half: float,
     middle_aside: float, half_aside: float, stops: int,
 ) -> float:  # fmt: skip
     """Return where a box's centre, times `direction`, is flush with tiles its leading edge would enter."""
     settings = state.settings[0]
     tile = settings.tile
-    corner, corner_aside = _turned(on_x, settings.left, settings.top)
-    first = math.floor((middle_aside - half_aside - corner_aside) / tile)
-    last = math.ceil((middle_aside + half_aside - corner_aside) / tile) - 1
+    grid_start, grid_start_aside = _turned(along_x, settings.left, settings.top)
+    first = math.floor((middle_aside - half_aside - grid_start_aside) / tile)
+    last = math.ceil((middle_aside + half_aside - grid_start_aside) / tile) - 1
     if direction > 0.0:
-        line = math.ceil((end + half - corner) / tile) - 1
-        flush = corner + line * tile - half
+        tile_line = math.ceil((end + half - grid_start) / tile) - 1
+        flush = grid_start + tile_line * tile - half
     else:
-        line = math.floor((end - half - corner) / tile)
-        flush = corner + (line + 1) * tile + half
-    for line_aside in range(first, last + 1):
-        column, row = _turned(on_x, line, line_aside)
+        tile_line = math.floor((end - half - grid_start) / tile)
+        flush = grid_start + (tile_line + 1) * tile + half
+    for tile_line_aside in range(first, last + 1):
+        column, row = _turned(along_x, tile_line, tile_line_aside)
         if blocked(state.terrain, state.worlds[world_index].level, column, row, stops):
             return direction * flush
     return math.inf
@@ -646,7 +654,7 @@ def _stop_at_tiles(
 
 @inlined
 def _stop_at_bodies(
-    state: State, body_index: int, on_x: bool, direction: float, middle: float, half: float,
+    state: State, body_index: int, along_x: bool, direction: float, middle: float, half: float,
     middle_aside: float, half_aside: float,
 ) -> float:  # fmt: skip
     """Return where a box's centre, times `direction`, touches the first body ahead; it may overlap others."""
@@ -654,8 +662,8 @@ def _stop_at_bodies(
     neighbours = state.near[body_index]
     for neighbour in range(neighbours[0]):
         obstacle = state.boxes[neighbours[neighbour + 1]]
-        obstacle_middle, obstacle_aside = _turned(on_x, obstacle[0], obstacle[1])
-        obstacle_half, obstacle_half_aside = _turned(on_x, obstacle[2], obstacle[3])
+        obstacle_middle, obstacle_aside = _turned(along_x, obstacle[0], obstacle[1])
+        obstacle_half, obstacle_half_aside = _turned(along_x, obstacle[2], obstacle[3])
         reach = half + obstacle_half
         beside = abs(middle_aside - obstacle_aside) >= half_aside + obstacle_half_aside - CONTACT_EPS
         if not beside and direction * (obstacle_middle - middle) >= reach - CONTACT_EPS:
@@ -664,11 +672,12 @@ def _stop_at_bodies(
 
 
 @inlined
-def _is_near(state: State, world_index: int, body_index: int, x: float, y: float) -> bool:
+def _is_near(state: State, world_index: int, body_index: int, mover_x: float, mover_y: float) -> bool:
     """Return whether a living body may stop one that is at a point, in this step."""
     reach = state.settings[0].body_reach
     body_x, body_y, _ = body(state, world_index, body_index)
-    return abs(body_x - x) < reach and abs(body_y - y) < reach and is_alive(state, world_index, body_index)
+    within_reach = abs(body_x - mover_x) < reach and abs(body_y - mover_y) < reach
+    return within_reach and is_alive(state, world_index, body_index)
 
 
 @inlined

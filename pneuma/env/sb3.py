@@ -130,26 +130,26 @@ class PneumaVecEnv(WithSpec, Rendering, WholeVecEnv):
             self.state.reset(ended)
         return slots.observations, rewards, dones, infos
 
-    def _final_info(self, slot: int) -> dict[str, Any]:
+    def _final_info(self, slot_index: int) -> dict[str, Any]:
         """Return the info of a slot's last step, and note its episode with `keep_finished`."""
-        ending = ending_info(self.state, slot)
-        book = self.slots.book[slot]
+        ending = ending_info(self.state, slot_index)
+        book = self.slots.book[slot_index]
         length = int(book["lengths"])
         episode_return = float(book["returns"])
         if self.keep_finished:
             episode = {
-                "slot": slot,
+                "slot": slot_index,
                 "episode": int(book["episodes"]) - 1,
                 "step": int(self._steps_taken[0]) * self.num_envs,
                 "return": episode_return,
                 "length": length,
             }
             self.finished.append(episode | ending)
-        world, player = divmod(slot, self.slots.players)
+        world_index, player_index = divmod(slot_index, self.slots.players)
         return {
             **ending,
-            "terminal_observation": self.state.observations[world, player].copy(),
-            "TimeLimit.truncated": bool(self.slots.truncated[slot]),
+            "terminal_observation": self.state.observations[world_index, player_index].copy(),
+            "TimeLimit.truncated": bool(self.slots.truncated[slot_index]),
             "episode": {"r": episode_return, "l": length},
         }
 

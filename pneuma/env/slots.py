@@ -115,11 +115,11 @@ def make_slots(count: int, config: EnvConfig) -> Slots:
     return Slots(Worlds(count // config.players, config))
 
 
-def ending_info(worlds: Worlds, slot: int = 0) -> dict[str, Any]:
+def ending_info(worlds: Worlds, slot_index: int = 0) -> dict[str, Any]:
     """Describe how a slot's episode ended."""
-    player = worlds.players.reshape(-1)[slot]
+    player = worlds.players.reshape(-1)[slot_index]
     return {
-        "ending": ENDINGS[worlds.slots.reshape(-1)["ending"][slot]],
+        "ending": ENDINGS[worlds.slots.reshape(-1)["ending"][slot_index]],
         "kills": int(player["kills"]),
         "xp": float(player["xp"]),
         "hp": float(player["hp"]),

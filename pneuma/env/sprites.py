@@ -40,16 +40,16 @@ def read_art(name: str) -> np.ndarray:
 
 
 @cache
-def player_picture(index: int, facing: str, pose: str, flash: str = "") -> np.ndarray:
-    """Return the picture of player `index`, from 0 to 7, in its own cloak and one of the `POSES`."""
+def player_picture(player_index: int, facing: str, pose: str, flash_colour: str = "") -> np.ndarray:
+    """Return the picture of a player, from 0 to 7, in its own cloak and one of the `POSES`."""
     sheet = read_art("players.png")
-    row = TILE * index
-    column = TILE * (len(POSES) * FACINGS.index(facing) + POSES.index(pose))
-    return _flashed(sheet[row : row + TILE, column : column + TILE], flash)
+    top = TILE * player_index
+    left_side = TILE * (len(POSES) * FACINGS.index(facing) + POSES.index(pose))
+    return _flashed(sheet[top : top + TILE, left_side : left_side + TILE], flash_colour)
 
 
 @cache
-def monster_picture(name: str, pose: int, alert: bool = False, flash: str = "") -> np.ndarray:
+def monster_picture(name: str, pose: int, alert: bool = False, flash_colour: str = "") -> np.ndarray:
     """Return the picture of a monster in one of two poses; its eyes show if it has noticed a player.
 
     `art/monsters/NAME.png` holds both poses, calm above alert; others look like `stranger.png`.
@@ -58,8 +58,8 @@ def monster_picture(name: str, pose: int, alert: bool = False, flash: str = "") 
         name = "stranger"
     sheet = read_art(f"monsters/{name}.png")
     height, width = sheet.shape[0] // 2, sheet.shape[1] // 2
-    row, column = alert * height, pose * width
-    return _flashed(sheet[row : row + height, column : column + width], flash)
+    pictures = sheet[alert * height : (alert + 1) * height]
+    return _flashed(pictures[:, pose * width : (pose + 1) * width], flash_colour)
 
 
 @cache
@@ -102,14 +102,14 @@ def slash_picture(width: int, height: int, facing: str, moment: int) -> np.ndarr
     0 to `SWINGS` - 1.
     """
     turns = _QUARTER_TURNS[facing]
-    rows, columns = height, width
+    box_rows, box_columns = height, width
     if turns % 2:
-        rows, columns = width, height
-    ahead = (2 * np.arange(rows) + 1)[::-1, None] / (2 * rows)  # 1 at the far end, 0 at the player
-    aside = (2 * np.arange(columns) + 1)[None] / columns - 1
+        box_rows, box_columns = width, height
+    ahead = (2 * np.arange(box_rows) + 1)[::-1, None] / (2 * box_rows)  # 1 at the far end, 0 at the player
+    aside = (2 * np.arange(box_columns) + 1)[None] / box_columns - 1
     distance = ahead**4 + aside**4
     inside = distance <= 1.05
-    picture = np.zeros((rows, columns, 4), np.uint8)
+    picture = np.zeros((box_rows, box_columns, 4), np.uint8)
     picture[inside] = _opaque(STEEL, 90)
     passed = inside & (aside <= 2 * (moment + 1) / SWINGS - 1) & (ahead > 0.25)
     picture[passed & (distance > 0.45)] = _opaque(STEEL, 170)
@@ -123,11 +123,11 @@ def flame_picture(moment: int, height: int) -> np.ndarray:
     lean_by_row = _FLICKER[moment % len(_FLICKER)]
     picture = np.zeros((len(_FLAME), 13, 4), np.uint8)
     x = 2 * np.arange(13) - 12
-    for row, half_width in enumerate(_FLAME):
-        lean = lean_by_row[min(row // 2, len(lean_by_row) - 1)]
+    for picture_row, half_width in enumerate(_FLAME):
+        lean = lean_by_row[min(picture_row // 2, len(lean_by_row) - 1)]
         distance = abs(x - 2 * lean)
         for colour, inset in ((EMBER, 0), (FIRE, 2), (GOLD, 5)):
-            picture[row, distance <= half_width - inset] = _opaque(colour)
+            picture[picture_row, distance <= half_width - inset] = _opaque(colour)
     flame = outlined(picture)
     return flame[len(flame) - height :]
 
@@ -174,12 +174,12 @@ def badge_picture(text: str, colour: str) -> np.ndarray:
 
 def text_picture(text: str) -> np.ndarray:
     """Return a line of text, 7 art pixels high, in capitals; characters without a glyph are blank."""
-    gap = np.zeros((7, 1, 4), np.uint8)
+    letter_gap = np.zeros((7, 1, 4), np.uint8)
     pieces = []
     for letter in text.upper():
-        pieces.append(_glyphs().get(letter, gap.repeat(3, 1)))
-        pieces.append(gap)
-    return np.concatenate(pieces or [gap], axis=1)
+        pieces.append(_glyphs().get(letter, letter_gap.repeat(3, 1)))
+        pieces.append(letter_gap)
+    return np.concatenate(pieces or [letter_gap], axis=1)
 
 
 @cache

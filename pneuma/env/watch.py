@@ -82,15 +82,15 @@ class Rendering:
             return None
         return self._frame(0)
 
-    def _frame(self, world: int, player: int = 0) -> np.ndarray:
+    def _frame(self, world_index: int, player_index: int = 0) -> np.ndarray:
         if self._renderer is None:
             self._renderer = Renderer(self._drawn, self.camera, env_id=self._env_id)
-        return self._renderer.frame(world, player)
+        return self._renderer.frame(world_index, player_index)
 
     def _frames(self) -> tuple[np.ndarray, ...]:
         """Return a frame for each slot, of its world with its player in view."""
         slots = np.ndindex(*self._drawn.players.shape)
-        return tuple(self._frame(world, player) for world, player in slots)
+        return tuple(self._frame(world_index, player_index) for world_index, player_index in slots)
 
 
 # --- Episodes to watch ---------------------------------------------------------------------------

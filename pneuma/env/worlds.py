@@ -77,15 +77,15 @@ class Worlds:
     def _choose_rewards(self, rewards: tuple[str, ...]) -> None:
         """Note the formula of each player, and a user's own functions with the players that they pay."""
         players_by_function: dict[str, list[int]] = {}
-        for player, reward in enumerate(rewards):
+        for player_index, reward in enumerate(rewards):
             if reward in fields.REWARDS:
-                self.player_stats["reward"][player] = fields.REWARDS.index(reward)
+                self.player_stats["reward"][player_index] = fields.REWARDS.index(reward)
             else:
-                self.player_stats["reward"][player] = -1
-                players_by_function.setdefault(reward, []).append(player)
-        self._own_rewards = [
-            _OwnReward(name, load_reward(name), players) for name, players in players_by_function.items()
-        ]
+                self.player_stats["reward"][player_index] = -1
+                players_by_function.setdefault(reward, []).append(player_index)
+        self._own_rewards = []
+        for reward, players in players_by_function.items():
+            self._own_rewards.append(_OwnReward(reward, load_reward(reward), players))
 
     def _allocate(self, count: int) -> None:
         """Make the arrays of all worlds, in which no episode has begun."""
@@ -138,7 +138,7 @@ class Worlds:
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the addresses, as the arrays of a copy lie elsewhere."""
-        return {name: value for name, value in vars(self).items() if name not in _ADDRESSES}
+        return {attribute: value for attribute, value in vars(self).items() if attribute not in _ADDRESSES}
 
     def __setstate__(self, attributes: dict[str, Any]) -> None:
         vars(self).update(attributes)
@@ -283,7 +283,7 @@ class Worlds:
         names = ["returns", "lengths", "episodes"]
         if self.players.shape[1] > 1:
             names.append("idle")
-        return {name: self.slots.reshape(-1)[name] for name in names}
+        return {field_name: self.slots.reshape(-1)[field_name] for field_name in names}
 
     def _begin(self, starts: Any) -> None:
         """Reset worlds at these start places, those with `kernel.GO_ON` excepted, and observe all."""
@@ -335,18 +335,18 @@ class Worlds:
         """Refuse positions that are none. Dead monsters may be anywhere."""
         grid = self.level.grid
         living = self.monsters[self.monsters["hp"] > 0]
-        for name, bodies in (("players", self.players), ("monsters", living)):
+        for array_name, bodies in (("players", self.players), ("monsters", living)):
             x, y = bodies["x"], bodies["y"]
             inside = (grid.left <= x) & (x < grid.right) & (grid.top <= y) & (y < grid.bottom)  # NaN is not
             if not inside.all():
                 area = f"{grid.left:g} to {grid.right:g}, {grid.top:g} to {grid.bottom:g}"
-                raise ValueError(f"{name}: x or y lies off the grid, {area}")
+                raise ValueError(f"{array_name}: x or y lies off the grid, {area}")
         if not np.isin(self.players["facing"], range(4)).all():
             raise ValueError("players: facing is none of 0 to 3")
 
 
-def _wrong_array(name: str, array: np.ndarray, expected: str) -> str:
-    return f"{name}: must be {expected}, not {array.dtype} of {array.shape}"
+def _wrong_array(array_name: str, array: np.ndarray, expected: str) -> str:
+    return f"{array_name}: must be {expected}, not {array.dtype} of {array.shape}"
 
 
 def _by_player(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:
