@@ -27,7 +27,7 @@ from pneuma.presets import TEXT
 from pneuma.store.index import RunIndex
 from pneuma.store.last_queries import last_query, noted_studies, on_top_of_last
 from pneuma.store.store import FINISHED
-from pneuma.study.identity import config_id, own_files
+from pneuma.study.identity import config_id
 from pneuma.study.plan import Plan, Query, configure, default_preset, make_plan, query_words
 from pneuma.study.shipped import list_studies
 from pneuma.study.spec import CLAIMS, LAST, PAPER, Study, load_study, results_words
@@ -274,10 +274,6 @@ def _nothing_text(index: RunIndex, data: StudyData) -> str:
     if data.plan is None:
         return f"study {data.study.name} has no finished run in {index.store.root}"
     problems = "".join(f" {problem}." for problem in index.problems)
-    missing_files = {name for fields in data.fields.values() for name in own_files(fields, missing=True)}
-    if missing_files:
-        names = ", ".join(sorted(missing_files))
-        return f"{names}: not found, so the runs of {data.where} are not known.{problems}"
     words = ["pneuma", "study", "run", *query_words(data.plan), *results_words(index.store.root)]
     return f"{data.text(index.store.root)} Train them with `{shlex.join(words)}`.{problems}"
 

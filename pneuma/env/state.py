@@ -316,14 +316,14 @@ def open_state(context: Any, handle: Any) -> Any:
             address = typed_arrays.make_array(handle)(codegen, builder, address).data
         numbers = builder.bitcast(address, ir.IntType(64).as_pointer())
 
-        def load(index: int) -> Any:
+        def number_at(index: int) -> Any:
             return builder.load(builder.gep(numbers, [ir.IntType(64)(index)]))
 
         arrays = []
         for index, array_type in enumerate(array_types):
             first = 4 * index
-            lengths = [load(first + 1 + axis) for axis in range(array_type.ndim)]
-            arrays.append(array_from(codegen, builder, array_type, load(first), lengths))
+            lengths = [number_at(first + 1 + axis) for axis in range(array_type.ndim)]
+            arrays.append(array_from(codegen, builder, array_type, number_at(first), lengths))
         return codegen.make_tuple(builder, state_type, arrays)
 
     return state_type(handle), generate

@@ -94,11 +94,6 @@ def user_files(fields: Mapping[str, Any]) -> list[Path]:
     return [path for _, paths in _own_files(fields) for path in paths]
 
 
-def own_files(fields: Mapping[str, Any], missing: bool = False) -> list[str]:
-    """Return a run's own level, characters and modules by their names, or those that are missing here."""
-    return [name for name, found in _own_files(fields) if not (missing and found)]
-
-
 def _own_files(fields: Mapping[str, Any]) -> Iterator[tuple[str, list[Path]]]:
     """Yield a user's own level, characters and modules, each with its files."""
     for key, names in own_names(fields).items():

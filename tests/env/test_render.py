@@ -160,6 +160,7 @@ def recipe(first_line: str) -> str:
     return dedent(block.group())
 
 
+@pytest.mark.filterwarnings("ignore:.*matplotlib is not installed")  # Gymnasium's, of a backend without Tk
 @pytest.mark.parametrize(
     ("pressed", "action"),
     [
