@@ -91,9 +91,8 @@ def _status(record: Record, words: list[object]) -> Iterator[str | Table]:
     from pneuma.search.spec import shown_params
 
     budget, best = record.budget, record.best
-    yield (
-        f"Published, without its runs: {record.path}" if record.published else f"Optuna's log: {record.path}"
-    )
+    kind = "Published, without its runs" if record.published else "Optuna's log"
+    yield f"{kind}: {record.path}"
     amount = f"{counted(len(budget.seeds), 'seed')} each, {budget.steps:,} steps a run"
     yield f"{len(record.ended)} of {counted(budget.trials, 'trial')}, {amount}"
     for objective in record.search.objectives.values():
@@ -120,11 +119,11 @@ def plot(
     name: SearchName, location: Location, out: opt.PlotFolder = None, formats: opt.Formats = None
 ) -> Result:
     """Draw a search: history, importances, every parameter's values, and the best trials or Pareto front."""
-    chosen = read_formats(formats, out)
+    file_formats = read_formats(formats, out)
     from pneuma.figures.search import draw_search
 
     record = location.read(name)
-    files = keep_files(location.store, out, lambda folder: draw_search(record, folder, chosen))
+    files = keep_files(location.store, out, lambda folder: draw_search(record, folder, file_formats))
     if not files:
         say("Note: nothing is drawn before a trial is complete.")
     return Result({"figures": files}, wrote(files))
@@ -154,8 +153,8 @@ def run(
     if preset not in search.presets:
         raise unknown_name(f"preset of search {search.name}", preset, search.presets)
     amount = {"trials": trials, "seeds": seeds, "steps": steps}
-    given = {key: value for key, value in amount.items() if value is not None}
-    budget = search.presets[preset].model_copy(update=given)
+    overrides = {key: value for key, value in amount.items() if value is not None}
+    budget = search.presets[preset].model_copy(update=overrides)
     config = place.config()
     report = partial(say, quiet=quiet)
     say_once = cache(report)  # notes of a generation are those of the others
@@ -204,10 +203,9 @@ class _Progress:
                 continue
             self._printed.add(trial.number)
             note = trial.user_attrs.get("note", "")
-            text = (
-                f"trial {trial.number}: {STATES[trial.state]}, {_value(trial)} ({shown_params(trial.params)})"
-            )
-            self._say(f"{text}: {note}" if note else text)
+            text = f"trial {trial.number}: {STATES[trial.state]}, {_value(trial)}"
+            texts = [text, shown_params(trial.params), note]
+            self._say("; ".join(filter(None, texts)))
         best = record.best
         if isinstance(best, int):
             best_text = f"best: trial {best}, {_value(record.trials[best])}"
@@ -255,7 +253,7 @@ def promote(
     say(f"wrote {path}", quiet=quiet)
     planned = api.plan_study(Query(str(path)), store, say)
     trained = train_study(planned, store, opt.Place(workers).config(), retry_failed=True, quiet=quiet)
-    compare = f"Compare them with: {command('study', 'compare', path, TUNED, BASE, *results)}"
-    return replace(
-        trained, document={**trained.document, "study": path, **document}, notes=[*trained.notes, compare]
-    )
+    notes = list(trained.notes)
+    if not trained.code:
+        notes.append(f"Compare them with: {command('study', 'compare', path, TUNED, BASE, *results)}")
+    return replace(trained, document={**trained.document, "study": path, **document}, notes=notes)

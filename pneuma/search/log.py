@@ -187,16 +187,16 @@ def open_record(store: Store, search: Search, budget: Budget, say: Callable[[str
     store.check_writable()
     identity = _identify(search, budget)
     digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:12]
-    usual = store.root / "searches" / f"{search.label}.log"
-    other = usual.with_name(f"{search.label}.{digest}.log")
-    usual.parent.mkdir(parents=True, exist_ok=True)
-    if not other.exists():
-        record = _begin(usual, search, budget, identity)
-        changed = _changes(record.study, identity)
+    first_log = store.root / "searches" / f"{search.label}.log"
+    own_log = first_log.with_name(f"{search.label}.{digest}.log")
+    first_log.parent.mkdir(parents=True, exist_ok=True)
+    if not own_log.exists():
+        record = _begin(first_log, search, budget, identity)
+        changed = ", ".join(_changes(record.study, identity))
         if not changed:
             return record
-        say(f"the search in {usual} had other {', '.join(changed)}, and stays there; this one is in {other}")
-    return _begin(other, search, budget, identity)
+        say(f"The search in {first_log} had other {changed}, and stays there; this one is in {own_log}.")
+    return _begin(own_log, search, budget, identity)
 
 
 def _begin(path: Path, search: Search, budget: Budget, identity: dict[str, Any]) -> Record:
@@ -210,7 +210,9 @@ def _begin(path: Path, search: Search, budget: Budget, identity: dict[str, Any])
             storage.create_new_study(search.directions, search.name)
         study = _load_study(storage, search)
         if ABOUT not in study.user_attrs:
-            names = [f"{one.outcome}, {one.over_seeds}" for one in search.objectives.values()]
+            names = []
+            for objective in search.objectives.values():
+                names.append(f"{objective.outcome}, {objective.over_seeds}")
             with warnings.catch_warnings(action="ignore"):  # it is experimental
                 study.set_metric_names(names)
             about = {"search": search.name, "identity": identity, "trials_asked": budget.trials}

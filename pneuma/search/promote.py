@@ -27,20 +27,18 @@ def find_trial(record: Record, number: int | None) -> FrozenTrial:
     if number is None and isinstance(best, list) and best:
         front = ", ".join(map(str, best))
         raise UserError(f"search {name}: has a front, not one best trial; choose one of the trials {front}")
-    chosen = best if number is None else number
     for trial in record.complete:
-        if trial.number == chosen:
+        if trial.number == (best if number is None else number):
             return trial
-    which = "" if number is None else f" {number}"
-    raise UserError(f"search {name}: no complete trial{which}; `pneuma search status` lists them")
+    raise UserError(f"search {name}: no such complete trial; `pneuma search status` lists them")
 
 
 def promotion_study(record: Record, trial: FrozenTrial, seeds: Sequence[int], steps: int | None) -> str:
     """Return the text of a study file; `steps` left out are the search's."""
     search = record.search
-    known = sorted(set(seeds) & set(record.budget.seeds))
-    if known:
-        numbers = ", ".join(map(str, known))
+    used_seeds = sorted(set(seeds) & set(record.budget.seeds))
+    if used_seeds:
+        numbers = ", ".join(map(str, used_seeds))
         raise UserError(f"the search has used the seeds {numbers}; choose others, such as 0..9")
     shared = search.fields({})
     tuned = {name: value for name, value in search.fields(trial.params).items() if name in trial.params}

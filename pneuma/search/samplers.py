@@ -38,46 +38,41 @@ class Choice(Table):
     name: str
     arguments: dict[str, Any]
 
-    def create(self, **more: Any) -> Any:
-        """Return the sampler or pruner, with more arguments where its class takes them."""
-        created = _load_class({**SAMPLERS, **PRUNERS}.get(self.name, self.name))
-        taken = inspect.signature(created).parameters
+    def create(self, seed: int | None = None) -> Any:
+        """Return the sampler or pruner, with a seed if its class takes one."""
+        created = _load_class(self.name)
         arguments = {**DEFAULTS.get(self.name, {}), **self.arguments}
-        for key, value in more.items():
-            if key in taken:
-                arguments[key] = value
+        if seed is not None and "seed" in inspect.signature(created).parameters:
+            arguments["seed"] = seed
         with warnings.catch_warnings(action="ignore"):  # of arguments that are experimental
             return created(**arguments)
 
 
-def _load_class(name: str) -> type:
-    module, _, attribute = name.rpartition(":")
-    loaded: type = getattr(load_module(module), attribute)
-    return loaded
+def _load_class(name: str) -> Any:
+    module, _, attribute = {**SAMPLERS, **PRUNERS}.get(name, name).rpartition(":")
+    return getattr(load_module(module), attribute)
 
 
 def _read_choice(names: Mapping[str, str], base: type, table: Any) -> Any:
-    """Read [sampler] or [pruner], which must be of the class `base`; its module is imported."""
+    """Read [sampler] or [pruner], which is created once to find mistakes."""
     if not isinstance(table, Mapping):
         return table
     arguments = dict(table)
     name = arguments.pop("name", "")
     if not isinstance(name, str) or not (":" in name or name in names):
-        message = unknown_name("name", str(name), names)
-        raise wrong(f"{message}; any other is named as module:Class", "name")
-    try:
-        loaded = _load_class(names.get(name, name))
-    except Exception as error:  # a user's module may raise anything
-        raise wrong(f"{name} cannot be imported: {error}", "name") from None
-    if not (isinstance(loaded, type) and issubclass(loaded, base)):
-        raise wrong(f"{name} is not a class of Optuna's {base.__name__}", "name")
-    if issubclass(loaded, CmaEsSampler):
-        raise wrong(f"{name} cannot be used: it keeps its state as a pickle, which is never loaded", "name")
+        raise wrong(f"{unknown_name('name', str(name), names)}; any other is named as module:Class", "name")
     choice = Choice(name=name, arguments=arguments)
     try:
-        choice.create()
-    except Exception as error:
-        raise wrong(f"{name}: {error}", next(iter(arguments), "name")) from None
+        loaded = _load_class(name)
+        is_of_base = isinstance(loaded, type) and issubclass(loaded, base)
+        if is_of_base:
+            choice.create()
+    except Exception as error:  # a user's class may raise anything
+        raise wrong(f"{name} cannot be created: {error}", "name") from None
+    if not is_of_base:
+        raise wrong(f"{name} is not a class of Optuna's {base.__name__}", "name")
+    if issubclass(loaded, CmaEsSampler):
+        raise wrong(f"{name} is not allowed: it keeps its state as a pickle, which is never loaded", "name")
     return choice
 
 

@@ -67,8 +67,6 @@ class Parameter(Table):
             return self
         if self.low is None or self.high is None:
             raise wrong(f"{self.name} needs low and high, two numbers, or choices")
-        if self.low == self.high:
-            raise wrong(f"low and high are both {shown(self.low)}: an empty range", "low")
         if isinstance(self.low, int) and isinstance(self.step, float):
             raise wrong(f"step = {shown(self.step)} is not allowed: a whole number", "step")
         try:
@@ -140,10 +138,10 @@ def with_names(tables: Any) -> Any:
     """Give each table its name as a field."""
     if not isinstance(tables, Mapping):
         return tables
-    named = {}
+    tables_with_names = {}
     for name, table in tables.items():
-        named[name] = {**table, "name": name} if isinstance(table, Mapping) else table
-    return named
+        tables_with_names[name] = {**table, "name": name} if isinstance(table, Mapping) else table
+    return tables_with_names
 
 
 def _check_order(space: dict[str, Parameter]) -> dict[str, Parameter]:

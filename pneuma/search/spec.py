@@ -33,7 +33,7 @@ from pneuma.search.space import Parameter, Space, as_parameter, with_names
 from pneuma.study.identity import files_beside
 from pneuma.study.shipped import find_file, studies_folder
 from pneuma.study.spec import PRESETS, Fields, does_nothing, join_fields, unread_fields
-from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, read_seeds
+from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, read_seeds, shown_value
 
 DEVIATION = "deviation"
 OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {
@@ -151,20 +151,20 @@ class Search(Table):
             run_fields[name] = self.space[name].value(parameter)
         return files_beside(self.path, run_fields)
 
-    def make_run(self, params: Mapping[str, Any], **more: Any) -> Run:
-        return make_run({**join_fields(self.base, self.fields(params)), **more})
+    def make_run(self, params: Mapping[str, Any], **overrides: Any) -> Run:
+        return make_run({**join_fields(self.base, self.fields(params)), **overrides})
 
     def params_of(self, start: str | Mapping[str, Any]) -> dict[str, Any]:
         """Return the parameters for a base's values, or for given ones, as far as the space has them."""
         if isinstance(start, str):
-            given = as_fields(make_run(join_fields(start, files_beside(self.path, self.run))))
+            values = as_fields(make_run(join_fields(start, files_beside(self.path, self.run))))
         else:
-            given = dict(start)
-        run_fields = {**as_fields(self.make_run({})), **given}
+            values = dict(start)
+        run_fields = {**as_fields(self.make_run({})), **values}
         params = {}
         for name, parameter in self.space.items():
-            value = as_parameter(given.get(name))
-            if name in given and parameter.contains(value) and parameter.applies(run_fields):
+            value = as_parameter(values.get(name))
+            if name in values and parameter.contains(value) and parameter.applies(run_fields):
                 params[name] = value
         return params
 
@@ -204,7 +204,8 @@ class Search(Table):
         for key in self.run.keys() & self.space.keys():
             raise UserError(f"{key} is searched by [space.{key}]")
         for start in self.start:
-            if isinstance(start, dict) and self.params_of(start).keys() < start.keys():
+            params = self.params_of(start)
+            if isinstance(start, dict) and params.keys() < start.keys():
                 raise UserError(f"start: {shown(start)} is not in the space")
         corners = list(self.corners())
         every_run = [run for _, run in corners]
@@ -222,8 +223,8 @@ def shown_params(params: Mapping[str, Any]) -> str:
     """Return the parameters of a trial as text."""
     texts = []
     for name, value in params.items():
-        number = f"{value:.4g}" if isinstance(value, float) else str(value)
-        texts.append(f"{name}={'none' if value is None else number}")
+        text = f"{value:.4g}" if isinstance(value, float) else shown_value(value)
+        texts.append(f"{name}={text}")
     return ", ".join(texts)
 
 

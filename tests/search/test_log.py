@@ -61,7 +61,7 @@ def test_another_budget_has_a_log_of_its_own_and_the_latest_is_read(
     first = make_task(4).record(store)
     other = make_task(4, steps=4096)
     assert other.record(store).path != first.path
-    assert any(f"the search in {first.path} had other steps" in note for note in other.notes)
+    assert any(f"The search in {first.path} had other steps" in note for note in other.notes)
     assert read_record(store, "formula", "text").budget.steps == 4096
     assert make_task(5).record(store).path == first.path
     assert read_record(store, "formula", "text").budget.steps == 2048

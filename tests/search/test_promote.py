@@ -69,7 +69,7 @@ def test_the_best_trial_is_promoted_unless_told_and_on_seeds_that_are_fresh(make
     best = find_trial(record, None)
     assert best.values[0] == max(trial.values[0] for trial in record.ended)
     assert find_trial(record, 3).number == 3
-    with pytest.raises(UserError, match="no complete trial 99"):
+    with pytest.raises(UserError, match="no such complete trial"):
         find_trial(record, 99)
     with pytest.raises(UserError, match="the search has used the seeds 1001; choose others"):
         promotion_study(record, best, (0, 1001), None)

@@ -114,7 +114,7 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ("[run]", '[sampler]\nname = "optuna:Study"\n[run]', "optuna:Study is not a class of Optuna's"),
         (
             "[run]", '[sampler]\nname = "optuna.samplers:GPSampler"\nsigma = 1\n[run]',
-            "optuna.samplers:GPSampler: ",
+            "unexpected keyword argument 'sigma'",
         ),
         ("[run]", '[sampler]\nname = "optuna.samplers:CmaEsSampler"\n[run]', "state as a pickle"),
         (
