@@ -53,8 +53,9 @@ class RunCheckpoints:
         self._folder = store.run_folder(name)
         self._next = time.monotonic() + self._seconds
         self.attempts: list[dict[str, Any]] = []
-        for left in (*self._folder.glob(".*.*"), *(self._folder / CHECKPOINTS).glob(".*.*")):
-            store.remove(left)  # a temporary file of a process that was killed
+        for folder in (self._folder, self._folder / CHECKPOINTS):
+            for path in folder.glob(".*.*"):
+                store.remove(path)  # a temporary file of a process that was killed
         for path in self._folder.glob("*"):
             if path.is_dir() and path.name != CHECKPOINTS:
                 store.remove(path)  # a folder in the place of a file
@@ -63,8 +64,9 @@ class RunCheckpoints:
         """Return the latest sound checkpoint and report damaged ones; None to start from the beginning."""
         self.attempts = []
         for file in checkpoint_files(self._folder):
-            if read := read_checkpoint(file):
-                checkpoint, self.attempts = read
+            content = read_checkpoint(file)
+            if content:
+                checkpoint, self.attempts = content
                 return checkpoint
             self._say(f"the checkpoint at step {file.step:,} is damaged: going on from the one before")
             self._store.remove(file.path)
@@ -72,11 +74,12 @@ class RunCheckpoints:
 
     def give_up(self, why: Exception) -> bool:
         """Discard the latest checkpoint, which the engine cannot use; return whether there was one."""
-        for file in checkpoint_files(self._folder)[:1]:
-            self._say(f"the checkpoint at step {file.step:,} is given up: {why}")
-            self._store.remove(file.path)
-            return True
-        return False
+        files = checkpoint_files(self._folder)
+        if not files:
+            return False
+        self._say(f"the checkpoint at step {files[0].step:,} is given up: {why}")
+        self._store.remove(files[0].path)
+        return True
 
     def update(self, progress: Progress, attempt: Attempt, at_once: bool) -> None:
         """Write a checkpoint if it is time, or if asked for `at_once`.
@@ -97,8 +100,8 @@ class RunCheckpoints:
         except UserError as error:
             self._say(f"no checkpoint at step {progress.step:,}: {error}")
         self._keep_latest(LATEST_KEPT)
-        took = time.monotonic() - now
-        self._next = now + took + max(self._seconds, WRITE_SHARE * took)
+        write_seconds = time.monotonic() - now
+        self._next = now + write_seconds + max(self._seconds, WRITE_SHARE * write_seconds)
 
     def finish(self) -> None:
         self._keep_latest(0)
@@ -122,15 +125,22 @@ class CheckpointFile(NamedTuple):
 
 def checkpoint_files(folder: Path) -> list[CheckpointFile]:
     """Return the checkpoint files in a run's folder, the latest first; they may be damaged."""
-    found = ((path, read_checkpoint_name(path.name)) for path in (folder / CHECKPOINTS).glob("*.safetensors"))
-    return sorted((CheckpointFile(*parts, path) for path, parts in found if parts), reverse=True)
+    files = []
+    for path in (folder / CHECKPOINTS).glob("*.safetensors"):
+        parts = read_checkpoint_name(path.name)
+        if parts:
+            step, digest = parts
+            files.append(CheckpointFile(step, digest, path))
+    return sorted(files, reverse=True)
 
 
 def sound_checkpoint(folder: Path) -> Checkpoint | None:
     """Return the latest sound checkpoint in a run's folder; None if there is none."""
     for file in checkpoint_files(folder):
-        if read := read_checkpoint(file):
-            return read[0]
+        content = read_checkpoint(file)
+        if content:
+            checkpoint, _ = content
+            return checkpoint
     return None
 
 
@@ -145,13 +155,15 @@ def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, An
         if checksum(data)[:16] != file.digest:
             return None
         checkpoint, about = decode(data)
-        attempts = [*about["history"].get("attempts", [])]
+        attempts = list(about["history"].get("attempts", []))
         if attempts:
             finished_provenance(attempts)  # which reads what is in them
     except Exception:  # untrusted bytes may raise any error of JSON, safetensors and Parquet
         return None
-    named = checkpoint.step == file.step and about["run_id"] == file.path.parent.parent.name
-    return (checkpoint, attempts) if named else None
+    run_id = file.path.parent.parent.name
+    if checkpoint.step != file.step or about["run_id"] != run_id:
+        return None
+    return checkpoint, attempts
 
 
 def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str) -> bytes:
@@ -161,17 +173,17 @@ def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str) -> b
     """
     tables = table_files(checkpoint.records)
     rows = {f"records/{name}": np.frombuffer(data, np.uint8) for name, data in tables.items()}
+    # safetensors has no name for an array without dimensions that NumPy would keep so
+    arrays = {name: np.ascontiguousarray(array) for name, array in checkpoint.arrays.items()}
     about = {
         "schema": SCHEMA,
         "run_id": run_id,
         "step": checkpoint.step,
         "numbers": checkpoint.numbers,
         "history": history,
+        "shapes": {name: list(array.shape) for name, array in checkpoint.arrays.items()},
     }
-    # safetensors has no name for an array without dimensions that NumPy would keep so
-    arrays = {name: np.ascontiguousarray(array) for name, array in checkpoint.arrays.items()}
-    shapes = {name: list(array.shape) for name, array in checkpoint.arrays.items()}
-    return save({**arrays, **rows}, metadata={"pneuma": json.dumps({**about, "shapes": shapes})})
+    return save({**arrays, **rows}, metadata={"pneuma": json.dumps(about)})
 
 
 def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
@@ -180,14 +192,17 @@ def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
     Raises:
         ValueError: for bytes of another schema; other bytes may raise anything.
     """
-    header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+    header_size = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + header_size])
     about: dict[str, Any] = json.loads(header["__metadata__"]["pneuma"])
     if about["schema"] != SCHEMA:
         raise ValueError(f"a checkpoint of schema {about['schema']}")
     arrays = load(data)
-    rows = {name: _rows(arrays.pop(f"records/{name}").tobytes(), columns) for name, columns in TABLES.items()}
-    shaped = {name: arrays[name].reshape(shape) for name, shape in about["shapes"].items()}
-    return Checkpoint(about["step"], shaped, dict(about["numbers"]), Records(**rows)), about
+    rows = {}
+    for name, columns in TABLES.items():
+        rows[name] = _rows(arrays[f"records/{name}"].tobytes(), columns)
+    shaped_arrays = {name: arrays[name].reshape(shape) for name, shape in about["shapes"].items()}
+    return Checkpoint(about["step"], shaped_arrays, dict(about["numbers"]), Records(**rows)), about
 
 
 def table_files(records: Records, without: Collection[str] = ()) -> dict[str, bytes]:
@@ -200,15 +215,17 @@ def table_files(records: Records, without: Collection[str] = ()) -> dict[str, by
     files = {}
     for name, columns in TABLES.items():
         rows: list[Row] = getattr(records, name)
-        values = [column for column in VALUE_COLUMNS if rows and column in rows[0]]
-        skipped = without if name == "evaluations" else ()
-        files[name] = to_parquet(rows, [column for column in (*columns, *values) if column not in skipped])
+        value_columns = [column for column in VALUE_COLUMNS if rows and column in rows[0]]
+        written = [*columns, *value_columns]
+        if name == "evaluations":
+            written = [column for column in written if column not in without]
+        files[name] = to_parquet(rows, written)
     return files
 
 
 def _rows(data: bytes, columns: Sequence[str]) -> list[Row]:
     """Return a table's rows with the columns of the contract first, then any others."""
     table = from_parquet(data)
-    values = [name for name in VALUE_COLUMNS if name in table.column_names]
-    rows: list[Row] = table.select([*columns, *values]).to_pylist()
+    value_columns = [name for name in VALUE_COLUMNS if name in table.column_names]
+    rows: list[Row] = table.select([*columns, *value_columns]).to_pylist()
     return rows
