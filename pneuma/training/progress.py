@@ -51,16 +51,16 @@ def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
     """Return the paces of finished runs on a processor like this one: those of a plan, and some others."""
     from pneuma.store.row_builder import stored_row  # safetensors, pyarrow: not for `--help`
 
-    found: dict[str, list[float]] = {}
+    paces_by_kind: dict[str, list[float]] = {}
     for name in dict.fromkeys([*names_first, *store.runs()[:SAMPLE]]):
         try:
             row = stored_row(store, name)
             pace = (row.wall_seconds or 0) / (row.end - row.begun)
         except (UserError, KeyError, TypeError, ValueError, ArithmeticError):
-            continue  # an imported, damaged or untrusted run tells nothing
+            continue  # an imported, damaged or untrusted run
         if pace > 0 and processors(row.provenance) == (machine()["cpu"],):
-            found.setdefault(_kind(row.fields), []).append(pace)
-    return {kind: statistics.fmean(paces) for kind, paces in found.items()}
+            paces_by_kind.setdefault(_kind(row.fields), []).append(pace)
+    return {kind: statistics.fmean(paces) for kind, paces in paces_by_kind.items()}
 
 
 def expected_seconds(paces: Paces, run: Run, steps: int) -> float | None:
@@ -89,7 +89,8 @@ class ProgressDisplay:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-        self._whole, self._until = {name: run.steps for name, run in to_train.items()}, until
+        self._until = until
+        self._budgets = {name: run.steps for name, run in to_train.items()}
         self._steps = {name: kept_step(store.status(name, quick=True)) for name in to_train}
         self._ended: set[str] = set()
         self._bar = Progress(
@@ -102,8 +103,9 @@ class ProgressDisplay:
             speed_estimate_period=PACE_SECONDS,
             get_time=lambda: time.monotonic(),
         )
-        steps, so_far = sum(self._whole.values()), sum(self._steps.values())
-        self._task = self._bar.add_task(self._runs(), total=steps, completed=so_far)
+        self._task = self._bar.add_task(
+            self._ended_text(), total=sum(self._budgets.values()), completed=sum(self._steps.values())
+        )
         self._show = bool(to_train) and not quiet
         self._live = self._show and sys.stderr.isatty()
         self._next_line = time.monotonic() + LINE_SECONDS
@@ -119,25 +121,41 @@ class ProgressDisplay:
                 self._bar.stop()
 
     def update(self, cell: Cell, event: Event) -> None:
-        name, label, status = cell.run_id, f"{cell.condition} seed {cell.seed}", event.get("status", "")
+        label = f"{cell.condition} seed {cell.seed}"
         if event["event"] in ("note", "status"):
             if self._show or event["event"] == "note":
                 print_aside(f"{label}: {event['text']}")
             return
-        whole = self._whole[name]
-        self._steps[name] = whole if status in FINISHED else max(self._steps[name], event["step"])
-        if status in ("stopped", "partial") and self._steps[name] >= (self._until.get(name) or whole):
-            status = "paused"
-        if status not in ("", "stopped", "paused"):
-            self._ended.add(name)
-        self._bar.update(self._task, completed=sum(self._steps.values()), description=self._runs())
+        status = self._count(cell.run_id, event)
+        steps_trained = sum(self._steps.values())
+        self._bar.update(self._task, completed=steps_trained, description=self._ended_text())
         now = time.monotonic()
         if self._show and not self._live and (status or now >= self._next_line):
             self._next_line = now + LINE_SECONDS
-            of_all = self._bar.tasks[0]
-            left = f", {duration(of_all.time_remaining)} left" if of_all.time_remaining else ""
-            what = f"{label}: {status}; " if status else ""
-            print_aside(f"{what}{self._runs()} ended, {of_all.percentage:.0f}% of all steps{left}")
+            print_aside(self._line(label, status))
 
-    def _runs(self) -> str:
+    def _count(self, name: str, event: Event) -> str:
+        """Count the steps of a run in an event; return the status with which it ended or paused, if any."""
+        status: str = event.get("status", "")
+        if status in FINISHED:
+            self._steps[name] = self._budgets[name]  # also of one that diverged before
+        else:
+            self._steps[name] = max(self._steps[name], event["step"])
+        pauses_at = self._until.get(name) or self._budgets[name]
+        if status in ("stopped", "partial") and self._steps[name] >= pauses_at:
+            return "paused"
+        if status not in ("", "stopped"):
+            self._ended.add(name)
+        return status
+
+    def _line(self, label: str, status: str) -> str:
+        progress = self._bar.tasks[0]
+        line = f"{self._ended_text()} ended, {progress.percentage:.0f}% of all steps"
+        if status:
+            line = f"{label}: {status}; {line}"
+        if progress.time_remaining:
+            line += f", {duration(progress.time_remaining)} left"
+        return line
+
+    def _ended_text(self) -> str:
         return f"{len(self._ended)}/{len(self._steps)} runs"
