@@ -35,6 +35,8 @@ from pneuma.study.spec import CLAIMS, LAST, PAPER, Study, load_study, results_wo
 Say = Callable[[str], object]
 UNSET: tuple[Any, ...] = (None, False, 0, "", [], {})
 """Values of fields that a version of Pneuma knew which this one does not, if they were not set."""
+FORMER_DEFAULTS = {"weapons": ["own"], "bodies": "block", "coast": "wall", "slow_factor": 0.5}
+"""The same, of fields that had another default."""
 
 
 def silent(message: str) -> None:
@@ -158,7 +160,7 @@ def have_same_fields(fields: Mapping[str, Any], stored: Mapping[str, Any]) -> bo
     wanted, defaults = without_amount(fields), as_fields(Run())
     for name, value in without_amount(stored).items():
         if name not in wanted:
-            if value not in UNSET:
+            if value not in UNSET and value != FORMER_DEFAULTS.get(name):
                 return False
         elif _with_bare_names(value) != _with_bare_names(wanted[name]):
             return False

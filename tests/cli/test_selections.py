@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
-from pneuma.analysis.runs import find_study
+from pneuma.analysis.runs import find_study, have_same_fields
 from pneuma.api import open_data
+from pneuma.config import as_fields
 from pneuma.store.index import RunIndex
 from pneuma.store.last_queries import last_query
 from pneuma.store.store import Store
@@ -112,6 +113,15 @@ def test_a_run_of_another_version_counts_where_there_is_no_other(
     shown, text = show(store, "activation", seeds=(0, 1))
     assert shown == [new, old[1]] and text.endswith("2 of 2 runs (1 by another version).")
     assert show(store, "activation", settings={"gamma": 0.5})[0] == []
+
+
+def test_a_published_run_has_the_fields_of_its_cell_whatever_fields_have_left_since(store: Store) -> None:
+    index = RunIndex(store)
+    data = find_study(index, Query().named("activation@paper"))
+    run_id, condition = data.runs[["run_id", "condition"]].iloc[0]
+    stored, fields = index.fields_of(run_id), as_fields(data.configurations[condition])
+    assert stored.keys() - fields.keys() and have_same_fields(fields, stored)
+    assert not have_same_fields(fields, {**stored, "bodies": "pass"})
 
 
 def test_own_runs_of_the_published_cells_count_first(store: Store) -> None:
