@@ -91,7 +91,7 @@ def test_each_player_learns_from_its_own_part_as_one_alone_would() -> None:
             ended["slot"] //= 2
             parts = [np.ascontiguousarray(each[player::2]) for each in seen[-1][:6]]  # all but endings
             own = Rollout._make([*parts, ended, seen[-1].terminal_observations[mine]])
-            learner.learn_from(own, left=1 - (update + 1) * 128 / run.steps)
+            learner.learn_from(own, budget_left=1 - (update + 1) * 128 / run.steps)
     policy = trainer.policy()
     assert policy.players == 2
     for player, learner in enumerate(alone):

@@ -57,22 +57,21 @@ class Learner:
     def policy(self) -> Policy:
         return Policy(self.run.activation, self.networks["actor"], self.networks["critic"])
 
-    def learn_from(self, rollout: Rollout, left: float = 1.0) -> dict[str, float]:
+    def learn_from(self, rollout: Rollout, budget_left: float = 1.0) -> dict[str, float]:
         """Take an update's gradient steps, with a share of the budget left after them; return its metrics."""
-        run, numbers = self.run, {**self._numbers, **annealed_numbers(self.run, left)}
-        batch, values, dead = self._compute_advantages(rollout)
+        run = self.run
+        batch, values, dead_units = self._compute_advantages(rollout)
         count = len(batch["actions"])
         orders = np.stack([self.generator.permutation(count) for _ in range(run.epochs)]).astype(np.int32)
-        networks, optimizer, metrics = learn(
+        numbers = {**self._numbers, **annealed_numbers(run, budget_left)}
+        networks, optimizer, means = learn(
             self.networks, self.optimizer, batch, orders, numbers, program(run)
         )
         self.networks, self.optimizer = to_numpy(networks), to_numpy(optimizer)
-        return {
-            **dict(zip(METRICS, np.asarray(metrics).tolist(), strict=True)),
-            "explained_variance": _explained_variance(values, batch["returns"]),
-            "dead_units": dead,
-            **action_shares(run, batch["actions"], self._actions),
-        }
+        metrics: dict[str, float] = dict(zip(METRICS, np.asarray(means).tolist(), strict=True))
+        metrics["explained_variance"] = _explained_variance(values, batch["returns"])
+        metrics["dead_units"] = dead_units
+        return metrics | action_shares(run, batch["actions"], self._actions)
 
     def _compute_advantages(self, rollout: Rollout) -> tuple[dict[str, np.ndarray], np.ndarray, float]:
         """Return the batch, slot by slot, the values, and the share of dead units."""
@@ -80,38 +79,41 @@ class Learner:
         slots, steps, features = rollout.observations.shape
         observations = np.concatenate([rollout.observations.reshape(-1, features), rollout.last_observations])
         actions = rollout.actions.reshape(-1)
-        logs, values, dead = evaluate_rollout(self.networks, observations, actions, run.activation)
-        values = np.asarray(values)
-        value = values[: slots * steps].reshape(slots, steps)
+        log_probabilities, all_values, dead_units = evaluate_rollout(
+            self.networks, observations, actions, run.activation
+        )
+        all_values = np.asarray(all_values)
+        values = all_values[: slots * steps].reshape(slots, steps)
+        last_values = all_values[slots * steps :]
         gain = advantages(
-            self._bootstrapped(rollout), value, rollout.starts, values[slots * steps :], rollout.last_ends,
+            self._bootstrapped(rollout), values, rollout.starts, last_values, rollout.last_ends,
             np.float32(run.gamma), np.float32(run.gamma * run.gae_lambda),
         )  # fmt: skip
         batch = {
             "observations": observations[: slots * steps],
             "actions": actions,
-            "log_probabilities": np.asarray(logs),
+            "log_probabilities": np.asarray(log_probabilities),
             "advantages": gain.reshape(-1),
-            "returns": (gain + value).reshape(-1),
+            "returns": (gain + values).reshape(-1),
         }
-        return batch, value.reshape(-1), float(dead)
+        return batch, values.reshape(-1), float(dead_units)
 
     def _bootstrapped(self, rollout: Rollout) -> np.ndarray:
         """Return rewards plus the discounted value of states that a time limit cut off, (S, T)."""
         cut = np.flatnonzero(rollout.ended["ending"] == rules.TIME_LIMIT)
         if not len(cut) or self.run.time_limit == "terminate":
             return rollout.rewards
-        beyond = value_of(self.networks["critic"], self.run.activation, rollout.terminal_observations[cut])
+        values = value_of(self.networks["critic"], self.run.activation, rollout.terminal_observations[cut])
+        slots, steps = rollout.ended["slot"][cut], rollout.ended["step"][cut] - 1
         rewards = rollout.rewards.copy()
-        rewards[rollout.ended["slot"][cut], rollout.ended["step"][cut] - 1] += (
-            np.float32(self.run.gamma) * beyond
-        )
+        rewards[slots, steps] += np.float32(self.run.gamma) * values
         return rewards
 
     def is_finite(self, metrics: Mapping[str, float]) -> bool:
-        watched = [metrics[name] for name in ("policy_loss", "value_loss", "entropy", "grad_norm")]
-        leaves = jax.tree.leaves(self.networks)
-        return bool(np.isfinite(watched).all()) and all(bool(np.isfinite(leaf).all()) for leaf in leaves)
+        for name in ("policy_loss", "value_loss", "entropy", "grad_norm"):
+            if not math.isfinite(metrics[name]):
+                return False
+        return all(bool(np.isfinite(leaf).all()) for leaf in jax.tree.leaves(self.networks))
 
 
 def to_numpy(tree: Tree) -> Tree:
@@ -120,18 +122,23 @@ def to_numpy(tree: Tree) -> Tree:
 
 def _explained_variance(values: np.ndarray, returns: np.ndarray) -> float:
     """Return 1 - Var(returns - values) / Var(returns); NaN if all returns are equal."""
-    spread = np.var(returns)
-    return float("nan") if spread == 0 else float(1 - np.var(returns - values) / spread)
+    variance = np.var(returns)
+    if variance == 0:
+        return math.nan
+    return float(1 - np.var(returns - values) / variance)
 
 
 def _layers(
     generator: np.random.Generator, widths: Sequence[int], first_scale: float, last_gain: float
 ) -> Layers:
-    gains = [HIDDEN_GAIN * first_scale, *[HIDDEN_GAIN] * (len(widths) - 3), last_gain]
-    return tuple(
-        (_orthogonal(generator, inputs, outputs) * np.float32(gain), np.zeros(outputs, np.float32))
-        for inputs, outputs, gain in zip(widths[:-1], widths[1:], gains, strict=True)
-    )
+    gains = [HIDDEN_GAIN] * (len(widths) - 1)
+    gains[0] *= first_scale
+    gains[-1] = last_gain
+    layers = []
+    for inputs, outputs, gain in zip(widths[:-1], widths[1:], gains, strict=True):
+        weight = _orthogonal(generator, inputs, outputs) * np.float32(gain)
+        layers.append((weight, np.zeros(outputs, np.float32)))
+    return tuple(layers)
 
 
 def _orthogonal(generator: np.random.Generator, inputs: int, outputs: int) -> np.ndarray:

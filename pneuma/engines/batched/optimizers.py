@@ -66,10 +66,10 @@ def sgd(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> tu
 
 def rmsprop(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> tuple[Tree, State]:
     """RMSProp with momentum; epsilon is outside the root, as torch has it."""
-    smoothing, kept = numbers["smoothing"], numbers["momentum"]
+    smoothing, factor = numbers["smoothing"], numbers["momentum"]
     square = jax.tree.map(lambda v, g: smoothing * v + (1 - smoothing) * g * g, state["square"], gradients)
     scaled = jax.tree.map(lambda g, v: g / (jnp.sqrt(v) + numbers["epsilon"]), gradients, square)
-    momentum = jax.tree.map(lambda m, g: kept * m + g, state["momentum"], scaled)
+    momentum = jax.tree.map(lambda m, g: factor * m + g, state["momentum"], scaled)
     moved = jax.tree.map(lambda p, m: p - numbers["learning_rate"] * m, parameters, momentum)
     return moved, {"steps": state["steps"] + 1, "square": square, "momentum": momentum}
 
@@ -91,17 +91,17 @@ def upgd(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> t
     being added to the gradient. Here α is the learning rate, β `utility_decay` and σ `noise`. The noise is
     keyed by the run and the number of the step.
     """
-    b1, b2, kept = numbers["beta_1"], numbers["beta_2"], numbers["utility_decay"]
+    b1, b2, decay = numbers["beta_1"], numbers["beta_2"], numbers["utility_decay"]
     steps = state["steps"] + 1
     mean = jax.tree.map(lambda m, g: b1 * m + (1 - b1) * g, state["mean"], gradients)
     square = jax.tree.map(lambda v, g: b2 * v + (1 - b2) * g * g, state["square"], gradients)
     utility = jax.tree.map(
-        lambda u, g, p: kept * u - (1 - kept) * g * p, state["utility"], gradients, parameters
+        lambda u, g, p: decay * u - (1 - decay) * g * p, state["utility"], gradients, parameters
     )
-    counted = steps.astype(jnp.float32)
-    correction_1, correction_2, correction_u = (
-        -jnp.expm1(counted * numbers[name]) for name in ("log_beta_1", "log_beta_2", "log_utility_decay")
-    )
+    count = steps.astype(jnp.float32)
+    correction_1 = -jnp.expm1(count * numbers["log_beta_1"])
+    correction_2 = -jnp.expm1(count * numbers["log_beta_2"])
+    correction_u = -jnp.expm1(count * numbers["log_utility_decay"])
     highest = jnp.stack([u.max() for u in jax.tree.leaves(utility)]).max()
     scale = correction_u * jnp.where(highest == 0, 1.0, highest)
     rate = 2 * numbers["learning_rate"]
@@ -121,10 +121,10 @@ def upgd_noise(parameters: Tree, steps: Any, numbers: Numbers) -> Tree:
     leaves, structure = jax.tree.flatten(parameters)
     key = jax.random.wrap_key_data(numbers["noise_key"], impl="threefry2x32")
     keys = jax.random.split(jax.random.fold_in(key, steps), len(leaves))
-    drawn = [
-        jax.random.normal(stream, leaf.shape, leaf.dtype) for stream, leaf in zip(keys, leaves, strict=True)
-    ]
-    return jax.tree.unflatten(structure, drawn)
+    noise = []
+    for stream, leaf in zip(keys, leaves, strict=True):
+        noise.append(jax.random.normal(stream, leaf.shape, leaf.dtype))
+    return jax.tree.unflatten(structure, noise)
 
 
 STEPS: dict[str, Step] = {"adam": adam, "sgd": sgd, "rmsprop": rmsprop, "upgd": upgd}

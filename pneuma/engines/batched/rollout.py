@@ -52,12 +52,12 @@ class Rollout(NamedTuple):
 
     def of_player(self, player: int, players: int) -> Rollout:
         """Return the part of one of the players of each world, as a rollout of its own."""
-        *of_slots, ended, terminal = self
-        mine = ended["slot"] % players == player
-        ended = ended[mine]
+        *arrays, ended, terminal = self
+        is_players = ended["slot"] % players == player
+        ended = ended[is_players]
         ended["slot"] //= players
-        own = [np.ascontiguousarray(each[player::players]) for each in of_slots]
-        return Rollout._make([*own, ended, terminal[mine]])
+        of_player = [np.ascontiguousarray(array[player::players]) for array in arrays]
+        return Rollout._make([*of_player, ended, terminal[is_players]])
 
     def cut(self, count: int) -> Rollout:
         """Return the rollout without room for more endings."""
@@ -125,27 +125,30 @@ class Collector:
         handle, usual_starts = self.worlds.handle, self.worlds.usual_starts
         if not own_rewards(self._run.reward):
             return _play(handle, actor, draws, usual_starts, rollout)
-        chosen = np.zeros(self.worlds.players.shape, np.int64)
+        actions = np.zeros(self.worlds.players.shape, np.int64)
         count = 0
         for step, draw in enumerate(draws):  # as `_play` does: a user's reward is plain Python
-            _choose(handle, actor, draw, rollout, step, chosen)
-            self.worlds.advance(chosen)
-            count = _keep_step(handle, usual_starts, rollout, step, count, chosen)
+            _choose(handle, actor, draw, rollout, step, actions)
+            self.worlds.advance(actions)
+            count = _keep_step(handle, usual_starts, rollout, step, count, actions)
         return count
 
     def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
-        rows = [dict(zip(ENDED.names or (), row, strict=True)) for row in rollout.ended.tolist()]
-        for row in rows:
-            row |= {"step": first_step + row["step"] * len(rollout.actions), "ending": ENDINGS[row["ending"]]}
+        """Return the rows of the episodes that ended, in a rollout after `first_step` steps."""
+        rows = []
+        for episode in rollout.ended.tolist():
+            row: dict[str, Any] = dict(zip(ENDED.names or (), episode, strict=True))
+            row["step"] = first_step + row["step"] * len(rollout.actions)
+            row["ending"] = ENDINGS[row["ending"]]
+            rows.append(row)
         return rows
 
     def saved_state(self) -> dict[str, np.ndarray]:
         """Return everything that the next step depends on, except the generator: arrays by name."""
-        episodes = {**self.worlds.counts(), "begins": self.begins}
-        return {
-            **{f"worlds/{name}": as_bytes(getattr(self.worlds, name)) for name in _WORLDS},
-            **{f"episodes/{name}": array for name, array in episodes.items()},
-        }
+        state = {f"worlds/{name}": as_bytes(getattr(self.worlds, name)) for name in _WORLDS}
+        for name, array in self.worlds.counts().items():
+            state[f"episodes/{name}"] = array
+        return {**state, "episodes/begins": self.begins}
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
         for name, array in self.saved_state().items():
@@ -177,12 +180,14 @@ class GymnasiumCollector(Collector):
         return self.slots.scaling
 
     def _play(self, actor: Network, draws: np.ndarray, rollout: Rollout) -> int:
-        slots, plays, endings = self.slots, np.ones(draws.shape[1], np.bool_), 0
+        slots = self.slots
+        plays = np.ones(draws.shape[1], np.bool_)
+        endings = 0
         for step, draw in enumerate(draws):
-            seen, chosen = rollout.observations[:, step], rollout.actions[:, step]
-            seen[:], rollout.starts[:, step] = slots.seen, self.begins
-            choose(actor, seen, draw, plays, chosen)
-            rollout.rewards[:, step], terminated, truncated = slots.step(chosen)
+            observations, actions = rollout.observations[:, step], rollout.actions[:, step]
+            observations[:], rollout.starts[:, step] = slots.seen, self.begins
+            choose(actor, observations, draw, plays, actions)
+            rollout.rewards[:, step], terminated, truncated = slots.step(actions)
             for slot in np.flatnonzero(terminated | truncated):
                 ending = rules.TIME_LIMIT if truncated[slot] else rules.RUNNING
                 rollout.ended[endings] = (slot, 0, step + 1, 0.0, 0, 0, 0.0, ending)
@@ -191,7 +196,8 @@ class GymnasiumCollector(Collector):
         return endings
 
     def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
-        rows, self.slots.finished = self.slots.finished, []
+        rows = self.slots.finished
+        self.slots.finished = []
         return rows
 
     def saved_state(self) -> dict[str, np.ndarray]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import reduce
-from operator import add
 from typing import Any
 
 import jax
@@ -14,7 +13,7 @@ from pneuma.config import Run, is_gymnasium_id
 from pneuma.engines.batched.learner import Learner
 from pneuma.engines.batched.rollout import Collector, GymnasiumCollector
 from pneuma.engines.loop import ResumableTrainer
-from pneuma.engines.policy import Policy, overflows
+from pneuma.engines.policy import Layers, Policy, overflows
 from pneuma.engines.records import Checkpoint, Records
 
 
@@ -24,20 +23,21 @@ class BatchedTrainer(ResumableTrainer):
     def __init__(self, run: Run) -> None:
         super().__init__(run)
         self.collector = GymnasiumCollector(run) if is_gymnasium_id(run.env) else Collector(run)
-        sizes = self.collector.observations.shape[1], self.collector.actions
-        self.learners = [Learner(run, *sizes, player) for player in range(run.policies)]
+        features, actions = self.collector.observations.shape[1], self.collector.actions
+        self.learners = [Learner(run, features, actions, player) for player in range(run.policies)]
 
     def update(self, before: int, after: int, records: Records) -> bool:
         rollout = self.collector.collect(self._joined().actor)
         records.episodes.extend(self.collector.episode_rows(rollout, before))
-        left, several = 1 - after / self.run.steps, len(self.learners)
-        parts = [rollout.of_player(player, several) for player in range(several)]
-        metrics = [learner.learn_from(part, left) for learner, part in zip(self.learners, parts, strict=True)]
-        means = {  # not by `sum`, which rounds differently from Python 3.12 on
-            name: reduce(add, (own[name] for own in metrics)) / several for name in metrics[0]
-        }
-        records.metrics.append({"step": after, **means})
-        if not all(learner.is_finite(own) for learner, own in zip(self.learners, metrics, strict=True)):
+        budget_left = 1 - after / self.run.steps
+        metrics_of_learners = []
+        is_finite = True
+        for player, learner in enumerate(self.learners):
+            metrics = learner.learn_from(rollout.of_player(player, len(self.learners)), budget_left)
+            metrics_of_learners.append(metrics)
+            is_finite = is_finite and learner.is_finite(metrics)
+        records.metrics.append({"step": after, **_means(metrics_of_learners)})
+        if not is_finite:
             return False
         is_last = after == self.run.updates * self.run.steps_per_update  # else the next update shows it
         return not (is_last and overflows(self._joined(), self.collector.observations))
@@ -50,10 +50,8 @@ class BatchedTrainer(ResumableTrainer):
         policies = [learner.policy() for learner in self.learners]
         if len(policies) == 1:
             return policies[0]
-        actor, critic = (
-            jax.tree.map(lambda *own: np.stack(own), *part)
-            for part in zip(*((policy.actor, policy.critic) for policy in policies), strict=True)
-        )
+        actor = _stack([policy.actor for policy in policies])
+        critic = _stack([policy.critic for policy in policies])
         return Policy(self.run.activation, actor, critic)
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
@@ -65,9 +63,9 @@ class BatchedTrainer(ResumableTrainer):
             "minibatches": [learner.generator.bit_generator.state for learner in self.learners],
         }
         for player, learner in enumerate(self.learners):
-            for part in ("networks", "optimizer"):
-                leaves = jax.tree.leaves_with_path(getattr(learner, part))
-                arrays |= {_array_name(player, part, path): np.array(leaf) for path, leaf in leaves}
+            for kind, tree in (("networks", learner.networks), ("optimizer", learner.optimizer)):
+                for path, leaf in jax.tree.leaves_with_path(tree):
+                    arrays[_array_name(player, kind, path)] = np.array(leaf)
         return Checkpoint(step, arrays, numbers, records.copy())
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -82,26 +80,43 @@ class BatchedTrainer(ResumableTrainer):
             _restore_learner(learner, player, checkpoint)
 
 
+def _means(metrics_of_learners: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Return the mean of each metric. Not by `sum`, which rounds differently from Python 3.12 on."""
+    means = {}
+    for name in metrics_of_learners[0]:
+        total = metrics_of_learners[0][name]
+        for metrics in metrics_of_learners[1:]:
+            total += metrics[name]
+        means[name] = total / len(metrics_of_learners)
+    return means
+
+
+def _stack(networks: Sequence[Layers]) -> Layers:
+    """Return the networks of several players as one."""
+    layers: Layers = jax.tree.map(lambda *arrays: np.stack(arrays), *networks)
+    return layers
+
+
 def _restore_learner(learner: Learner, player: int, checkpoint: Checkpoint) -> None:
     learner.networks = _restored(learner.networks, player, "networks", checkpoint)
     learner.optimizer = _restored(learner.optimizer, player, "optimizer", checkpoint)
     learner.generator.bit_generator.state = checkpoint.numbers["minibatches"][player]
 
 
-def _restored(tree: Any, player: int, part: str, checkpoint: Checkpoint) -> Any:
+def _restored(tree: Any, player: int, kind: str, checkpoint: Checkpoint) -> Any:
     """Return a tree of arrays with the values of a checkpoint."""
 
-    def saved(path: Any, fresh: Any) -> np.ndarray:
-        name = _array_name(player, part, path)
+    def saved(path: Any, leaf: Any) -> np.ndarray:
+        name = _array_name(player, kind, path)
         array = checkpoint.arrays[name]
-        if array.shape != np.shape(fresh):
-            raise ValueError(f"{name} is of shape {array.shape}, not {np.shape(fresh)}")
+        if array.shape != np.shape(leaf):
+            raise ValueError(f"{name} is of shape {array.shape}, not {np.shape(leaf)}")
         return np.array(array)
 
     return jax.tree.map_with_path(saved, tree)
 
 
-def _array_name(player: int, part: str, path: Any) -> str:
+def _array_name(player: int, kind: str, path: Any) -> str:
     """Return the name of an array in a checkpoint: networks/actor.0.1, player-2/optimizer/mean.critic.1.0."""
-    whose = f"player-{player}/" if player else ""
-    return f"{whose}{part}/{jax.tree_util.keystr(path, simple=True, separator='.')}"
+    owner = f"player-{player}/" if player else ""
+    return f"{owner}{kind}/{jax.tree_util.keystr(path, simple=True, separator='.')}"

@@ -72,21 +72,27 @@ def run_numbers(run: Run, player: int = 0) -> dict[str, Any]:
     beta_1, beta_2 = run.betas or (0.0, 0.0)
     decays = {"beta_1": beta_1, "beta_2": beta_2, "utility_decay": run.utility_decay or 0.0}
     numbers = {
-        **{name: getattr(run, name) or 0.0 for name in _AS_THEY_ARE},
         **decays,
-        **{f"log_{name}": math.log(each) if each else -math.inf for name, each in decays.items()},
         "joint_limit": limit if run.clip == "joint" else math.inf,
         "part_limit": limit if run.clip == "separate" else math.inf,
         "weight_decay": run.weight_decay,
     }
-    key = np.array([stream_seed(run.seed, "upgd-noise", player)], np.uint64).view(np.uint32)
-    return {name: np.float32(value) for name, value in numbers.items()} | {"noise_key": key}
+    for name in _AS_THEY_ARE:
+        numbers[name] = getattr(run, name) or 0.0
+    for name, decay in decays.items():
+        numbers[f"log_{name}"] = math.log(decay) if decay else -math.inf
+    arrays: dict[str, Any] = {name: np.float32(number) for name, number in numbers.items()}
+    arrays["noise_key"] = np.array([stream_seed(run.seed, "upgd-noise", player)], np.uint64).view(np.uint32)
+    return arrays
 
 
-def annealed_numbers(run: Run, left: float) -> dict[str, np.float32]:
+def annealed_numbers(run: Run, budget_left: float) -> dict[str, np.float32]:
     """Return the numbers that fall with the share of the budget that is left."""
-    falling = [name for name in ANNEALED if getattr(run, f"{name}_schedule") == "linear"]
-    return {name: np.float32(getattr(run, name) * left) for name in falling}
+    numbers = {}
+    for name in ANNEALED:
+        if getattr(run, f"{name}_schedule") == "linear":
+            numbers[name] = np.float32(getattr(run, name) * budget_left)
+    return numbers
 
 
 @partial(jax.jit, static_argnames="activation")
@@ -103,9 +109,9 @@ def evaluate_rollout(
     hidden_a, logits = _forward(networks["actor"], activation, observations[:count])
     hidden_c, values = _forward(networks["critic"], activation, observations)
     is_dead = IS_DEAD[activation]
-    hidden = [*hidden_a, *(layer[:count] for layer in hidden_c)]
+    hidden = hidden_a + [layer[:count] for layer in hidden_c]
     dead = jnp.concatenate([is_dead(units).all(axis=0) for units in hidden]).mean()
-    return _of_chosen(jax.nn.log_softmax(logits), actions), values[:, 0], dead
+    return _of_actions(jax.nn.log_softmax(logits), actions), values[:, 0], dead
 
 
 @partial(jax.jit, static_argnames="program", donate_argnums=(0, 1))
@@ -123,15 +129,15 @@ def learn(
     whole = orders.shape[1] // minibatch
 
     def take(carry: Tree, index: Any) -> tuple[Tree, Any]:
-        part = {name: array[index] for name, array in batch.items()}
-        return _step(carry, part, numbers, program)
+        samples = {name: array[index] for name, array in batch.items()}
+        return _step(carry, samples, numbers, program)
 
     def epoch(carry: Tree, order: Any) -> tuple[Tree, Any]:
         carry, metrics = jax.lax.scan(take, carry, order[: whole * minibatch].reshape(whole, minibatch))
         if whole * minibatch == order.shape[0]:
             return carry, metrics
-        carry, rest = take(carry, order[whole * minibatch :])
-        return carry, jnp.concatenate([metrics, rest[None]])
+        carry, last_metrics = take(carry, order[whole * minibatch :])
+        return carry, jnp.concatenate([metrics, last_metrics[None]])
 
     carry, metrics = jax.lax.scan(epoch, (joined(parameters), joined(state)), orders)
     means = metrics.mean(axis=(0, 1))  # (epochs, minibatches, metrics) -> (metrics,)
@@ -146,8 +152,10 @@ def joined(tree: Tree) -> Tree:
     """
 
     def join(node: Any) -> Any:
-        small = _is_layer(node) and node[0].size < JOINED_BELOW
-        return jnp.concatenate([node[0], node[1][None]]) if small else node
+        if not _is_layer(node) or node[0].size >= JOINED_BELOW:
+            return node
+        weight, bias = node
+        return jnp.concatenate([weight, bias[None]])
 
     return jax.tree.map(join, tree, is_leaf=_is_layer)
 
@@ -156,7 +164,9 @@ def _parted(tree: Tree) -> Tree:
     """Undo `joined`."""
 
     def part(node: Any) -> Any:
-        return node if _is_layer(node) or node.ndim != 2 else (node[:-1], node[-1])
+        if _is_layer(node) or node.ndim != 2:
+            return node
+        return node[:-1], node[-1]
 
     return jax.tree.map(part, tree, is_leaf=_is_layer)
 
@@ -170,18 +180,23 @@ def _step(carry: Tree, batch: Mapping[str, Any], numbers: Any, program: Program)
     """Take one gradient step on a minibatch; return `METRICS` beside the carry."""
     parameters, state = carry
     gradients, metrics = jax.grad(_loss, has_aux=True)(parameters, batch, numbers, program)
-    squares = {part: sum((g**2).sum() for g in jax.tree.leaves(gradients[part])) for part in gradients}
-    norm = jnp.sqrt(squares["actor"] + squares["critic"])
-    norms = {part: jnp.sqrt(square) for part, square in squares.items()}
-    joint = _shrink(norm, numbers["joint_limit"])
-    factors = {part: joint * _shrink(norms[part], numbers["part_limit"]) for part in gradients}
-    clipped = {
-        part: jax.tree.map(partial(jnp.multiply, factors[part]), gradients[part]) for part in gradients
-    }
+    actor_square, critic_square = _square(gradients["actor"]), _square(gradients["critic"])
+    norm = jnp.sqrt(actor_square + critic_square)
+    norms = {"actor": jnp.sqrt(actor_square), "critic": jnp.sqrt(critic_square)}
+    joint_factor = _shrink(norm, numbers["joint_limit"])
+    clipped = {}
+    for network, gradient in gradients.items():
+        factor = joint_factor * _shrink(norms[network], numbers["part_limit"])
+        clipped[network] = jax.tree.map(partial(jnp.multiply, factor), gradient)
     if program.decays:
         clipped = jax.tree.map(lambda g, p: g + numbers["weight_decay"] * p, clipped, parameters)
     carry = STEPS[program.optimizer](clipped, parameters, state, numbers)
     return carry, jnp.concatenate([metrics, jnp.stack([norm, norms["actor"], norms["critic"]])])
+
+
+def _square(gradient: Tree) -> Any:
+    """Return the square of a gradient's L2 norm."""
+    return sum((leaf**2).sum() for leaf in jax.tree.leaves(gradient))
 
 
 def _shrink(norm: Any, limit: Any) -> Any:
@@ -197,7 +212,7 @@ def _loss(parameters: Tree, batch: Mapping[str, Any], numbers: Any, program: Pro
     if program.normalizes and advantages.shape[0] > 1:
         advantages = (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
     logs = jax.nn.log_softmax(logits)
-    difference = _of_chosen(logs, batch["actions"]) - batch["log_probabilities"]
+    difference = _of_actions(logs, batch["actions"]) - batch["log_probabilities"]
     ratio = jnp.exp(difference)
     clip = numbers["clip_range"]
     terms = [
@@ -213,8 +228,8 @@ def _loss(parameters: Tree, batch: Mapping[str, Any], numbers: Any, program: Pro
     return loss, metrics
 
 
-def _of_chosen(logs: Any, actions: Any) -> Any:
-    """Return the log-probabilities of the chosen actions: (N, actions), (N,) -> (N,)."""
+def _of_actions(logs: Any, actions: Any) -> Any:
+    """Return the log-probabilities of actions: (N, actions), (N,) -> (N,)."""
     return (logs * jax.nn.one_hot(actions, logs.shape[1])).sum(axis=1)
 
 
