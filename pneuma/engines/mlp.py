@@ -35,14 +35,14 @@ def flat(layers: Layers) -> np.ndarray:
 
     The last columns of a layer are filled up with zeros.
     """
-    parts = []
+    flat_layers = []
     for weight, bias in layers:
         joined = np.concatenate([bias[..., None, :], weight], axis=-2)
         joined = joined.reshape(-1, *joined.shape[-2:])  # (policies, 1 + inputs, outputs)
         joined = np.pad(joined, ((0, 0), (0, 0), (0, -joined.shape[2] % COLUMNS)))
         blocks = joined.reshape(*joined.shape[:2], -1, COLUMNS).swapaxes(1, 2)
-        parts.append(blocks.reshape(len(joined), -1))
-    return np.concatenate(parts, axis=1)
+        flat_layers.append(blocks.reshape(len(joined), -1))
+    return np.concatenate(flat_layers, axis=1)
 
 
 def network(layers: Layers, activation: str) -> Network:
@@ -88,43 +88,50 @@ def _multiply(
 ) -> Any:
     """Write a tile of a layer's outputs, from `row` and `column` on: the biases, and `count` products each.
 
-    Its weights begin at `at`. The sums stay in registers, which no loop that numba compiles can say.
+    Its weights begin at `at`. The sums stay in registers, which a loop that numba compiles cannot ask for.
     """
     vector = ir.VectorType(ir.FloatType(), LANES)
     everywhere = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        *arrays, count, at, row, column = arguments
-        inputs, weights, outputs = (
-            typed_arrays.make_array(kind)(context, builder, array)
-            for kind, array in zip(signature.args, arrays, strict=False)
-        )
+        *array_values, count, at, row, column = arguments
+        arrays = []
+        for array_type, value in zip(signature.args, array_values, strict=False):
+            arrays.append(typed_arrays.make_array(array_type)(context, builder, value))
+        inputs, weights, outputs = arrays
 
-        def begin(array: Any, of: int) -> Any:
+        def row_start(array: Any, tile_row: int) -> Any:
             """Return the index at which a row of the tile begins in an array."""
-            return builder.mul(builder.add(row, row.type(of)), builder.extract_value(array.shape, 1))
+            width = builder.extract_value(array.shape, 1)
+            return builder.mul(builder.add(row, row.type(tile_row)), width)
 
-        def vectors(array: Any, index: Any) -> list[Any]:
-            """Return where the vectors of a row of the tile lie in an array, from an index on."""
-            places = (builder.add(index, index.type(each)) for each in range(0, COLUMNS, LANES))
-            return [builder.bitcast(builder.gep(array.data, [each]), vector.as_pointer()) for each in places]
+        def vector_pointers(array: Any, index: Any) -> list[Any]:
+            """Return pointers to the vectors of a row of the tile, from an index of an array on."""
+            pointers = []
+            for offset in range(0, COLUMNS, LANES):
+                number = builder.gep(array.data, [builder.add(index, index.type(offset))])
+                pointers.append(builder.bitcast(number, vector.as_pointer()))
+            return pointers
 
-        biases = [builder.load(each, align=4) for each in vectors(weights, at)]
-        sums = [[typed_codegen.alloca_once_value(builder, bias) for bias in biases] for _ in range(ROWS)]
-        starts = [begin(inputs, each) for each in range(ROWS)]
+        biases = [builder.load(pointer, align=4) for pointer in vector_pointers(weights, at)]
+        sums = []
+        for _ in range(ROWS):
+            sums.append([typed_codegen.alloca_once_value(builder, bias) for bias in biases])
+        starts = [row_start(inputs, tile_row) for tile_row in range(ROWS)]
         with typed_codegen.for_range(builder, count) as loop:
-            index = builder.mul(builder.add(loop.index, at.type(1)), at.type(COLUMNS))
-            factors = [builder.load(each, align=4) for each in vectors(weights, builder.add(at, index))]
-            for start, own in zip(starts, sums, strict=True):
+            offset = builder.mul(builder.add(loop.index, at.type(1)), at.type(COLUMNS))
+            pointers = vector_pointers(weights, builder.add(at, offset))
+            factors = [builder.load(pointer, align=4) for pointer in pointers]
+            for start, row_sums in zip(starts, sums, strict=True):
                 value = builder.load(builder.gep(inputs.data, [builder.add(start, loop.index)]))
                 first = builder.insert_element(vector(ir.Undefined), value, ir.IntType(32)(0))
                 value = builder.shuffle_vector(first, first, everywhere)
-                for total, factor in zip(own, factors, strict=True):
+                for total, factor in zip(row_sums, factors, strict=True):
                     builder.store(builder.fadd(builder.load(total), builder.fmul(value, factor)), total)
-        for of, own in enumerate(sums):
-            places = vectors(outputs, builder.add(begin(outputs, of), column))
-            for place, total in zip(places, own, strict=True):
-                builder.store(builder.load(total), place, align=4)
+        for tile_row, row_sums in enumerate(sums):
+            pointers = vector_pointers(outputs, builder.add(row_start(outputs, tile_row), column))
+            for pointer, total in zip(pointers, row_sums, strict=True):
+                builder.store(builder.load(total), pointer, align=4)
         return context.get_dummy_value()
 
     return typed_void(inputs, weights, outputs, count, at, row, column), generate
@@ -134,7 +141,7 @@ def _multiply(
 
 
 def _numbers(*values: float) -> tuple[np.float32, ...]:
-    return tuple(map(np.float32, values))
+    return tuple(np.float32(value) for value in values)
 
 
 # Coefficients and the way of reducing arguments are those of Moshier's Cephes library (tanhf.c, expf.c).
@@ -221,28 +228,29 @@ def most_probable(outputs: Any, row: int, actions: int) -> int:
 
 
 @kernel
-def choose(network: Any, observations: Any, draws: Any, plays: Any, chosen: Any) -> None:
-    """Choose an action in every row that plays: a drawn one in the first rows, else the most probable.
+def choose(network: Any, observations: Any, draws: Any, plays: Any, actions: Any) -> None:
+    """Choose an action in every row that plays: a sampled one in the first rows, else the most probable.
 
     Row i of the observations, (rows, features), is of policy i % policies of the network's weights. `draws`
     has a number in [0, 1) for each of the first rows. Rows that do not play cost nothing. The actions are
-    written into `chosen`, (rows,) int64.
+    written into `actions`, (rows,) int64.
     """
     weights, widths, activation = network
-    policies, actions = len(weights), widths[-1]
+    policies, action_count = len(weights), widths[-1]
     rows = np.empty(len(plays), np.int64)
     scratch = room(widths, len(plays))
-    for own in range(policies):
+    for policy in range(policies):
         count = 0
-        for row in range(own, len(plays), policies):
+        for row in range(policy, len(plays), policies):
             if plays[row]:
                 rows[count] = row
                 for i in range(widths[0]):
                     scratch[0, count, i] = observations[row, i]
                 count += 1
-        outputs = forward(weights[own], widths, activation, count, scratch)
+        outputs = forward(weights[policy], widths, activation, count, scratch)
         for k in range(count):
             row = rows[k]
-            drawn = row < len(draws)
-            action = sample(outputs, k, actions, draws[row]) if drawn else most_probable(outputs, k, actions)
-            chosen[row] = action
+            if row < len(draws):
+                actions[row] = sample(outputs, k, action_count, draws[row])
+            else:
+                actions[row] = most_probable(outputs, k, action_count)
