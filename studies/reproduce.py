@@ -31,6 +31,7 @@ PARTS = {
         "simplifications", "published-logs",
     ),
     "causes": (
+        "betas-by-clip", "betas-longer", "betas-learned", "sizes",
         "collapse", "late-collapse", "robustness", "noise-scale", "betas-and-units", "three-updates",
         "greedy-gap",
     ),
@@ -39,7 +40,7 @@ PARTS = {
         "tuned-optimizers", "tuned-algorithms",
     ),
 }  # fmt: skip
-"""Of networks the runs that claims fix, the most important first; of other parts the preset `paper`."""
+"""The most important first. Of networks, only worlds in which claims fix runs."""
 WORLDS = ("arena", "text", "godot")
 CURVES = {"collapse": "return,entropy,dead_units,actions", "robustness": "none"}
 """The curves that a published table keeps, where they are not the usual ones."""
@@ -54,20 +55,21 @@ def commands(
     options: Sequence[str] = (),
 ) -> Iterator[list[str]]:
     """Yield the command lines of a part, without the name of the program."""
-    preset = "claims" if part.endswith("-networks") else "paper"
+    of_claims = part.endswith("-networks")
     for name in studies or PARTS[part]:
         study = load_study(name)
         for world in (world for world in worlds if world in study.worlds):
-            fixed = fixed_amounts(study.in_world(world)) if preset == "claims" else {}
-            if preset == "claims" and not fixed:
+            if of_claims and not fixed_amounts(study.in_world(world)):
                 continue  # no claim is about the study there
             words = ["study", command, name, "--world", world]
-            words += ["--preset", preset] if command in ("run", "plan") else []
-            several = len(fixed) > 1 and not steps and command in ("run", "plan")
-            for budget in sorted(fixed) if several else [steps]:
-                said = ["--steps", str(budget)] if budget else []
-                said += ["--curves", CURVES[name]] if command == "publish" and name in CURVES else []
-                yield [*words, *said, *options]
+            words += ["--steps", str(steps)] if steps else []
+            words += ["--curves", CURVES[name]] if command == "publish" and name in CURVES else []
+            if command not in ("run", "plan"):
+                yield [*words, *options]
+                continue
+            for preset in study.presets:
+                if preset.startswith("paper"):
+                    yield [*words, "--preset", preset, *options]
 
 
 def main() -> None:

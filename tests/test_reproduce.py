@@ -25,8 +25,7 @@ def _trained(part: str) -> set[str]:
     for words in REPRODUCE["commands"](part):
         _, _, study, *rest = words
         options = dict(zip(rest[::2], rest[1::2], strict=True))
-        steps = int(options["--steps"]) if "--steps" in options else None
-        ids |= _planned(load_study(study, options["--world"]), Query(preset=options["--preset"], steps=steps))
+        ids |= _planned(load_study(study, options["--world"]), Query(preset=options["--preset"]))
     return ids
 
 
@@ -54,9 +53,9 @@ def test_options_narrow_the_commands_of_a_part() -> None:
     (one,) = commands("other-networks", "publish", ["architecture"], options=["--results", "mine"])
     assert " ".join(one) == "study publish architecture --world arena --results mine"
     (one,) = commands("other-networks", "plan", ["architecture"], steps=4096, options=["--preset", "quick"])
-    assert one[4:] == ["arena", "--preset", "claims", "--steps", "4096", "--preset", "quick"]
-    budgets = [each[-1] for each in commands("small-networks", "run", ["hyperparameters"], ["arena"])]
-    assert budgets == ["300000", "1000000"]  # claims on it fix both
+    assert one[4:] == ["arena", "--steps", "4096", "--preset", "paper", "--preset", "quick"]
+    presets = [words[-1] for words in commands("small-networks", "run", ["hyperparameters"], ["arena"])]
+    assert presets == ["paper", "paper-300k"]  # claims on it fix runs of both
     assert [each[4] for each in commands("causes", "status", ["collapse"], ["text"])] == ["text"]
 
 

@@ -116,7 +116,8 @@ def _verdicts() -> dict[str, str]:
         told = described("study", "verify", "--json", "--results", folder)
     verdicts = {}
     for verdict in told["claims"]:
-        numbers = [[row[key] for key in CONTRAST] for row in verdict["contrasts"]]
+        tested = [row for row in verdict["contrasts"] if row["effect"] is not None]
+        numbers = [[row[key] for key in CONTRAST] for row in tested]
         words = f"{verdict['verdict']} {_digest(json.dumps(numbers))}"
         verdicts[f"{verdict['claim']} {verdict['world']}"] = words
     return verdicts

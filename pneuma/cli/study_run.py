@@ -142,6 +142,11 @@ def run(
             f"--preset {spec.CLAIMS}: {changed[0]} is not as committed ({counted(len(changed), 'file')} of "
             "pneuma/ and studies/): commit first, so that each run tells the code that it was trained by"
         )
+    if chosen.preset == spec.CLAIMS:
+        from pneuma.analysis.claims.history import refuse_changed
+        from pneuma.store.index import RunIndex
+
+        refuse_changed(RunIndex(chosen.store), spec.load_study(name, chosen.world))
     planned = _plan(chosen, name, unpublished)
     how = replace(
         place.config(),

@@ -7,12 +7,22 @@ from pathlib import Path
 
 import pytest
 
+from pneuma.analysis.claims import history
 from pneuma.analysis.claims.claim_list import RULES, load_claims
-from pneuma.analysis.claims.history import THE_CLAIM, changed_since
+from pneuma.analysis.claims.history import THE_CLAIM, changed_since, refuse_changed
+from pneuma.errors import UserError
+from pneuma.store.index import RunIndex
 from pneuma.store.store import Store
+from pneuma.study.spec import load_study
 
 from ..cli.calls import described, printed
 from .claim_files import CLAIMS, HIGH, LOW, save_runs, write_files
+
+
+@pytest.fixture(autouse=True)
+def own_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take the test's folder for the checkout of Pneuma, whose judge has a version of its rules."""
+    monkeypatch.setattr(history, "SOURCE", tmp_path.resolve())
 
 
 def commit(folder: Path, rules: int = RULES) -> str:
@@ -87,3 +97,14 @@ def test_a_verdict_has_a_label(
     assert (verdict["label"], verdict["changed"]) == (label, changed)
     line = f"{label}; changed since the first run: {', '.join(changed)}" if changed else label
     assert line in [text.strip() for text in printed(*words).splitlines()]
+
+
+def test_a_preset_of_claims_that_were_changed_is_refused(tmp_path: Path) -> None:
+    store = Store(tmp_path / "results")
+    write_files(tmp_path)
+    save_runs(store, tmp_path, {"high": HIGH}, commit=commit(tmp_path))
+    study = load_study(str(tmp_path / "mine.toml"), "text")
+    refuse_changed(RunIndex(store), study)
+    write_files(tmp_path, CLAIMS.replace("margin = 0.04", "margin = 0.4"))
+    with pytest.raises(UserError, match=r"--preset claims: the claim better was changed .*\(margin\)"):
+        refuse_changed(RunIndex(store), study)

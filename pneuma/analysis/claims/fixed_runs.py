@@ -6,8 +6,8 @@ An arm has one value per run, or the reason why its runs cannot be compared.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,16 +21,16 @@ from pneuma.analysis.outcomes import (
     reason,
     unit_of_return,
 )
+from pneuma.analysis.runs import finished_rows, runs_of_plan
 from pneuma.config import Run, round_up
 from pneuma.errors import UserError
 from pneuma.presets import world_option
 from pneuma.store.index import RunIndex
 from pneuma.store.provenance import processors
 from pneuma.store.rows import Row
-from pneuma.store.store import FINISHED
 from pneuma.study.identity import config_id
-from pneuma.study.plan import configure
-from pneuma.study.shipped import CLAIMS_FILE
+from pneuma.study.plan import Cell, Plan, configure
+from pneuma.study.shipped import CLAIMS_FILE, CLAIMS_FILES
 from pneuma.study.spec import CLAIMS, Amount, Preset, Study, results_words
 from pneuma.values import shown_seeds
 
@@ -79,8 +79,12 @@ class ClaimRuns:
     @property
     def commits(self) -> tuple[str, ...]:
         """The commits of the code that trained them."""
-        origins = [row.provenance for rows in self.rows.values() for row in rows]
-        return tuple(sorted({str(origin.get("commit")).removesuffix("-dirty") for origin in origins}))
+        commits: set[str] = set()
+        for origin in [row.provenance for rows in self.rows.values() for row in rows]:
+            for source in (origin, origin.get("project")):  # Pneuma's code, and the user's own studies
+                if isinstance(source, dict):
+                    commits.add(str(source.get("commit")).removesuffix("-dirty"))
+        return tuple(sorted(commits))
 
     def budget(self, condition: str) -> int:
         return round_up(self.configurations[condition], self.claim.steps)
@@ -169,23 +173,19 @@ def find_claim_runs(index: RunIndex, claims: ClaimList, claim: Claim, world: str
     """Return the finished runs of a claim in one of its worlds."""
     study = claims.studies[claim.study].in_world(world)
     configurations = configure(study, {}, claim.compared, index.engine_of).runs
-    rows = {
-        condition: _find_rows(index, run, claim.seeds_of(condition), claim.steps)
-        for condition, run in configurations.items()
-    }
+    cells: list[Cell] = []
+    for condition, run in configurations.items():
+        steps = round_up(run, claim.steps)
+        for seed in claim.seeds_of(condition):
+            cells.append(Cell(condition, seed, replace(run, seed=seed, steps=steps)))
+    data = finished_rows(index, runs_of_plan(index, Plan(study, tuple(cells))))
+    rows = {condition: data.of_condition(condition) for condition in configurations}
     rest = results_words(index.store.root)
+    if any(row.published for row in data.rows):
+        rest.append("--unpublished")
     commands = [shlex.join([*words, *rest]) for words in training_commands(claims, claim, study)]
     remedy = f"{TRAIN_WITH} {' && '.join(commands)}"
     return ClaimRuns(claim, world, configurations, rows, remedy, index.problems)
-
-
-def _find_rows(index: RunIndex, run: Run, seeds: Sequence[int], steps: int) -> list[Row]:
-    """Return the rows of a configuration's finished runs of some seeds, in their order."""
-    runs = index.frame.iloc[[*index.places.get(config_id(run), ())]]
-    fixed = runs["seed"].isin(seeds) & (runs["steps"] == round_up(run, steps)) & runs["status"].isin(FINISHED)
-    run_ids = runs[fixed].sort_values("seed", kind="stable")["run_id"]
-    rows = [index.row(run_id) for run_id in run_ids]
-    return [row for row in rows if row is not None]
 
 
 def training_commands(claims: ClaimList, claim: Claim, study: Study) -> list[list[str]]:
@@ -242,17 +242,11 @@ def with_claims(study: Study, steps: int | None = None) -> Study:
 
 def fixed_amounts(study: Study) -> dict[int, dict[str, Amount]]:
     """Return seeds and steps of each condition by number of steps; empty if no claim is about the study."""
-    path = study.path and study.path.parent / CLAIMS_FILE
-    if study.path is None or path is None or not path.exists():
-        return {}
     seeds: dict[int, dict[str, set[int]]] = {}
-    for claim in load_claims(path).claims.values():
-        is_file = (path.parent / claim.study).resolve() == study.path.resolve()
-        is_shipped = study.own_path is None and claim.study == study.path.stem
-        if (is_file or is_shipped) and study.world in claim.worlds:
-            by_condition = seeds.setdefault(claim.steps, {})
-            for condition in claim.conditions:
-                by_condition.setdefault(condition, set()).update(claim.seeds_of(condition))
+    for _, claim in claims_on(study):
+        by_condition = seeds.setdefault(claim.steps, {})
+        for condition in claim.conditions:
+            by_condition.setdefault(condition, set()).update(claim.seeds_of(condition))
     amounts: dict[int, dict[str, Amount]] = {}
     for steps, by_condition in seeds.items():
         amounts[steps] = {}
@@ -261,3 +255,16 @@ def fixed_amounts(study: Study) -> dict[int, dict[str, Amount]]:
                 fixed = tuple(sorted(by_condition[condition]))
                 amounts[steps][condition] = Amount.model_construct(seeds=fixed, steps=steps)
     return amounts
+
+
+def claims_on(study: Study) -> Iterator[tuple[ClaimList, Claim]]:
+    """Yield the claims on a study in its world, each with its list, of all lists beside the study's file."""
+    if study.path is None:
+        return
+    for path in (study.path.parent / name for name in CLAIMS_FILES):
+        claim_list = load_claims(path) if path.exists() else None
+        for claim in claim_list.claims.values() if claim_list else ():
+            is_file = (path.parent / claim.study).resolve() == study.path.resolve()
+            is_shipped = study.own_path is None and claim.study == study.path.stem
+            if claim_list and (is_file or is_shipped) and study.world in claim.worlds:
+                yield claim_list, claim

@@ -18,7 +18,11 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.claims.claim_list import RULES, Claim, ClaimList, pick
-from pneuma.store.provenance import file_at, line_at
+from pneuma.analysis.claims.fixed_runs import claims_on, find_claim_runs
+from pneuma.errors import UserError
+from pneuma.store.index import RunIndex
+from pneuma.store.provenance import SOURCE, file_at, line_at
+from pneuma.study.spec import CLAIMS, Study
 
 THE_CLAIM, RULES_KEY = "the claim itself", "rules"
 HOW_MANY = ("seeds", "steps", "margin", RULES_KEY)
@@ -26,6 +30,23 @@ HOW_MANY = ("seeds", "steps", "margin", RULES_KEY)
 _OF_OUTCOME = ("kind", "above", "below", "value", "margin")
 """What another outcome changes with it."""
 _PLAIN = ("study", "paired", "kind", "above", "below", "need", "direction")
+
+
+def refuse_changed(index: RunIndex, study: Study) -> None:
+    """Refuse claims on a study that were changed after their first run: they are not preregistered any more.
+
+    Raises:
+        UserError: naming a claim, what changed, and what to do instead.
+    """
+    for claims, claim in claims_on(study):
+        runs = find_claim_runs(index, claims, claim, study.world)
+        changed = changed_since(claims, claim, study.world, runs.commits)
+        if changed:
+            raise UserError(
+                f"--preset {CLAIMS}: the claim {claim.name} was changed after its first run "
+                f"({', '.join(changed)}), so more runs test nothing; another preset, or --seeds and --steps, "
+                "trains them"
+            )
 
 
 def changed_since(
@@ -49,7 +70,8 @@ def changed_since(
         else:
             keys = [key for key in now if now[key] != then[key]]
             differences = [key for key in keys if "outcome" not in keys or key not in _OF_OUTCOME]
-        if _rules_at(claims.path, commit) != RULES:
+        is_own = SOURCE in claims.path.resolve().parents
+        if is_own and _rules_at(claims.path, commit) != RULES:
             differences.append(RULES_KEY)
         changed = list(dict.fromkeys([*(changed or []), *differences]))
     return None if changed is None else tuple(changed)
@@ -68,13 +90,21 @@ def _rules_at(path: Path, commit: str) -> int | None:
 
 
 @cache
+def _parse(text: str) -> Mapping[str, Any]:
+    """Return the contents of a file; none of one that is not TOML."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return {}
+
+
 def _deciding_keys(text: str, name: str, world: str) -> Mapping[str, Any] | None:
     """Return what decides the verdict on a claim of a file in a world; None if the file has no such claim."""
+    contents = _parse(text)
     try:
-        contents = tomllib.loads(text)
         own = contents["claims"][name]
         keys = {**contents.get("defaults", {}), **contents["claims"].get(own.get("like"), {}), **own}
-    except (tomllib.TOMLDecodeError, KeyError, AttributeError, TypeError):
+    except (KeyError, AttributeError, TypeError):
         return None
     deciding: dict[str, Any] = {key: keys.get(key) for key in _PLAIN}
     deciding["need"] = keys.get("need", "one")
