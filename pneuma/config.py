@@ -124,11 +124,11 @@ def _read_wrapper(value: Any) -> str:
     arguments: Any
     if isinstance(value, Mapping):
         arguments = dict(value)
-        name = arguments.pop("name")
+        name = arguments.pop("name", "")
     else:
         name, brace, rest = value.partition("{")
         arguments = brace + rest
-    if ":" not in name:
+    if name and ":" not in name:
         name = f"gymnasium.wrappers:{name}"
     if not re.fullmatch(rf"({MODULE}):\w+", name):
         raise ValueError

@@ -132,6 +132,10 @@ PAIR: dict[str, Any] = {"players": 2, "learners": "independent"}
             {"optimizer": "upgd", "engine": "sb3"},
             "optimizer = upgd is not allowed: the engine sb3 lacks it; batched has it",
         ),
+        (
+            {"env": "CartPole-v1", "wrappers": [{"stack_size": 4}]},
+            "wrappers = .* is not allowed: module:Class",
+        ),
         ({"algorithm": "qr-dqn"}, "algorithm = qr-dqn is not allowed in pneuma/Pneuma-v0: only in other"),
         ({"algorithm": "dqn", "engine": "batched"}, 'engine = "batched" is not allowed: it cannot train'),
         ({"value_baseline": False, "engine": "batched"}, "train advantages without a baseline; sb3 can"),

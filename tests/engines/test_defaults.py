@@ -29,7 +29,7 @@ def settings(model: Any, kind: type) -> dict[str, Any]:
         if name not in NOT_COMPARED and name in vars(model):
             value = vars(model)[name]
             is_schedule = callable(value) and not isinstance(value, type)
-            found[name] = value(1.0) if is_schedule else value
+            found[name] = [value(left) for left in (1, 0.5)] if is_schedule else value
     for part in (model.policy, *model.policy.children()):
         if optimizer := getattr(part, "optimizer", None):
             rule = {key: value for key, value in optimizer.param_groups[0].items() if key != "params"}
