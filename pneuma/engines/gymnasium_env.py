@@ -271,16 +271,16 @@ def _action_space(
         return space
     if isinstance(space, spaces.Box) and space.dtype is not None and space.dtype.kind == "f":
         return space
-    kinds = "Discrete, MultiDiscrete, MultiBinary or Box"
-    raise UserError(f"{run.env}: actions in {space} cannot be learned: wrap it to have {kinds} ones")
+    allowed = "Discrete, MultiDiscrete, MultiBinary or Box"
+    raise UserError(f"{run.env}: actions in {space} cannot be learned: wrap it to have {allowed} ones")
 
 
 def flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
     """Return a function that makes an observation a row of numbers."""
-    part = _not_flat(space)
-    if part:
+    problem = _not_flat(space)
+    if problem:
         fix = "name a wrapper that leaves that out"
-        raise UserError(f"{run.env}: observations in {part} cannot be flattened to numbers: {fix}")
+        raise UserError(f"{run.env}: observations in {problem} cannot be flattened to numbers: {fix}")
     refuse_flat_pictures(run, space)
     if isinstance(space, spaces.Box):
         if len(space.shape) == 1:
@@ -296,7 +296,7 @@ def refuse_flat_pictures(run: Run, space: spaces.Space[Any]) -> None:
     policy, observed = "CnnPolicy", [space]
     if isinstance(space, spaces.Dict):
         policy, observed = "MultiInputPolicy", list(space.spaces.values())
-    dimensions = [len(part.shape or ()) for part in observed if _is_picture(part)]
+    dimensions = [len(subspace.shape or ()) for subspace in observed if _is_picture(subspace)]
     if not dimensions:
         return
     fix = 'wrappers = ["FlattenObservation"]'
@@ -315,9 +315,9 @@ def _is_picture(space: spaces.Space[Any]) -> bool:
 def _not_flat(space: spaces.Space[Any], name: str = "") -> str:
     """Return what of a space is no array of one size, such as text; empty if all can be flattened."""
     if isinstance(space, spaces.Dict | spaces.Tuple):
-        parts = dict(space.spaces) if isinstance(space, spaces.Dict) else dict(enumerate(space.spaces))
-        for key, part in parts.items():
-            problem = _not_flat(part, f" ({key})")
+        items = space.spaces.items() if isinstance(space, spaces.Dict) else enumerate(space.spaces)
+        for key, subspace in items:
+            problem = _not_flat(subspace, f" ({key})")
             if problem:
                 return problem
         return ""
@@ -370,7 +370,7 @@ def _how_to_register(run: Run) -> str:
 
 
 @contextmanager
-def blamed(what: str) -> Iterator[None]:
+def blamed(source: str) -> Iterator[None]:
     """Turn any exception of a user's own code into a one-line error that names its source, and its cause."""
     try:
         yield
@@ -380,7 +380,7 @@ def blamed(what: str) -> Iterator[None]:
         text = type(error).__name__
         if str(error).strip():
             text += f": {str(error).strip().splitlines()[0]}"
-        raise OwnCodeError(f"{what}: {text}") from error
+        raise OwnCodeError(f"{source}: {text}") from error
 
 
 def _register_installed(namespace: str) -> None:

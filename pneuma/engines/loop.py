@@ -133,9 +133,9 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
         if not trainer.update(before, step, records):
             return Result("diverged", step, records, None)
         if update in evaluated_updates:
-            begun = time.perf_counter()
+            started = time.perf_counter()
             records.evaluations.append(trainer.evaluate(step))
-            evaluation_seconds += time.perf_counter() - begun
+            evaluation_seconds += time.perf_counter() - started
         checkpoint_now = None
         if isinstance(trainer, ResumableTrainer):
             checkpoint_now = partial(trainer.checkpoint, step, records)

@@ -210,10 +210,10 @@ def sample(outputs: Any, row: int, actions: int, draw: Any) -> int:
     for j in range(actions):
         outputs[row, j] = exp(outputs[row, j] - highest)
         total += outputs[row, j]
-    left = draw * total
+    remainder = draw * total
     for j in range(actions - 1):
-        left -= outputs[row, j]
-        if left < 0:
+        remainder -= outputs[row, j]
+        if remainder < 0:
             return j
     return actions - 1
 

@@ -157,7 +157,7 @@ class GradientNorms:
         for name, parameter in model.policy.named_parameters():
             if "q_net_target" not in name:
                 self._parameters.append(parameter)
-                is_actor.append(any(part in name for part in ACTOR_PARAMETERS))
+                is_actor.append(any(layer in name for layer in ACTOR_PARAMETERS))
         self._is_actor = torch.tensor(is_actor)
         self._norms: list[torch.Tensor] = []
         self._limit = run.gradient_limit if run.clip == "separate" else None

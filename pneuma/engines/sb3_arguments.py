@@ -75,8 +75,8 @@ def _action_noise(table: Mapping[str, Any], action_space: spaces.Space[Any]) -> 
         allowed = f"a table with the name {' or '.join(NOISE)}, and sigma"
         raise UserError(f"algorithm_kwargs: action_noise = {dict(table)} is not allowed: {allowed}")
     arguments: dict[str, Any] = {"mean": 0.0, **table}
-    kind = getattr(noise, arguments.pop("name"))
+    noise_class = getattr(noise, arguments.pop("name"))
     for key in arguments.keys() & {"mean", "sigma"}:
         arguments[key] = np.full(action_space.shape or (), arguments[key], float)
-    action_noise: noise.ActionNoise = kind(**arguments)
+    action_noise: noise.ActionNoise = noise_class(**arguments)
     return action_noise

@@ -173,14 +173,14 @@ LEARNERS: dict[str, type[Learner]] = {
 
 def arguments_of(run: Run) -> Iterator[tuple[str, str]]:
     """Yield the arguments of a run's learner that are fields which its algorithm reads, with the fields."""
-    kind = LEARNERS[run.algorithm]
+    learner_class = LEARNERS[run.algorithm]
     fields: dict[str, str] = {}
     for name, about in FIELDS.items():
         if run.algorithm in about.read_by:
             fields |= dict.fromkeys(about.arguments or (name,), name)
-    if not issubclass(kind, DQN):  # whose `n_steps` are those of its returns
+    if not issubclass(learner_class, DQN):  # whose `n_steps` are those of its returns
         fields["n_steps"] = "horizon"
-    for argument in signature(kind).parameters:
+    for argument in signature(learner_class).parameters:
         if argument in fields:
             yield argument, fields[argument]
 
@@ -225,7 +225,7 @@ _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones",
 
 def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
     env: Any = model.env
-    kind, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
+    generator, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
     arrays = {
         "random/torch": torch.get_rng_state().numpy().copy(),
         "random/numpy": np.asarray(keys).copy(),
@@ -238,7 +238,7 @@ def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
     for name, attribute in _ARRAYS.items():
         arrays[name] = np.array(getattr(model, attribute))
     numbers: dict[str, Any] = {
-        "numpy": [str(kind), int(position), int(has_gauss), float(gauss)],
+        "numpy": [str(generator), int(position), int(has_gauss), float(gauss)],
         "optimizer": type(model.policy.optimizer).__name__,
     }
     for name, attribute in _NUMBERS.items():
@@ -263,8 +263,8 @@ def restore_checkpoint(model: Learner, checkpoint: Checkpoint) -> None:
     _restore_optimizer(model.policy.optimizer, arrays)
     env.restore_state({name: arrays[f"worlds/{name}"] for name in env.saved_state()})
     torch.set_rng_state(torch.tensor(arrays["random/torch"]))
-    kind, position, has_gauss, gauss = numbers["numpy"]
-    np.random.set_state((kind, arrays["random/numpy"].copy(), position, has_gauss, gauss))
+    generator, position, has_gauss, gauss = numbers["numpy"]
+    np.random.set_state((generator, arrays["random/numpy"].copy(), position, has_gauss, gauss))
     for name, attribute in _ARRAYS.items():
         setattr(model, attribute, arrays[name].copy())
     for name in _NUMBERS.keys() & numbers.keys():

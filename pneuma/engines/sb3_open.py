@@ -70,8 +70,8 @@ HOOKS = ("_update_current_progress_remaining",)
 
 def check_learner(run: Run) -> None:
     """Make a run's environments and learner once, take a step, and refuse what cannot be trained."""
-    kind = learner_class(run)
-    _check_arguments(run, kind)
+    learner_type = learner_class(run)
+    _check_arguments(run, learner_type)
     with closing(make_env(run)) as env:
         refuse_flat_pictures(run, env.observation_space)
     with (
@@ -94,19 +94,21 @@ def learner_class(run: Run) -> Any:
     if run.algorithm in LEARNERS:
         return LEARNERS[run.algorithm]
     with blamed(f"algorithm = {run.algorithm}"):
-        kind = load_class(find_algorithm(run.algorithm).learner)
-    if not isinstance(kind, type) or not issubclass(kind, OnPolicyAlgorithm | OffPolicyAlgorithm):
+        learner_type = load_class(find_algorithm(run.algorithm).learner)
+    if not isinstance(learner_type, type) or not issubclass(
+        learner_type, OnPolicyAlgorithm | OffPolicyAlgorithm
+    ):
         raise UserError(
             f"algorithm = {run.algorithm}: is neither an OnPolicyAlgorithm nor an OffPolicyAlgorithm"
         )
-    if issubclass(kind, MaskablePPO):
+    if issubclass(learner_type, MaskablePPO):
         raise UserError(f"algorithm = {run.algorithm}: evaluations know no masks of actions")
-    return kind
+    return learner_type
 
 
-def _check_arguments(run: Run, kind: Any) -> None:
+def _check_arguments(run: Run, learner_type: Any) -> None:
     """Refuse arguments that the learner does not have, or that other fields set."""
-    parameters = signature(kind).parameters
+    parameters = signature(learner_type).parameters
     arguments = _algorithm_kwargs(run)
     takes_others = any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters.values())
     wrong = []
@@ -157,20 +159,20 @@ def _discount(run: Run) -> float:
 
 def _make_learner(run: Run, env: VecEnv, to_play: bool = False) -> Any:
     """Return the learner of a run. One `to_play` has no room for replay, and seeds no generators."""
-    kind = learner_class(run)
+    learner_type = learner_class(run)
     policy = run.policy or "MlpPolicy"
-    if policy not in kind.policy_aliases:
-        raise UserError(f'policy = "{policy}": {run.algorithm} has {", ".join(kind.policy_aliases)}')
+    if policy not in learner_type.policy_aliases:
+        raise UserError(f'policy = "{policy}": {run.algorithm} has {", ".join(learner_type.policy_aliases)}')
     with blamed(f"{run.algorithm} in {run.env}"):
         arguments = read_arguments(_algorithm_kwargs(run), env.action_space)
         if run.algorithm == "ppo":
             from_fields = learner_arguments(run, env.num_envs)
             policy_kwargs = {**from_fields["policy_kwargs"], **arguments.get("policy_kwargs", {})}
             arguments = {**from_fields, **arguments, "policy_kwargs": policy_kwargs}
-        if to_play and "buffer_size" in signature(kind).parameters:
+        if to_play and "buffer_size" in signature(learner_type).parameters:
             arguments["buffer_size"] = 1
         seed = None if to_play else stream_seed(run.seed, "weights") % 2**31
-        return kind(policy, env, seed=seed, device="cpu", **arguments)
+        return learner_type(policy, env, seed=seed, device="cpu", **arguments)
 
 
 def _pace(learner: OnPolicyAlgorithm | OffPolicyAlgorithm) -> int:
@@ -203,9 +205,9 @@ class OpenTrainer(Trainer):
     def update(self, before: int, after: int, records: Records) -> bool:
         model = self._model
         with blamed(f"{self.run.algorithm} in {self.run.env}"):
-            left = after - model.num_timesteps
-            if left > 0:  # a learner that counts episodes may have gone further
-                model.learn(left, callback=self._episodes, reset_num_timesteps=False, log_interval=None)
+            steps_left = after - model.num_timesteps
+            if steps_left > 0:  # a learner that counts episodes may have gone further
+                model.learn(steps_left, callback=self._episodes, reset_num_timesteps=False, log_interval=None)
         records.metrics.append(metrics_row(after, logged_losses(model)))
         records.episodes.extend(self._episodes.take())
         return has_finite_weights(model)

@@ -219,17 +219,17 @@ def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.nd
 @kernel
 def _play(handle: Any, actor: Any, draws: Any, usual_starts: Any, rollout: Any) -> int:
     s = open_state(handle)
-    chosen = np.zeros((s.players.shape[0], s.players.shape[1]), np.int64)
+    actions = np.zeros((s.players.shape[0], s.players.shape[1]), np.int64)
     count = 0
     for step in range(draws.shape[0]):
-        _choose(handle, actor, draws[step], rollout, step, chosen)
-        run_worlds(handle.ctypes.data, chosen.ctypes, STEP | RECORD)
-        count = _keep_step(handle, usual_starts, rollout, step, count, chosen)
+        _choose(handle, actor, draws[step], rollout, step, actions)
+        run_worlds(handle.ctypes.data, actions.ctypes, STEP | RECORD)
+        count = _keep_step(handle, usual_starts, rollout, step, count, actions)
     return count
 
 
 @kernel
-def _choose(handle: Any, actor: Any, draws: Any, rollout: Any, step: int, chosen: Any) -> None:
+def _choose(handle: Any, actor: Any, draws: Any, rollout: Any, step: int, actions: Any) -> None:
     """Record what each slot observes and draw its action; idle slots observe zeros."""
     s = open_state(handle)
     players = s.players.shape[1]
@@ -239,24 +239,24 @@ def _choose(handle: Any, actor: Any, draws: Any, rollout: Any, step: int, chosen
             for j in range(s.observations.shape[2]):  # a slice would compile the text of an error
                 rollout.observations[i, step, j] = s.observations[i // players, i % players, j]
         rollout.starts[i, step] = slot.begins
-    seen, actions = rollout.observations[:, step], rollout.actions[:, step]
-    choose(actor, seen, draws, np.ones(len(draws), np.bool_), actions)
+    observations, slot_actions = rollout.observations[:, step], rollout.actions[:, step]
+    choose(actor, observations, draws, np.ones(len(draws), np.bool_), slot_actions)
     for i in range(len(draws)):
-        chosen[i // players, i % players] = actions[i]
+        actions[i // players, i % players] = slot_actions[i]
 
 
 @kernel
-def _keep_step(handle: Any, usual_starts: Any, rollout: Any, step: int, count: int, chosen: Any) -> int:
+def _keep_step(handle: Any, usual_starts: Any, rollout: Any, step: int, count: int, actions: Any) -> int:
     """Keep each slot's reward and ending of a step and reset ended worlds; return the number of endings."""
     s = open_state(handle)
     players = s.players.shape[1]
-    any_over = False
+    any_ended = False
     for i in range(s.players.size):
         w, p = i // players, i % players
         player, slot = s.players[w, p], s.slots[w, p]
-        over = s.worlds[w].ending != rules.RUNNING
-        any_over |= over
-        s.begins[w] = usual_starts[w] if over else GO_ON
+        has_ended = s.worlds[w].ending != rules.RUNNING
+        any_ended |= has_ended
+        s.begins[w] = usual_starts[w] if has_ended else GO_ON
         rollout.rewards[i, step] = s.events[w, p].reward
         if slot.ending != rules.RUNNING:
             row = rollout.ended[count]
@@ -271,8 +271,8 @@ def _keep_step(handle: Any, usual_starts: Any, rollout: Any, step: int, count: i
             for j in range(s.observations.shape[2]):
                 rollout.terminal_observations[count, j] = s.observations[w, p, j]
             count += 1
-    if any_over:
-        run_worlds(handle.ctypes.data, chosen.ctypes, RESET)
+    if any_ended:
+        run_worlds(handle.ctypes.data, actions.ctypes, RESET)
     return count
 
 
