@@ -86,8 +86,8 @@ def run_study(
     """
     most, store = _count("workers", workers) or available_cores(), _store(results)
     planned = plan_study(_query(study, world, preset, seeds, steps, conditions, settings), store)
-    how = ExecutorConfig(workers=most)
-    outcomes = train_plan(planned, store, how, quiet=quiet, on_progress=on_progress)
+    config = ExecutorConfig(workers=most)
+    outcomes = train_plan(planned, store, config, quiet=quiet, on_progress=on_progress)
     if unwell := [outcome for outcome in outcomes if not outcome.status.finished]:
         cell, status = unwell[0].cell, unwell[0].status
         raise UserError(
@@ -121,7 +121,7 @@ def plan_study(query: plan.Query, store: Store, say: Say = _silent) -> plan.Plan
 def train_plan(
     planned: plan.Plan,
     store: Store,
-    how: ExecutorConfig,
+    config: ExecutorConfig,
     *,
     retry_failed: bool = False,
     quiet: bool = False,
@@ -130,18 +130,18 @@ def train_plan(
 ) -> list[execute.CellResult]:
     """Train a plan's missing runs, with `retry_failed` also those that crashed, and show the progress.
 
-    Runs pause where `how.until` says.
+    Runs pause where `config.until` says.
     """
-    todo, notes = execute.prepare(planned, store, retry_failed, how.until or None)
+    todo, notes = execute.prepare(planned, store, retry_failed, config.until or None)
     if own := planned.study.own_path:
         files = {path for cell in planned.cells for path in user_files(as_fields(cell.run))}
-        how = replace(how, project=project(Path(own), files))
+        config = replace(config, project=project(Path(own), files))
     for note in (*planned.notes, *notes):
         say(f"Note: {note}.")
     if todo:
         say(f"Training {counted(len(todo), 'run')}; compiling for the first time takes up to a minute.")
-    with ProgressDisplay(todo, store, quiet or on_progress is not None, how.until) as display:
-        return execute.execute(planned, todo, store, how, on_progress or display.update)
+    with ProgressDisplay(todo, store, quiet or on_progress is not None, config.until) as display:
+        return execute.execute(planned, todo, store, config, on_progress or display.update)
 
 
 def open_data(

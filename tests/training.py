@@ -35,11 +35,11 @@ class _Told(io.StringIO):
 
 
 def _train_groups(
-    groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
+    groups: Iterable[Mapping[str, Run]], store: Store, config: ExecutorConfig, on_event: OnEvent
 ) -> None:
     """Train groups of runs one after another."""
     for runs in groups:
-        Worker(store, Reporter(_Told(on_event)), threading.Event(), how).train(runs)
+        Worker(store, Reporter(_Told(on_event)), threading.Event(), config).train(runs)
 
 
 @contextmanager

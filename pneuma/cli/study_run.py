@@ -148,24 +148,26 @@ def run(
 
         refuse_changed(RunIndex(chosen.store), spec.load_study(name, chosen.world))
     planned = _plan(chosen, name, unpublished)
-    how = replace(
+    config = replace(
         place.config(),
         checkpoint_seconds=checkpoint_seconds,
         logs=_log_folders(planned, tensorboard) if tensorboard else {},
     )
-    return train(planned, chosen.store, how, retry_failed, quiet)
+    return train(planned, chosen.store, config, retry_failed, quiet)
 
 
-def train(planned: plan.Plan, store: Store, how: ExecutorConfig, retry_failed: bool, quiet: bool) -> Result:
+def train(
+    planned: plan.Plan, store: Store, config: ExecutorConfig, retry_failed: bool, quiet: bool
+) -> Result:
     """Train a plan's missing runs, with `retry_failed` also those that crashed, and show the progress."""
     from pneuma import api  # pydantic: not for `--help`
 
     unfinished = {each.run_id for each in planned.cells if not store.status(each.run_id, quick=True).finished}
-    _check_logs(folder for name, folder in how.logs.items() if name in unfinished)
+    _check_logs(folder for name, folder in config.logs.items() if name in unfinished)
     results, text, code = [], [], STOPPED
     try:
         aside = partial(say, quiet=quiet)
-        results = api.train_plan(planned, store, how, retry_failed=retry_failed, quiet=quiet, say=aside)
+        results = api.train_plan(planned, store, config, retry_failed=retry_failed, quiet=quiet, say=aside)
         code = int(not all(result.status.finished for result in results))
         text = [*_failures(results, store), *([] if quiet else _outcome(planned, results, store))]
     except KeyboardInterrupt:

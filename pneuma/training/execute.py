@@ -90,7 +90,7 @@ def _note_study(plan: Plan, store: Store) -> None:
 
 
 def execute(
-    plan: Plan, todo: Mapping[str, Run], store: Store, how: ExecutorConfig, on_progress: OnProgress
+    plan: Plan, todo: Mapping[str, Run], store: Store, config: ExecutorConfig, on_progress: OnProgress
 ) -> list[CellResult]:
     """Train the runs that `prepare` found missing; return the plan's cells, without those only published.
 
@@ -110,7 +110,7 @@ def execute(
             on_progress(cell, event)
 
     if todo:
-        load_executor(how).run_groups(groups(todo, how.workers), store, how, report)
+        load_executor(config).run_groups(groups(todo, config.workers), store, config, report)
     return cell_results(plan, store, todo, end_events)
 
 

@@ -24,12 +24,12 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, TextIO
 
 from pneuma.config import Run, is_gymnasium_id
-from pneuma.engines.loop import Progress, train_run
+from pneuma.engines.loop import Progress, Result, train_run
 from pneuma.engines.records import WORLD_COLUMNS, CheckpointError
 from pneuma.errors import OwnCodeError, RunWarning, StorageError, UserError
 from pneuma.files import is_storage_problem, to_json
@@ -59,7 +59,7 @@ def main() -> int:
         threading.Thread(target=_listen, args=(sys.stdin, stop), daemon=True).start()
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what libraries print is no event
-    return Worker(job.store, Reporter(events), stop, job.how, options.last_try).train(job.runs)
+    return Worker(job.store, Reporter(events), stop, job.config, options.last_try).train(job.runs)
 
 
 class Reporter:
@@ -93,7 +93,7 @@ class Worker:
     store: Store
     reporter: Reporter
     stop: threading.Event
-    how: ExecutorConfig = LOCAL_CONFIG
+    config: ExecutorConfig = LOCAL_CONFIG
     last_try: bool = True
 
     def train(self, runs: Mapping[str, Run]) -> int:
@@ -113,24 +113,26 @@ class Worker:
 
     def _take_locks(self, runs: Mapping[str, Run], locks: ExitStack) -> dict[str, Run]:
         """Lock and return the runs that this worker can train, and report the others as busy."""
-        mine = {}
+        locked_runs = {}
         for name, run in runs.items():
             try:
-                free = locks.enter_context(self.store.lock(name))
+                is_free = locks.enter_context(self.store.lock(name))
             except StorageError as error:
                 self._end_stopped(name, error)
                 continue
             except UserError as error:
                 self.reporter.end(name, Status("crashed"), reason=str(error))
                 continue
-            if not free:
+            if not is_free:
                 self.reporter.send("busy", name)
-            elif (status := self.store.status(name)).finished:
+                continue
+            status = self.store.status(name)
+            if status.finished:
                 self.store.remove(self.store.run_folder(name) / LOCK_FILE)
                 self.reporter.end(name, status, trained=False)
             else:
-                mine[name] = run
-        return mine
+                locked_runs[name] = run
+        return locked_runs
 
     def _train(self, name: str, run: Run) -> None:
         """Train a run to its end, discarding checkpoints that its engine cannot use.
@@ -143,24 +145,27 @@ class Worker:
                 "Pneuma or the run's own files (level, characters, reward, environment, wrappers) changed"
             )
         say = partial(self.reporter.note, name)
-        checkpoints = RunCheckpoints(self.store, name, self.how.checkpoint_seconds, say)
+        checkpoints = RunCheckpoints(self.store, name, self.config.checkpoint_seconds, say)
         while True:
             try:
-                with _warnings(say) as warned:
-                    return self._train_once(name, run, checkpoints, warned)
+                with _first_warning(say) as warning:
+                    return self._train_once(name, run, checkpoints, warning)
             except CheckpointError as error:
                 if not checkpoints.give_up(error):
                     raise
 
-    def _train_once(self, name: str, run: Run, checkpoints: RunCheckpoints, warned: Sequence[str]) -> None:
-        start = checkpoints.latest()
-        first = start.step if start else 0
-        until = self.how.until.get(name) or run.steps
-        if until <= first < run.steps:
-            return self.reporter.end(name, Status("stopped", first))
-        attempt, log = Attempt(first), open_log(self.how.logs.get(name), first)
-        self.reporter.send("step", name, step=first)
-        self.reporter.send("status", name, text=f"resumes at step {first:,}" if first else "begins")
+    def _train_once(self, name: str, run: Run, checkpoints: RunCheckpoints, warning: Sequence[str]) -> None:
+        checkpoint = checkpoints.latest()
+        first_step = checkpoint.step if checkpoint else 0
+        until = self.config.until.get(name) or run.steps
+        if until <= first_step < run.steps:
+            self.reporter.end(name, Status("stopped", first_step))
+            return
+        self.reporter.send("step", name, step=first_step)
+        begins = f"resumes at step {first_step:,}" if first_step else "begins"
+        self.reporter.send("status", name, text=begins)
+        attempt = Attempt(first_step)
+        log = open_log(self.config.logs.get(name), first_step)
 
         def update(progress: Progress) -> bool:
             if not gc.isenabled():
@@ -168,32 +173,41 @@ class Worker:
                 gc.enable()
             attempt.update(progress.step, progress.evaluation_seconds)
             self.reporter.step(name, progress.step)
-            stopping = self.stop.is_set() or until <= progress.step < run.steps
+            is_stopping = self.stop.is_set() or until <= progress.step < run.steps
             log.update(progress)
-            checkpoints.update(progress, attempt, stopping)
-            return not stopping
+            checkpoints.update(progress, attempt, is_stopping)
+            return not is_stopping
 
         with closing(log):
-            result = train_run(run, update, start)
-        status = Status(result.status, result.step)
-        if status.name != "stopped":
-            status = replace(status, identity=run_identity(run))
-            about = finished_provenance([*checkpoints.attempts, attempt.so_far(result.step)])
-            about |= {"warning": warned[0]} if warned else {}
-            about |= {"project": self.how.project} if self.how.project else {}
-            about["packages"] |= packages_of(run)
-            files = {"run.json": run_document(run, name), "provenance.json": to_json(about)}
-            without = WORLD_COLUMNS if is_gymnasium_id(run.env) else ()
-            tables = table_files(result.records, without)
-            files |= {f"{table}.parquet": data for table, data in tables.items()}
-            if result.policy is not None:
-                files[result.policy.file] = result.policy.to_bytes()
-            files[ROW_FILE] = encode_row(cells_of_files(name, status, files))
-            self.store.save_run(name, status, files)
+            result = train_run(run, update, checkpoint)
+        if result.status != "stopped":
+            attempts = [*checkpoints.attempts, attempt.so_far(result.step)]
+            self._store_result(name, run, result, self._provenance(run, attempts, warning))
             checkpoints.finish()
-        self.reporter.end(name, status)
+        self.reporter.end(name, Status(result.status, result.step))
+
+    def _provenance(self, run: Run, attempts: list[dict[str, Any]], warning: Sequence[str]) -> dict[str, Any]:
+        provenance = finished_provenance(attempts)
+        if warning:
+            provenance["warning"] = warning[0]
+        if self.config.project:
+            provenance["project"] = self.config.project
+        provenance["packages"] |= packages_of(run)
+        return provenance
+
+    def _store_result(self, name: str, run: Run, result: Result, provenance: Mapping[str, Any]) -> None:
+        status = Status(result.status, result.step, identity=run_identity(run))
+        files = {"run.json": run_document(run, name), "provenance.json": to_json(provenance)}
+        without = WORLD_COLUMNS if is_gymnasium_id(run.env) else ()
+        for table, data in table_files(result.records, without).items():
+            files[f"{table}.parquet"] = data
+        if result.policy is not None:
+            files[result.policy.file] = result.policy.to_bytes()
+        files[ROW_FILE] = encode_row(cells_of_files(name, status, files))
+        self.store.save_run(name, status, files)
 
     def _end_failed(self, name: str, run: Run, error: Exception) -> None:
+        """Report a crash, and store it if it is final."""
         if is_storage_problem(error):
             return self._end_stopped(name, error)
         reason = describe(error)
@@ -222,22 +236,22 @@ def describe(error: Exception) -> str:
 
 
 @contextmanager
-def _warnings(say: Callable[[str], None]) -> Iterator[list[str]]:
-    """Collect and say what training warns of first: evaluations warn of the same again."""
-    told: list[str] = []
+def _first_warning(say: Callable[[str], None]) -> Iterator[list[str]]:
+    """Say what training warns of first, and yield it as a list of one text; evaluations warn of it again."""
+    texts: list[str] = []
     with warnings.catch_warnings():
         show = warnings.showwarning
 
         def collect(message: Warning | str, category: type[Warning], *where: Any) -> None:
             if not issubclass(category, RunWarning):
-                return show(message, category, *where)
-            if not told:
-                told.append(str(message))
-                say(told[0])
+                show(message, category, *where)
+            elif not texts:
+                texts.append(str(message))
+                say(texts[0])
 
         warnings.showwarning = collect  # type: ignore[assignment]
         warnings.simplefilter("always", RunWarning)
-        yield told
+        yield texts
 
 
 def _listen(lifeline: TextIO, stop: threading.Event) -> None:

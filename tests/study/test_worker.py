@@ -52,11 +52,11 @@ class _Engine:
 
 
 def _train(
-    engine: _Engine, folder: Path, monkeypatch: pytest.MonkeyPatch, how: ExecutorConfig = LOCAL_CONFIG
+    engine: _Engine, folder: Path, monkeypatch: pytest.MonkeyPatch, config: ExecutorConfig = LOCAL_CONFIG
 ) -> tuple[int, Store, list[dict[str, Any]]]:
     monkeypatch.setattr(worker, "train_run", engine.train)
     store, events = Store(folder), io.StringIO()
-    trains = worker.Worker(store, worker.Reporter(events), threading.Event(), how)
+    trains = worker.Worker(store, worker.Reporter(events), threading.Event(), config)
     code = trains.train({run_id(run): run for run in RUNS})
     return code, store, [json.loads(line) for line in events.getvalue().splitlines()]
 
@@ -120,8 +120,8 @@ def test_a_machine_without_tensorboard_trains_all_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    how = ExecutorConfig(logs={FIRST: str(tmp_path / "logs")})
-    code, store, _ = _train(_Engine(), tmp_path, monkeypatch, how)
+    config = ExecutorConfig(logs={FIRST: str(tmp_path / "logs")})
+    code, store, _ = _train(_Engine(), tmp_path, monkeypatch, config)
     assert code == 0 and store.status(FIRST) == Status("done", 512)
 
 

@@ -4,9 +4,9 @@ study's plan → groups of runs → executor → workers, each with the `Job` of
 
 Executors are modules, named in `EXECUTORS` and imported only when needed, as each has its own requirements:
 
-    most_workers(how)    how many runs train at once unless the user says otherwise; it fails within
+    most_workers(config) how many runs train at once unless the user says otherwise; it fails within
                          ten seconds if the place cannot be reached or cannot train
-    run_groups(groups, store, how, on_event)
+    run_groups(groups, store, config, on_event)
                          trains all groups of runs and passes on their events: {"event": "step" | "note" |
                          "status" | "end", "run_id", …}; a step has a `step`, a note and a status a `text`, an
                          end a `status`, a `step` and `trained`; one that could not be stored a `reason`
@@ -79,25 +79,29 @@ class Job:
 
     runs: Mapping[str, Run]
     store: Store
-    how: ExecutorConfig
+    config: ExecutorConfig
 
     def to_json(self) -> str:
-        how = asdict(self.how)
+        config = asdict(self.config)
         for key in ("logs", "until"):  # of this group's runs alone
-            how[key] = {name: value for name, value in how[key].items() if name in self.runs}
-        fields = {name: as_fields(run) for name, run in self.runs.items()}
-        return json.dumps({"results": str(self.store.root.resolve()), "how": how, "runs": fields})
+            config[key] = {name: value for name, value in config[key].items() if name in self.runs}
+        job = {
+            "results": str(self.store.root.resolve()),
+            "config": config,
+            "runs": {name: as_fields(run) for name, run in self.runs.items()},
+        }
+        return json.dumps(job)
 
     @classmethod
     def from_json(cls, text: str) -> Job:
         job = json.loads(text)
         runs = {name: make_run(fields) for name, fields in job["runs"].items()}
-        return cls(runs, Store(job["results"]), ExecutorConfig(**job["how"]))
+        return cls(runs, Store(job["results"]), ExecutorConfig(**job["config"]))
 
 
 def end_event(name: str, status: Status) -> Event:
     return {"event": "end", "run_id": name, "status": status.name, "step": status.step, "trained": True}
 
 
-def load_executor(how: ExecutorConfig) -> ModuleType:
-    return import_module(EXECUTORS[how.executor])
+def load_executor(config: ExecutorConfig) -> ModuleType:
+    return import_module(EXECUTORS[config.executor])

@@ -24,7 +24,7 @@ import threading
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
@@ -63,16 +63,16 @@ XLA_FLAGS = (
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
-def most_workers(how: ExecutorConfig) -> int:
+def most_workers(config: ExecutorConfig) -> int:
     return available_cores()
 
 
 def run_groups(
-    groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
+    groups: Iterable[Mapping[str, Run]], store: Store, config: ExecutorConfig, on_event: OnEvent
 ) -> None:
     """Train each group of runs in a process of its own; see `base`."""
     with Interrupts() as interrupts:
-        Supervisor(groups, store, how, on_event, interrupts).work()
+        Supervisor(groups, store, config, on_event, interrupts).work()
         if interrupts.count:
             raise KeyboardInterrupt
 
@@ -91,28 +91,33 @@ class Interrupts:
     def __init__(self, signals: Iterable[int] = SIGNALS) -> None:
         self._signals = signals
         self._seen: list[int] = []
-        self._before: dict[int, Any] = {}
-        self._ended_by = math.inf
+        self._handlers_before: dict[int, Any] = {}
+        self._patience_ends = math.inf
 
     @property
     def count(self) -> int:
-        return min(len(self._seen) + (time.monotonic() > self._ended_by), 2)
+        signals = len(self._seen)
+        if time.monotonic() > self._patience_ends:
+            signals += 1
+        return min(signals, 2)
 
     def __enter__(self) -> Interrupts:
         if threading.current_thread() is threading.main_thread():
-            heard = [number for number in self._signals if signal.getsignal(number) != signal.SIG_IGN]
-            self._before = {number: signal.signal(number, self._note) for number in heard}
-        return self  # what was ignored still is, as `nohup` lets SIGHUP be
+            for number in self._signals:
+                # what was ignored still is, as `nohup` ignores SIGHUP
+                if signal.getsignal(number) != signal.SIG_IGN:
+                    self._handlers_before[number] = signal.signal(number, self._note)
+        return self
 
     def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
+        for number, handler in self._handlers_before.items():
             signal.signal(number, handler)
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         if number != signal.SIGHUP or not self._seen:
             self._seen.append(number)
         if number == signal.SIGTERM:
-            self._ended_by = min(self._ended_by, time.monotonic() + PATIENCE)
+            self._patience_ends = min(self._patience_ends, time.monotonic() + PATIENCE)
 
 
 def say_stopping() -> None:
@@ -130,9 +135,13 @@ class _Task:
     tries: int = 1
     busy: bool = False
 
+    def of_run(self, name: str) -> _Task:
+        """Return a task of one of the runs alone, so that it affects no other."""
+        return _Task({name: self.group[name]}, self.tries)
+
 
 class Supervisor:
-    """Keeps `how.workers` workers busy until all runs of some groups have ended.
+    """Keeps `config.workers` workers busy until all runs of some groups have ended.
 
     After the first of `interrupts` every run goes on to a checkpoint; after the second all end at once.
     """
@@ -141,13 +150,13 @@ class Supervisor:
         self,
         groups: Iterable[Mapping[str, Run]],
         store: Store,
-        how: ExecutorConfig,
+        config: ExecutorConfig,
         on_event: OnEvent,
         interrupts: Interrupts,
     ) -> None:
         self._tasks = [_Task(group) for group in groups]
-        self._store, self._how, self._on_event = store, how, on_event
-        self._interrupts, self._heeded = interrupts, 0
+        self._store, self._config, self._on_event = store, config, on_event
+        self._interrupts, self._heeded_level = interrupts, 0
         self._storage_problem = ""
         self._selector = selectors.DefaultSelector()
 
@@ -176,29 +185,35 @@ class Supervisor:
 
     def _stop_level(self) -> int:
         """Return 0 to go on, 1 to let every run go on to a checkpoint, 2 to end all at once."""
-        return max(self._interrupts.count, int(bool(self._storage_problem)))
+        if self._storage_problem:
+            return max(self._interrupts.count, 1)
+        return self._interrupts.count
 
     def _heed_interrupts(self) -> None:
-        count = self._stop_level()
-        if count == self._heeded:
+        level = self._stop_level()
+        if level == self._heeded_level:
             return
-        if not self._heeded and not self._storage_problem:
+        if self._heeded_level == 0 and not self._storage_problem:
             say_stopping()
-        self._heeded = count
+        self._heeded_level = level
         self._tasks.clear()
         for worker in self._workers():
-            worker.kill() if count > 1 else worker.tell("stop")
+            if level > 1:
+                worker.kill()
+            else:
+                worker.tell("stop")
 
     def _start_pending(self) -> None:
-        for task in [*self._tasks]:
-            if len(self._workers()) >= self._how.workers:
+        for task in list(self._tasks):
+            if len(self._workers()) >= self._config.workers:
                 return
-            if task.busy and is_held(self._store.run_folder(next(iter(task.group)))):
+            first_run = next(iter(task.group))
+            if task.busy and is_held(self._store.run_folder(first_run)):
                 continue  # a worker would cost half a second to find that out
             self._tasks.remove(task)
             worker = _Worker(task)
             self._selector.register(worker.events, selectors.EVENT_READ, worker)
-            worker.tell(Job(task.group, self._store, self._how).to_json())
+            worker.tell(Job(task.group, self._store, self._config).to_json())
 
     def _read(self, worker: _Worker) -> None:
         """Read one event line of a worker, or notice that it has ended."""
@@ -215,7 +230,7 @@ class Supervisor:
             worker.kill()  # it sends invalid events; reading on finds its end
             return
         if kind in ("busy", "end"):
-            worker.outcome[name] = event
+            worker.last_events[name] = event
         if event.get("storage"):
             self._storage_problem = str(event["reason"])
         if kind == "busy" and not worker.task.busy:
@@ -226,36 +241,48 @@ class Supervisor:
 
     def _reap(self, worker: _Worker) -> None:
         """Reap a worker, and handle its runs that were busy, crashed, or lost with it."""
-        code, words = worker.wait_and_read_stderr()
-        task, stopped = worker.task, self._stop_level()
-        silent = [name for name in task.group if name not in worker.outcome]
+        code, output = worker.wait_and_read_stderr()
+        task, is_stopping = worker.task, self._stop_level() > 0
+        silent = [name for name in task.group if name not in worker.last_events]
         for name, run in task.group.items():
-            event, alone = worker.outcome.get(name), {name: run}  # alone, to affect no other run
-            if event and event["event"] == "busy":
-                self._tasks += [] if stopped else [_Task(alone, task.tries, busy=True)]
-            elif event and event["status"] != "crashed":
-                continue
-            elif stopped:
-                self._on_event(event or end_event(name, Status("stopped")))
-            elif not event and name != silent[0]:  # groups are trained in order: it had not begun
-                self._tasks.append(_Task(alone, task.tries))
-            elif task.tries < TRIES and not (event and event.get("final")):
-                self._tasks.append(_Task(alone, task.tries + 1))
-                why = f"crashed ({event['reason']})" if event else _reason(code)
-                self._note(name, f"{why}; tried once more")
-            elif event:
+            event = worker.last_events.get(name)
+            if event is not None:
+                self._handle_last_event(event, task, is_stopping)
+            elif is_stopping:
+                self._on_event(end_event(name, Status("stopped")))
+            elif name != silent[0]:  # groups are trained in order: it had not begun
+                self._tasks.append(task.of_run(name))
+            elif task.tries < TRIES:
+                self._try_again(name, task, _reason(code))
+            else:
+                self._end_lost(name, run, code, output)
+
+    def _handle_last_event(self, event: Event, task: _Task, is_stopping: bool) -> None:
+        """Train a run that was busy or has crashed once more, unless it is not to be."""
+        name = event["run_id"]
+        if event["event"] == "busy":
+            if not is_stopping:
+                self._tasks.append(replace(task.of_run(name), busy=True))
+        elif event["status"] == "crashed":  # others were passed on when they were read
+            if is_stopping or task.tries >= TRIES or event.get("final"):
                 self._on_event(event)
             else:
-                self._end_lost(name, run, code, words)
+                self._try_again(name, task, f"crashed ({event['reason']})")
 
-    def _end_lost(self, name: str, run: Run, code: int, words: bytes) -> None:
+    def _try_again(self, name: str, task: _Task, why: str) -> None:
+        self._tasks.append(replace(task.of_run(name), tries=task.tries + 1))
+        self._note(name, f"{why}; tried once more")
+
+    def _end_lost(self, name: str, run: Run, code: int, output: bytes) -> None:
         """Store and report the end of a run whose worker died, unless another process trains it now."""
         status = "killed" if code < 0 else "crashed"
         try:
-            with self._store.lock(name) as mine:
-                if mine:
-                    said = [_reason(code), words.decode(errors="replace")]  # what tells most comes last
-                    self._store.save_failure(name, run, status, "\n".join(said[::-1] if code < 0 else said))
+            with self._store.lock(name) as is_mine:
+                if is_mine:
+                    why = _reason(code) + "\n" + output.decode(errors="replace")
+                    if code < 0:  # what explains most comes last
+                        why = output.decode(errors="replace") + "\n" + _reason(code)
+                    self._store.save_failure(name, run, status, why)
         except StorageError as error:
             self._storage_problem = str(error)
         except UserError as error:
@@ -287,13 +314,13 @@ class _Worker(subprocess.Popen[bytes]):
 
     Attributes:
         task: the group of runs that it trains.
-        outcome: the last event of each run that has ended, or that another process trains.
+        last_events: of each run that has ended, or that another process trains.
         events: its lines.
     """
 
     def __init__(self, task: _Task) -> None:
         self.task = task
-        self.outcome: dict[str, Event] = {}
+        self.last_events: dict[str, Event] = {}
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the process is buried)
         command = [sys.executable, "-P", "-m", "pneuma.training.worker", "--parent", str(os.getpid())]
         if task.tries == TRIES:
@@ -337,7 +364,9 @@ def worker_environment() -> dict[str, str]:
     It imports this code. Of the shell's variables it gets those that are known to change no numbers, and
     those that the user names.
     """
-    path = os.pathsep.join(filter(None, [str(SOURCE), os.environ.get("PYTHONPATH", "")]))
+    path = str(SOURCE)
+    if os.environ.get("PYTHONPATH"):
+        path += os.pathsep + os.environ["PYTHONPATH"]
     added = {
         "NPROC": "1",  # the size of XLA's pool of threads; its flags alone no longer hold that
         "XLA_FLAGS": XLA_FLAGS,

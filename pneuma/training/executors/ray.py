@@ -13,7 +13,7 @@ import os
 import signal
 import socket
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import chdir, suppress
 from dataclasses import replace
 from functools import cache
@@ -24,7 +24,7 @@ from pneuma.config import Run
 from pneuma.errors import UserError, install_extra
 from pneuma.store.provenance import CARRIED_CODE, SOURCE, available_cores, code, machine
 from pneuma.store.store import Status, Store
-from pneuma.training.executors.base import ExecutorConfig, Job, OnEvent, end_event
+from pneuma.training.executors.base import Event, ExecutorConfig, Job, OnEvent, end_event
 from pneuma.training.executors.local import Interrupts, Supervisor, prepare_node, say_stopping
 from pneuma.training.worker import die_with
 
@@ -33,99 +33,155 @@ LOOK_SECONDS = 1.0
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 
 
-def most_workers(how: ExecutorConfig) -> int:
+def most_workers(config: ExecutorConfig) -> int:
     """Return how many runs the cluster's CPUs can train at once. No cluster is started to find out."""
     if find_spec("ray") is None:
         raise UserError(f"--executor ray needs Ray: {install_extra('ray')}")
-    if how.address is None:
+    if config.address is None:
         return available_cores()
-    join(how.address)
+    join(config.address)
     import ray
 
-    room = int(ray.cluster_resources().get("CPU", 0))
-    if not room:
+    cpus = int(ray.cluster_resources().get("CPU", 0))
+    if not cpus:
         raise UserError("--executor ray: no node of the cluster has a CPU to give")
-    return room
+    return cpus
 
 
 def run_groups(
-    groups: Iterable[Mapping[str, Run]], store: Store, how: ExecutorConfig, on_event: OnEvent
+    groups: Iterable[Mapping[str, Run]], store: Store, config: ExecutorConfig, on_event: OnEvent
 ) -> None:
     """Train each group of runs on a node; see `base`. Raises UserError if one cannot train them."""
     store.root.mkdir(parents=True, exist_ok=True)
-    waiting = [*groups]
-    left = {name for group in waiting for name in group}
+    groups = list(groups)
+    names = {name for group in groups for name in group}
     with Interrupts() as interrupts:
-        join(how.address)  # within `Interrupts`: Ctrl-C would break the start of Ray
+        join(config.address)  # within `Interrupts`: Ctrl-C would break the start of Ray
         if interrupts.count:
             raise KeyboardInterrupt
+        tasks = _Tasks(groups, store, config, interrupts)
+        try:
+            _watch(names, store, on_event, tasks.advance, config.until)
+        finally:
+            tasks.cancel()
+
+
+class _Tasks:
+    """The groups of runs that wait, and the cluster's tasks that train others."""
+
+    def __init__(
+        self,
+        groups: Sequence[Mapping[str, Run]],
+        store: Store,
+        config: ExecutorConfig,
+        interrupts: Interrupts,
+    ) -> None:
         import ray
 
-        told = versions(), os.getcwd()
-        start = ray.remote(num_cpus=1, max_calls=1, max_retries=1)(train_here).remote
-        tasks: dict[Any, Mapping[str, Run]] = {}
-        may_restart = how.address is None
+        self._waiting = list(groups)
+        self._store, self._config, self._interrupts = store, config, interrupts
+        self._start = ray.remote(num_cpus=1, max_calls=1, max_retries=1)(train_here).remote
+        self._group_by_task: dict[Any, Mapping[str, Run]] = {}
+        self._may_restart = config.address is None
 
-        def live() -> dict[str, str]:
-            """Return the runs of tasks that have not ended, with where they are, and keep those tasks."""
-            nonlocal may_restart
-            while waiting and len(tasks) < how.workers:
-                group = waiting.pop(0)
-                job = Job(group, store, replace(how, workers=1))
-                tasks[start(job.to_json(), *told)] = group
-            ended = ray.wait([*tasks], num_returns=len(tasks), timeout=0)[0] if tasks else []
-            if may_restart and any(map(_lost_with_cluster, ended)):
-                may_restart, ended = False, []
-                waiting[:0] = tasks.values()
-                tasks.clear()
-                _restart()
+    def advance(self) -> dict[str, str]:
+        """Start waiting groups, and forget tasks that have ended; return where the other runs are, by id.
+
+        Raises:
+            UserError: if a node is not fit to train.
+            KeyboardInterrupt: after Ctrl-C, when every run has come to a checkpoint.
+        """
+        self._start_waiting()
+        ended = self._ended_tasks()
+        if self._may_restart and any(_lost_with_cluster(task) for task in ended):
+            self._restart_cluster()
+        else:
             for task in ended:
-                del tasks[task]
+                del self._group_by_task[task]
                 _check(task)
-            if interrupts.count:
-                _stop([*tasks], interrupts)
-                raise KeyboardInterrupt
-            return {
-                **{name: "job is waiting" for group in waiting for name in group},
-                **{name: "job is in the cluster" for group in tasks.values() for name in group},
-            }
+        if self._interrupts.count:
+            _stop(list(self._group_by_task), self._interrupts)
+            raise KeyboardInterrupt
+        places = {name: "job is waiting" for group in self._waiting for name in group}
+        for group in self._group_by_task.values():
+            places.update(dict.fromkeys(group, "job is in the cluster"))
+        return places
 
-        try:
-            _watch(left, store, on_event, live, how.until)
-        finally:
-            for task in tasks:
-                ray.cancel(task, force=True)
+    def cancel(self) -> None:
+        import ray
+
+        for task in self._group_by_task:
+            ray.cancel(task, force=True)
+
+    def _start_waiting(self) -> None:
+        while self._waiting and len(self._group_by_task) < self._config.workers:
+            group = self._waiting.pop(0)
+            job = Job(group, self._store, replace(self._config, workers=1))
+            task = self._start(job.to_json(), versions(), os.getcwd())
+            self._group_by_task[task] = group
+
+    def _ended_tasks(self) -> list[Any]:
+        import ray
+
+        tasks = list(self._group_by_task)
+        if not tasks:
+            return []
+        ended, _ = ray.wait(tasks, num_returns=len(tasks), timeout=0)
+        return list(ended)
+
+    def _restart_cluster(self) -> None:
+        """Start this machine's own cluster again: one of Ray's processes has died, and all others with it."""
+        import ray
+
+        self._may_restart = False
+        self._waiting = [*self._group_by_task.values(), *self._waiting]
+        self._group_by_task.clear()
+        ray.shutdown()
+        join.cache_clear()
+        join(None)
 
 
 def _watch(
-    left: set[str],
+    names: Iterable[str],
     store: Store,
     on_event: OnEvent,
-    live: Callable[[], Mapping[str, str]],
+    advance: Callable[[], Mapping[str, str]],
     until: Mapping[str, int],
 ) -> None:
-    """Report events of runs in tasks until all runs have ended; ended ones are removed from `left`.
+    """Report events of runs in tasks until all runs have ended.
 
-    `live` returns where the remaining runs are, by their ids. A run that is nowhere and has no result is
-    lost. `until` has the steps at which runs pause.
+    Args:
+        names: of the runs.
+        store: where their results are kept.
+        on_event: is called with each event.
+        advance: returns where the runs are that have not ended, by their ids. A run that is nowhere and has
+            no result is lost.
+        until: the steps at which runs pause.
     """
-    places: Mapping[str, str] = dict.fromkeys(left, "job is submitted")
-    while left:
-        before, places = places, live()
-        for name in sorted(left):
-            status, place = store.status(name), places.get(name, before.get(name))
+    remaining = set(names)
+    places: Mapping[str, str] = dict.fromkeys(remaining, "job is submitted")
+    while remaining:
+        places_before, places = places, advance()
+        for name in sorted(remaining):
+            status = store.status(name)
+            place = places.get(name, places_before.get(name))
             if status.finished or place is None:
-                left.discard(name)
-                ended = status.finished or status.failed or status.name == "killed"
-                ended = ended or 0 < until.get(name, 0) <= status.step
-                told = status if ended else Status("killed", status.step)
-                reason = "" if ended else "its node was lost twice"
-                on_event({**end_event(name, told), "reason": reason})
+                remaining.remove(name)
+                on_event(_end_event(name, status, until.get(name, 0)))
             elif status.step:
                 on_event({"event": "step", "run_id": name, "step": status.step})
-            elif place != before.get(name):
+            elif place != places_before.get(name):
                 on_event({"event": "status", "run_id": name, "text": place})
-        time.sleep(LOOK_SECONDS if left else 0)
+        if remaining:
+            time.sleep(LOOK_SECONDS)
+
+
+def _end_event(name: str, status: Status, pause_step: int) -> Event:
+    """Return the event of the end of a run that has no task any more."""
+    is_paused = 0 < pause_step <= status.step
+    if status.finished or status.failed or status.name == "killed" or is_paused:
+        return {**end_event(name, status), "reason": ""}
+    return {**end_event(name, Status("killed", status.step)), "reason": "its node was lost twice"}
 
 
 def _check(task: Any) -> None:
@@ -149,15 +205,6 @@ def _lost_with_cluster(task: Any) -> bool:
     except ray.exceptions.RayError as error:
         return isinstance(error, ray.exceptions.LocalRayletDiedError)
     return False
-
-
-def _restart() -> None:
-    """Start this machine's own cluster again: one of Ray's processes has died, and all others with it."""
-    import ray
-
-    ray.shutdown()
-    join.cache_clear()
-    join(None)
 
 
 def _stop(tasks: list[Any], interrupts: Interrupts) -> None:
@@ -190,17 +237,21 @@ def join(address: str | None) -> None:
     quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
     if address is None:
         os.environ.setdefault("RAY_worker_niceness", "0")  # 15 else: runs would yield to whatever there is
-        sent: dict[str, Any] = {"env_vars": {"PYTHONPATH": str(SOURCE)}}  # the compiled library
+        runtime: dict[str, Any] = {"env_vars": {"PYTHONPATH": str(SOURCE)}}  # the compiled library
         resources: dict[str, Any] = {"num_cpus": available_cores(), "_node_ip_address": "127.0.0.1"}
         with chdir(SOURCE):  # Ray lets its processes import from the current folder
-            ray.init("local", include_dashboard=False, runtime_env=sent, **resources, **quiet)
+            ray.init("local", include_dashboard=False, runtime_env=runtime, **resources, **quiet)
         return
     host, _, port = address.rpartition(":")
     try:  # or Ray would try for minutes
         socket.create_connection((host.strip("[]"), int(port)), JOIN_SECONDS).close()
-        sent = {"py_modules": [str(SOURCE / "pneuma")], "excludes": ["__pycache__"]}
+        runtime = {
+            "py_modules": [str(SOURCE / "pneuma")],
+            "excludes": ["__pycache__"],
+            "env_vars": {CARRIED_CODE: code()},
+        }
         with chdir(SOURCE):
-            ray.init(address, runtime_env={**sent, "env_vars": {CARRIED_CODE: code()}}, **quiet)
+            ray.init(address, runtime_env=runtime, **quiet)
     except Exception as error:  # Ray raises many kinds of errors
         raise UserError(
             f"--address {address}: no cluster can be joined there ({error}); give the address that "
@@ -211,15 +262,21 @@ def join(address: str | None) -> None:
 # --- On a node ----------------------------------------------------------------------------------------
 
 
-def train_here(text: str, wanted: Mapping[str, str], folder: str) -> None:
-    """Train a job, as JSON, on the node that Ray calls this on, if it has the `wanted` versions.
+def train_here(text: str, required: Mapping[str, str], folder: str) -> None:
+    """Train a job on the node that Ray calls this on.
 
-    Users' rewards and levels are read from `folder`, the command's current one.
+    Args:
+        text: the job, as JSON.
+        required: the versions that the node must have.
+        folder: the command's current one, from which users' rewards and levels are read.
+
+    Raises:
+        UserError: if the node has other versions, or does not see the results folder.
     """
     installed, node = versions(), socket.gethostname()
-    lacking = [f"{name} {version}" for name, version in wanted.items() if installed.get(name) != version]
-    if lacking:
-        raise UserError(f"--executor ray: the node {node} lacks {', '.join(lacking)}")
+    missing = [f"{name} {version}" for name, version in required.items() if installed.get(name) != version]
+    if missing:
+        raise UserError(f"--executor ray: the node {node} lacks {', '.join(missing)}")
     job = Job.from_json(text)
     folders = [job.store.run_folder(name) for name in job.runs]
     if not all((run / "status.json").exists() for run in folders):  # the command has noted all runs there
@@ -231,7 +288,7 @@ def train_here(text: str, wanted: Mapping[str, str], folder: str) -> None:
         os.chdir(folder)
     prepare_node()
     with Interrupts([signal.SIGINT]) as interrupts:  # as `ray.cancel` does
-        Supervisor([job.runs], job.store, job.how, lambda event: None, interrupts).work()
+        Supervisor([job.runs], job.store, job.config, lambda event: None, interrupts).work()
 
 
 def versions() -> dict[str, str]:
