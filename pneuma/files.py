@@ -8,7 +8,6 @@ import json
 import math
 import os
 import re
-import stat
 import time
 import uuid
 from collections.abc import Iterator, Mapping
@@ -20,25 +19,39 @@ from typing import Any
 from pneuma.errors import StorageError, UserError
 
 SCHEMA = 1
-_CHECKSUM, _END = "sha256", b"\n}\n"
+"""The version of all documents."""
 
 MADE_BY = "made by pneuma"
 """Words in a report and in an exported policy, by which a command knows what it may replace."""
-LONGEST_REASON = 100
-LONGEST_INTEGER = 20
-"""Characters of the least number of 64 bits."""
-_STORAGE_PROBLEMS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
-_TEMPORARY = re.compile(r"\..+\.[0-9a-f]{32}")
+
 STALE_SECONDS = 600
 """Age from which no process writes a temporary file any more."""
 
+LONGEST_REASON = 100
+LONGEST_INTEGER = 20
+"""Characters of the least number of 64 bits."""
 
-def shipped_folder(package: str, place: str) -> Path:
-    """Return a folder of data that comes with Pneuma: as a package, or at its place in the repository."""
+
+def shipped_folder(package: str, name: str) -> Path:
+    """Return a folder of data that comes with Pneuma: as a package, or at the top of the repository."""
     try:
-        return Path(next(iter(import_module(package).__path__)))
+        module = import_module(package)
     except ModuleNotFoundError:
-        return Path(__file__).parents[1] / place
+        return Path(__file__).parents[1] / name
+    return Path(next(iter(module.__path__)))
+
+
+def names_in(folder: Path) -> list[str]:
+    """Return the names in a folder, sorted; none if there is no folder."""
+    try:
+        return sorted(os.listdir(folder))
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise UserError(f"{folder}: cannot be read ({error.strerror})") from None
+
+
+# --- Reading ----------------------------------------------------------------------------------------
 
 
 @contextmanager
@@ -61,27 +74,26 @@ def _reason(error: Exception) -> str:
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     lines = str(error).splitlines() or [""]
+    first_line = lines[0][:LONGEST_REASON]
     if isinstance(error, ValueError):
-        return lines[0][:LONGEST_REASON]
-    return f"{type(error).__name__}: {lines[0][:LONGEST_REASON]}"
+        return first_line
+    return f"{type(error).__name__}: {first_line}"
 
 
 def read_text(path: Path) -> str:
     """Return the text of a user's file, with all line ends as one character."""
     try:
         return path.read_text(encoding="utf-8-sig")
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
-        raise UserError(f"{path}: cannot be read: {reason}") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError:
+        raise UserError(f"{path}: cannot be read: it is not UTF-8 text") from None
 
 
-def read_whole(path: Path, most: int) -> bytes:
-    """Return the contents of a search's log of at most so many bytes."""
-    with open(path, "rb", opener=open_ordinary) as file:
-        size = os.fstat(file.fileno()).st_size
-        if size > most:
-            raise OSError(errno.EFBIG, f"is larger than {most / 2**20:.0f} MB", str(path))
-        return file.read(size)
+# --- Writing ----------------------------------------------------------------------------------------
+
+_STORAGE_PROBLEMS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
+_TEMPORARY_NAME = re.compile(r"\..+\.[0-9a-f]{32}")
 
 
 def write_whole(path: Path, data: bytes) -> None:
@@ -93,8 +105,20 @@ def write_whole(path: Path, data: bytes) -> None:
         raise OSError(errno.ELOOP, "is a link; name the file itself")
     if path.exists() and not path.is_file():
         path.write_bytes(data)
-        return
-    replace_files(path.parent, {path.name: data})
+    else:
+        replace_files(path.parent, {path.name: data})
+
+
+def create_whole(path: Path, data: bytes) -> None:
+    """Write a file that does not exist yet, whole or not at all; leave one that exists as it is."""
+    temporary = _temporary_path(path)
+    try:
+        with _named_in_errors(path):
+            temporary.write_bytes(data)
+        with suppress(FileExistsError):
+            os.link(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
@@ -102,25 +126,29 @@ def replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
     All are on the disk before the first one replaces an existing file.
     """
-    written = {name: folder / f".{name}.{uuid.uuid4().hex}" for name in files}
+    temporary_paths = {name: _temporary_path(folder / name) for name in files}
     try:
-        for name, path in written.items():
-            with _errors_name(folder / name), open(path, "xb") as file:
+        for name, temporary in temporary_paths.items():
+            with _named_in_errors(folder / name), open(temporary, "xb") as file:
                 file.write(files[name])
-        for name, path in written.items():
-            with _errors_name(folder / name), open(path, "rb") as file:
+        for name, temporary in temporary_paths.items():
+            with _named_in_errors(folder / name), open(temporary, "rb") as file:
                 os.fsync(file.fileno())
-        for name, path in written.items():
-            with _errors_name(folder / name):
-                os.replace(path, folder / name)
+        for name, temporary in temporary_paths.items():
+            with _named_in_errors(folder / name):
+                os.replace(temporary, folder / name)
     except BaseException:
-        for path in written.values():
-            path.unlink(missing_ok=True)
+        for temporary in temporary_paths.values():
+            temporary.unlink(missing_ok=True)
         raise
 
 
+def _temporary_path(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+
+
 @contextmanager
-def _errors_name(path: Path) -> Iterator[None]:
+def _named_in_errors(path: Path) -> Iterator[None]:
     """Let an OSError name a file instead of the temporary one, or of none, as where the disk is full."""
     try:
         yield
@@ -130,13 +158,14 @@ def _errors_name(path: Path) -> Iterator[None]:
 
 
 def stale_files(folder: Path) -> list[Path]:
-    """Return the temporary files of a folder that `replace_files` left behind when it was killed."""
+    """Return the temporary files that were left in a folder when a process was killed."""
     stale = []
     for name in names_in(folder):
-        path = folder / name
-        if _TEMPORARY.fullmatch(name):
-            with suppress(FileNotFoundError):  # it is in its place now
-                if time.time() - path.stat().st_mtime > STALE_SECONDS:
+        if _TEMPORARY_NAME.fullmatch(name):
+            path = folder / name
+            with suppress(FileNotFoundError):  # its process has just moved it to its place
+                age = time.time() - path.stat().st_mtime
+                if age > STALE_SECONDS:
                     stale.append(path)
     return stale
 
@@ -151,21 +180,19 @@ def write_error(path: Path, error: OSError) -> UserError:
 
 def is_storage_problem(error: BaseException) -> bool:
     """Return whether the disk is to blame: it is full, over a quota, broken, or read-only."""
-    return isinstance(error, StorageError) or (
-        isinstance(error, OSError) and error.errno in _STORAGE_PROBLEMS
-    )
+    if isinstance(error, OSError):
+        return error.errno in _STORAGE_PROBLEMS
+    return isinstance(error, StorageError)
 
 
-def create_whole(path: Path, data: bytes) -> None:
-    """Write a file that does not exist yet, whole or not at all; leave one that exists as it is."""
-    written = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-    try:
-        with _errors_name(path):
-            written.write_bytes(data)
-        with suppress(FileExistsError):
-            os.link(written, path)
-    finally:
-        written.unlink(missing_ok=True)
+# --- Documents --------------------------------------------------------------------------------------
+
+_CHECKSUM_LINE = ',\n  "sha256": "'
+_END = "\n}\n"
+
+
+def to_json(value: object) -> bytes:
+    return (json.dumps(value, indent=2) + "\n").encode()
 
 
 def parse_json(data: bytes | str) -> dict[str, Any]:
@@ -181,7 +208,7 @@ def parse_json(data: bytes | str) -> dict[str, Any]:
     except (RecursionError, MemoryError) as error:
         raise ValueError(str(error)) from None
     if not isinstance(document, dict):
-        raise ValueError("is no JSON object")
+        raise ValueError("is not a JSON object")
     return document
 
 
@@ -198,47 +225,25 @@ def _parse_float(text: str) -> float:
     return number
 
 
-def names_in(folder: Path) -> list[str]:
-    """Return the names in a folder, sorted; none if there is no folder."""
-    try:
-        return sorted(os.listdir(folder))
-    except FileNotFoundError:
-        return []
-    except OSError as error:
-        raise UserError(f"{folder}: cannot be read ({error.strerror})") from None
-
-
-def to_json(value: object) -> bytes:
-    return (json.dumps(value, indent=2) + "\n").encode()
+def checksum(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
 
 
 def dump_checksummed(document: Mapping[str, Any]) -> bytes:
-    """Return a document as JSON, with a schema number and a checksum."""
-    whole = {"schema": SCHEMA, **document}
-    return to_json({**whole, _CHECKSUM: checksum(to_json(whole))})
+    """Return a document as JSON, with a schema number and, as its last line, a checksum."""
+    document = {"schema": SCHEMA, **document}
+    return to_json({**document, "sha256": checksum(to_json(document))})
 
 
 def load_checksummed(path: Path) -> dict[str, Any] | None:
     """Return a document that `dump_checksummed` wrote; None if it is missing or damaged."""
     try:
         data = path.read_bytes()
-        head, found, tail = data.rpartition(f',\n  "{_CHECKSUM}": "'.encode())
-        if not found or tail != f'{checksum(head + _END)}"'.encode() + _END:
+        start, _, end = data.rpartition(_CHECKSUM_LINE.encode())
+        without_checksum = start + _END.encode()
+        if end.decode() != f'{checksum(without_checksum)}"{_END}':
             return None
-        document = parse_json(head + _END)
+        document = parse_json(without_checksum)
     except (OSError, ValueError):
         return None
     return document if document.get("schema") == SCHEMA else None
-
-
-def checksum(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
-
-
-def open_ordinary(path: str, flags: int) -> int:
-    """Open an ordinary file, as an `opener`; what is none, as a pipe, would be waited for."""
-    descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC)
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-        os.close(descriptor)
-        raise OSError(errno.EINVAL, "is no ordinary file", path)
-    return descriptor
