@@ -18,8 +18,8 @@ from pathlib import Path
 from pneuma.files import write_error
 
 LOCK_FILE = ".lock"
-LOOKS, LOOK_SECONDS = 5, 0.002
-"""Attempts to take a lock, and seconds between them: whoever only looks holds it for a moment."""
+ATTEMPTS, ATTEMPT_SECONDS = 5, 0.002
+"""Attempts to take a lock, and seconds between them: a process that only looks holds it for a moment."""
 
 
 @contextmanager
@@ -58,13 +58,12 @@ def _open(path: str, flags: int) -> int:
 
 def _take(descriptor: int) -> bool:
     """Lock a file for this process; wait briefly for others that only look (`is_held`)."""
-    for _ in range(LOOKS):
+    for _ in range(ATTEMPTS):
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            time.sleep(LOOK_SECONDS)
-        except OSError:  # there are no locks here
             return True
-        else:
+        except BlockingIOError:
+            time.sleep(ATTEMPT_SECONDS)
+        except OSError:  # there are no locks on this file system
             return True
     return False

@@ -10,12 +10,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pneuma.config import Run, as_fields
 from pneuma.study.identity import own_names
@@ -40,15 +39,16 @@ class Attempt:
 
     def __init__(self, start: int = 0) -> None:
         self._started = datetime.now(UTC).isoformat(timespec="seconds")
-        self._begun = time.perf_counter()
+        self._start_clock = time.perf_counter()
         self._start = start
-        self._evaluating = 0.0
-        self._first: tuple[float, float, int] | None = None  # both clocks and the step, programs compiled
+        self._evaluation_seconds = 0.0
+        self._first_update: _Moment | None = None
 
     def update(self, step: int, evaluation_seconds: float = 0.0) -> None:
         """Note the time of the first update, before which programs are compiled, and that of evaluations."""
-        self._evaluating = evaluation_seconds
-        self._first = self._first or (time.perf_counter(), time.process_time(), step)
+        self._evaluation_seconds = evaluation_seconds
+        if self._first_update is None:
+            self._first_update = _Moment(step, time.perf_counter(), time.process_time())
 
     def so_far(self, step: int) -> dict[str, Any]:
         """Return the record of this attempt up to a step.
@@ -56,36 +56,44 @@ class Attempt:
         `training_seconds` is the time without start-up: the number of updates times the pace of all updates
         after the first. `processor_share` is the share of a core that these had; None on a GPU.
         """
-        now = time.perf_counter()
-        training, share = now - self._begun, None
-        if self._first and step > self._first[2]:
-            clock, processor, first = self._first
-            training = (now - clock) * (step - self._start) / (step - first)
-            if _device() == "cpu" and now > clock:
-                share = round((time.process_time() - processor) / (now - clock), 3)
+        clock = time.perf_counter()
+        wall_seconds = clock - self._start_clock
+        training_seconds, processor_share = wall_seconds, None
+        first = self._first_update
+        if first and step > first.step:
+            seconds = clock - first.clock
+            training_seconds = seconds * (step - self._start) / (step - first.step)
+            if _device() == "cpu" and seconds > 0:
+                processor_share = round((time.process_time() - first.processor_clock) / seconds, 3)
         return {
             "started": self._started,
-            "wall_seconds": round(now - self._begun, 3),
-            "training_seconds": round(training, 3),
-            "evaluation_seconds": round(self._evaluating, 3),
-            "processor_share": share,
+            "wall_seconds": round(wall_seconds, 3),
+            "training_seconds": round(training_seconds, 3),
+            "evaluation_seconds": round(self._evaluation_seconds, 3),
+            "processor_share": processor_share,
             "step": step,
             "machine": machine(),
         }
 
 
+class _Moment(NamedTuple):
+    step: int
+    clock: float
+    processor_clock: float
+
+
 def finished_provenance(attempts: list[dict[str, Any]]) -> dict[str, Any]:
     """Describe how a run was trained: the machine of the last attempt, and all attempts."""
-    shares = [each["processor_share"] for each in attempts]
-    known = [share for share in shares if share is not None]
-    seconds = sum(each["wall_seconds"] for each in attempts)
-    evaluating = sum(each.get("evaluation_seconds", 0.0) for each in attempts)
+    wall_seconds = sum(attempt["wall_seconds"] for attempt in attempts)
+    training_seconds = sum(attempt["training_seconds"] for attempt in attempts)
+    evaluation_seconds = sum(attempt.get("evaluation_seconds", 0.0) for attempt in attempts)
+    shares = [attempt["processor_share"] for attempt in attempts]
     return {
         "started": attempts[0]["started"],
-        "wall_seconds": round(seconds, 3),
-        "training_seconds": round(sum(each["training_seconds"] for each in attempts), 3),
-        "evaluation_share": round(evaluating / max(seconds, 1e-9), 3),
-        "processor_share": min(known) if len(known) == len(shares) else None,
+        "wall_seconds": round(wall_seconds, 3),
+        "training_seconds": round(training_seconds, 3),
+        "evaluation_share": round(evaluation_seconds / max(wall_seconds, 1e-9), 3),
+        "processor_share": None if None in shares else min(shares),
         **attempts[-1]["machine"],
         "attempts": attempts,
     }
@@ -97,13 +105,14 @@ def finished_provenance(attempts: list[dict[str, Any]]) -> dict[str, Any]:
 def machine() -> dict[str, Any]:
     """Return everything about this process and machine that may affect a run's last bits."""
     version, _, commit = code().partition(" ")
+    packages = {"pneuma": version}
+    for name in PACKAGES:
+        if _version(name):
+            packages[name] = _version(name)
     return {
         "threads": THREADS,
         "python": platform.python_version(),
-        "packages": {
-            "pneuma": version,
-            **{name: found for name in PACKAGES if (found := _version(name))},
-        },
+        "packages": packages,
         "commit": commit or None,
         "system": f"{platform.system()} {platform.machine()}",
         "cpu": _cpu(),
@@ -118,8 +127,8 @@ def available_cores() -> int:
         return os.cpu_count() or 1
     cores = len(os.sched_getaffinity(0))
     try:
-        most, period = map(int, QUOTA.read_text().split())
-        return min(cores, max(1, math.ceil(most / period)))
+        quota, period = map(int, QUOTA.read_text().split())
+        return min(cores, max(1, math.ceil(quota / period)))
     except (OSError, ValueError, ZeroDivisionError):  # no container, or one without a limit
         return cores
 
@@ -145,13 +154,16 @@ def code() -> str:
     """Return the code's version, and for a source tree its git commit, marked if it has changes."""
     if CARRIED_CODE in os.environ:
         return os.environ[CARRIED_CODE]
-    commit = _git(SOURCE, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
-    return " ".join([_version("pneuma-rl") or "unknown", *commit])
+    commit = _commit(SOURCE) if _is_repository(SOURCE) else ""
+    return " ".join([_version("pneuma-rl") or "unknown", commit]).rstrip()
 
 
 def uncommitted(source: Path = SOURCE) -> list[str]:
     """Return files of a tree's code and studies that differ from the commit; none without a commit."""
-    return [line[3:] for line in _git(source, "status", "--porcelain", "--", "pneuma", "studies")]
+    if not _is_repository(source):
+        return []
+    lines = _git(source, "status", "--porcelain", "--", "pneuma", "studies").splitlines()
+    return [line[3:] for line in lines]
 
 
 def file_at(path: Path, commit: str, line: str) -> str | None:
@@ -161,23 +173,16 @@ def file_at(path: Path, commit: str, line: str) -> str | None:
     """
     if not re.fullmatch("[0-9a-f]{40}", commit):
         return None
-    git: Any = {"text": True, "stderr": subprocess.DEVNULL, "cwd": path.parent}
-    with suppress(OSError, subprocess.CalledProcessError):
-        words = ["git", "grep", "--full-name", "-lFe", line, commit, "--", f":/*{path.suffix}"]
-        names = subprocess.check_output(words, **git).splitlines()
-        return subprocess.check_output(["git", "show", names[0]], **git)
-    return None
+    names = _git(path.parent, "grep", "--full-name", "-lFe", line, commit, "--", f":/*{path.suffix}")
+    return _git(path.parent, "show", names.splitlines()[0]) if names else None
 
 
 def line_at(path: Path, commit: str, beginning: str, folder: str) -> str:
     """Return the first line with a text in a folder of the checkout of a file, at a commit; may be empty."""
     if not re.fullmatch("[0-9a-f]{40}", commit):
         return ""
-    words = ["git", "grep", "-hF", beginning, commit, "--", f":/{folder}"]
-    with suppress(OSError, subprocess.CalledProcessError):
-        lines = subprocess.check_output(words, text=True, stderr=subprocess.DEVNULL, cwd=path.parent)
-        return lines.partition("\n")[0]
-    return ""
+    lines = _git(path.parent, "grep", "-hF", beginning, commit, "--", f":/{folder}")
+    return lines.partition("\n")[0]
 
 
 def project(study: Path, files: Iterable[Path] = ()) -> dict[str, str]:
@@ -186,18 +191,16 @@ def project(study: Path, files: Iterable[Path] = ()) -> dict[str, str]:
     The commit is marked as dirty where its files have changed, and where it lacks the study's file or one of
     the files that its runs use.
     """
-    about = {"study": study.name}
     folder = study.resolve().parent
-    top = _git(folder, "rev-parse", "--show-toplevel", own=False)
-    commit = _git(folder, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*", own=False)
-    if not (top and commit):
-        return about
-    used = {path.resolve() for path in (study, *files)}
-    within = [str(path) for path in used if path.is_relative_to(top[0])]
-    tracked = _git(folder, "ls-files", "--", *within, own=False)
-    untracked = len(tracked) < len(within)
-    dirty = untracked and not commit[0].endswith("-dirty")
-    return {**about, "commit": commit[0] + ("-dirty" if dirty else "")}
+    repository, commit = _git(folder, "rev-parse", "--show-toplevel").strip(), _commit(folder)
+    if not (repository and commit):
+        return {"study": study.name}
+    paths = {path.resolve() for path in (study, *files)}
+    paths_within = [str(path) for path in paths if path.is_relative_to(repository)]
+    tracked = _git(folder, "ls-files", "--", *paths_within).splitlines()
+    if len(tracked) < len(paths_within) and not commit.endswith("-dirty"):
+        commit += "-dirty"
+    return {"study": study.name, "commit": commit}
 
 
 def packages_of(run: Run) -> dict[str, str]:
@@ -220,26 +223,38 @@ def packages_of(run: Run) -> dict[str, str]:
     return versions
 
 
-def _git(source: Path, *words: str, own: bool = True) -> list[str]:
-    """Return the lines that git prints about a source tree; none without a repository, or without git.
+def _is_repository(source: Path) -> bool:
+    """Return whether a source tree is a repository of its own; installed, it may lie in another one."""
+    return (source / ".git").exists()
 
-    Pneuma's `own` is a repository as a whole: installed, it may lie in one of somebody else.
-    """
-    command = ["git", "-C", str(source), *words]
-    if not own or (source / ".git").exists():
-        with suppress(OSError, subprocess.CalledProcessError):
-            return subprocess.check_output(command, text=True, stderr=subprocess.DEVNULL).splitlines()
-    return []
+
+def _commit(folder: Path) -> str:
+    """Return the commit of the repository that a folder is in, marked if files changed; "" without one."""
+    return _git(folder, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*").strip()
+
+
+def _git(folder: Path, *words: str) -> str:
+    """Return what git prints in a folder; nothing where it fails, or is not installed."""
+    command = ["git", "-C", str(folder), *words]
+    try:
+        return subprocess.check_output(command, text=True, stderr=subprocess.DEVNULL)
+    except (OSError, subprocess.CalledProcessError):
+        return ""
 
 
 @cache
 def _cpu() -> str:
     """Return the processor's model name, or its ARM numbers."""
-    text = Path("/proc/cpuinfo").read_text().split("\n\n")[0] if sys.platform == "linux" else ""
-    lines = dict(re.findall(r"^([^\t:]+)\t*: (.*)$", text, re.MULTILINE))
-    arm = [f"{key[4:]} {lines[key]}" for key in ARM if key in lines]
-    named = lines.get("model name") or (f"ARM {', '.join(arm)}" if arm else "")
-    return named or platform.processor() or "unknown"
+    values: dict[str, str] = {}
+    if sys.platform == "linux":
+        first_core = Path("/proc/cpuinfo").read_text().split("\n\n")[0]
+        values = dict(re.findall(r"^([^\t:]+)\t*: (.*)$", first_core, re.MULTILINE))
+    if values.get("model name"):
+        return values["model name"]
+    numbers = [f"{key.removeprefix('CPU ')} {values[key]}" for key in ARM if key in values]
+    if numbers:
+        return f"ARM {', '.join(numbers)}"
+    return platform.processor() or "unknown"
 
 
 # --- Of stored runs --------------------------------------------------------------------------------
@@ -250,8 +265,13 @@ def processors(origin: Mapping[str, Any]) -> tuple[str, ...]:
     listed = origin.get("processors")
     if isinstance(listed, list) and listed:
         return tuple(sorted({str(name) for name in listed}))
-    listed = origin.get("attempts")
-    attempts = [each for each in listed if isinstance(each, dict)] if isinstance(listed, list) else []
-    machines = [origin, *(each["machine"] for each in attempts if isinstance(each.get("machine"), dict))]
-    devices = [(each, each.get("device") or "cpu") for each in machines]
-    return tuple(sorted({str(each.get("cpu") if device == "cpu" else device) for each, device in devices}))
+    machines = [origin]
+    attempts = origin.get("attempts")
+    for attempt in attempts if isinstance(attempts, list) else []:
+        if isinstance(attempt, dict) and isinstance(attempt.get("machine"), dict):
+            machines.append(attempt["machine"])
+    names = set()
+    for about in machines:
+        device = about.get("device") or "cpu"
+        names.add(str(about.get("cpu") if device == "cpu" else device))
+    return tuple(sorted(names))

@@ -14,40 +14,52 @@ from pneuma.errors import UserError, nearest_name
 from pneuma.store.store import Store, read_sound
 from pneuma.study.identity import describe_user_code
 
-LONGEST_LISTED = 5
+MOST_LISTED = 5
 
 
-def find_run(store: Store, text: str) -> str:
+def find_run(store: Store, prefix: str) -> str:
     """Return the id of the stored run that the user names by its id or a unique prefix."""
-    names, where = store.runs(), store.root / "runs"
-    meant = [name for name in names if text and name.startswith(text.lower())]
-    if len(meant) == 1:
-        return meant[0]
-    if meant:
-        few = ", ".join(meant[:LONGEST_LISTED]) + (", …" if len(meant) > LONGEST_LISTED else "")
-        raise UserError(f"run {text!r} is not enough: give more digits; {where} holds {few}")
-    hint = nearest_name(text, names) if names else " (it holds none)"
+    run_ids, folder = store.runs(), store.root / "runs"
+    matching = [run_id for run_id in run_ids if prefix and run_id.startswith(prefix.lower())]
+    if len(matching) == 1:
+        return matching[0]
+    if matching:
+        listed = ", ".join(matching[:MOST_LISTED])
+        if len(matching) > MOST_LISTED:
+            listed += ", …"
+        raise UserError(f"run {prefix!r} is not enough: give more digits; {folder} holds {listed}")
+    hint = nearest_name(prefix, run_ids) if run_ids else " (it holds none)"
     raise UserError(
-        f"no run {text!r} in {where}{hint}; `pneuma run list` shows all, --results names a folder"
+        f"no run {prefix!r} in {folder}{hint}; `pneuma run list` shows all, --results names a folder"
     )
 
 
 def run_files(store: Store, run_id: str) -> list[dict[str, Any]]:
     """Return the files of a run's folder: sound, damaged, missing, or unlisted (without a checksum)."""
-    folder, listed = store.run_folder(run_id), store.checksums(run_id)
-    paths = (path for path in folder.rglob("[!.]*") if path.is_file())
-    sizes = {path.relative_to(folder).as_posix(): path.stat().st_size for path in paths}
-    states = {name: "damaged" if name in sizes else "missing" for name in listed}
-    whole = [name for name, expected in listed.items() if read_sound(folder, name, expected) is not None]
-    states |= dict.fromkeys(whole, "sound")
-    states |= {name: "unlisted" for name in sorted({*sizes} - {*listed, "status.json"})}
-    return [{"name": name, "bytes": sizes.get(name, 0), "state": state} for name, state in states.items()]
+    folder, checksums = store.run_folder(run_id), store.checksums(run_id)
+    sizes = {}
+    for path in folder.rglob("[!.]*"):
+        if path.is_file():
+            sizes[path.relative_to(folder).as_posix()] = path.stat().st_size
+    files = []
+    for name, checksum in checksums.items():
+        if name not in sizes:
+            state = "missing"
+        elif read_sound(folder, name, checksum) is None:
+            state = "damaged"
+        else:
+            state = "sound"
+        files.append({"name": name, "bytes": sizes.get(name, 0), "state": state})
+    for name in sorted(sizes.keys() - checksums.keys() - {"status.json"}):
+        files.append({"name": name, "bytes": sizes[name], "state": "unlisted"})
+    return files
 
 
 def default_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
-    chosen = {key: settings[key] for key in ("env", "algorithm", "optimizer") if key in settings}
+    """Return the fields that a stored run would have had without its study's."""
+    given = {key: settings[key] for key in ("env", "algorithm", "optimizer") if key in settings}
     try:
-        return as_fields(make_run(chosen))
+        return as_fields(make_run(given))
     except UserError:  # from another version of Pneuma
         return as_fields(make_run({}))
 
@@ -70,7 +82,10 @@ def trusted_settings(store: Store, run_id: str, trust: bool) -> dict[str, Any]:
         UserError: without `trust`, for a run that names files, code, or arguments of its environment.
     """
     settings = stored_settings(store, run_id)
-    if (uses := describe_user_code(settings)) and not trust:
-        fix = "if you trust its source, give --trust (in Python trust=True)"
-        raise UserError(f"run {run_id} would {' and '.join(uses.values())}: {fix}")
+    uses = describe_user_code(settings)
+    if uses and not trust:
+        raise UserError(
+            f"run {run_id} would {' and '.join(uses.values())}: "
+            "if you trust its source, give --trust (in Python trust=True)"
+        )
     return settings
