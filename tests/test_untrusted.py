@@ -174,7 +174,7 @@ def test_untrusted_a_row_of_wrong_inner_types_is_one_line_that_names_its_run(sto
     with pa.ipc.new_file(sink, row.schema) as writer:
         writer.write_table(row)
     data = sink.getvalue().to_pybytes()
-    with pytest.raises(ValueError, match=f"column {column} makes no sense"):
+    with pytest.raises(ValueError, match=f"column {column} is invalid"):
         decode_row(data)
     store.save_run(RUN, Status("done", 1000), {"run.json": b"{}", ROW_FILE: data})
     said = call("study", "summary", "mine", "--results", store.root)

@@ -24,36 +24,35 @@ import pyarrow as pa
 
 from pneuma.config import Run, as_fields
 from pneuma.files import parse_json
-from pneuma.store.quantities import TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.store.quantities import ACTION_QUANTITIES, TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.store.series import (
     EXTREMES,
     GRID_POINTS,
     STATISTICS,
     Series,
     Stretch,
-    known_points,
+    finite_points,
     make_grid,
     unpack_signs,
 )
 from pneuma.store.tables import from_ipc
 
-NAMING = ("run_id", "config_id", "status", "fields", "provenance", "signs")
-NUMBERS = ("seed", "steps", "end")
-CURVE = pa.list_(pa.float32())
+TEXT_CELLS = ("run_id", "config_id", "status", "fields", "provenance", "signs")
+INTEGER_CELLS = ("seed", "steps", "end")
 EVALUATIONS, PEAKS = "evaluations", "extreme"
+REQUIRED_CELLS = (*TEXT_CELLS, *INTEGER_CELLS, EVALUATIONS)
 AVERAGED_OVER, LAST_EPISODES = "averaged over", "episodes last"
 STUCK = ("stuck updates", "updates", "stuck spells")
 """Counts of updates without entropy and with one action, of all updates, and of spells of the former."""
+CURVE = pa.list_(pa.float32())
 
+_LAST_ONLY = ("length", "hp", "entropy", "dead_units", *ACTION_QUANTITIES)
 EXACT: dict[str, tuple[str, ...]] = {
     "return": ("last", "best", "height"),
-    "length": ("last",),
-    "hp": ("last",),
-    "entropy": ("last",),
+    **dict.fromkeys(_LAST_ONLY, ("last",)),
     "grad_norm": ("median",),
     "approx_kl": ("average",),
     "explained_variance": ("early",),
-    **{name: ("last",) for name in UPDATE_QUANTITIES if name == "dead_units" or name.startswith("action_")},
 }
 """The statistics of curves at a run's end that are kept with all digits."""
 
@@ -67,15 +66,16 @@ def curve_column(quantity: str, window: str) -> str:
 
 def column_type(name: str) -> pa.DataType | None:
     """Return the type of a column; None for those that are not read, and for the evaluations."""
-    first, _, second = name.partition(" ")
-    if name in NAMING:
+    if name in TEXT_CELLS:
         return pa.string()
-    if name in (*NUMBERS, AVERAGED_OVER, *STUCK):
+    if name in (*INTEGER_CELLS, AVERAGED_OVER, *STUCK):
         return pa.int64()
-    if first in TRAINING_QUANTITIES and second in ("", *WINDOWS, PEAKS):
+    quantity, _, suffix = name.partition(" ")
+    if quantity in TRAINING_QUANTITIES and suffix in ("", *WINDOWS, PEAKS):
         return CURVE
-    known = name == LAST_EPISODES or first in EXACT or first in EXTREMES
-    return pa.float64() if known else None
+    if name == LAST_EPISODES or quantity in EXACT or quantity in EXTREMES:
+        return pa.float64()
+    return None
 
 
 def encode_row(cells: Mapping[str, Any]) -> bytes:
@@ -101,8 +101,11 @@ def decode_row(data: bytes) -> Row:
 
 
 _PATTERNS = {
-    "run_id": "[0-9a-f]{16}", "config_id": "[0-9a-f]{16}", "status": "done|diverged", "steps": r"[1-9]\d*",
-}  # fmt: skip
+    "run_id": "[0-9a-f]{16}",
+    "config_id": "[0-9a-f]{16}",
+    "status": "done|diverged",
+    "steps": r"[1-9]\d*",
+}
 
 
 def sound_rows(table: pa.Table) -> pa.Table:
@@ -111,76 +114,98 @@ def sound_rows(table: pa.Table) -> pa.Table:
     Raises:
         ValueError: naming what is wrong.
     """
-    table = table.select(_known_columns(table.schema.remove_metadata().serialize().to_pybytes()))
-    for name in (*NAMING, *NUMBERS, EVALUATIONS):
-        cells = table[name].to_pylist() if name in _PATTERNS else ()
-        matching = all(re.fullmatch(_PATTERNS[name], str(cell)) for cell in cells)
-        if table[name].null_count or not matching:
-            raise ValueError(f"column {name} makes no sense")
+    schema = table.schema.remove_metadata()
+    table = table.select(_columns_to_read(schema.serialize().to_pybytes()))
+    for name in REQUIRED_CELLS:
+        if table[name].null_count:
+            raise ValueError(f"column {name} is invalid")
+    for name, pattern in _PATTERNS.items():
+        if not all(re.fullmatch(pattern, str(cell)) for cell in table[name].to_pylist()):
+            raise ValueError(f"column {name} is invalid")
     return table
 
 
 @lru_cache
-def _known_columns(serialized: bytes) -> list[str]:
-    """Return which columns of a schema are read; schemas of a thousand runs are mostly the same."""
-    schema = pa.ipc.read_schema(pa.py_buffer(serialized))
-    if missing := {*NAMING, *NUMBERS, EVALUATIONS} - {*schema.names}:
+def _columns_to_read(serialized_schema: bytes) -> list[str]:
+    """Return which columns of a schema are read, and check their types; most runs have the same schema."""
+    schema = pa.ipc.read_schema(pa.py_buffer(serialized_schema))
+    missing = set(REQUIRED_CELLS) - set(schema.names)
+    if missing:
         raise ValueError(f"column {min(missing)} is missing")
-    for name, kind in zip(schema.names, schema.types, strict=True):
-        sound = _are_evaluations(kind) if name == EVALUATIONS else column_type(name) in (None, kind)
-        if not sound:
-            raise ValueError(f"column {name} makes no sense")
-    return [name for name in schema.names if name == EVALUATIONS or column_type(name)]
+    names = []
+    for column in schema:
+        expected = column_type(column.name)
+        if column.name == EVALUATIONS:
+            is_sound = _are_evaluations(column.type)
+        elif expected is None:
+            continue
+        else:
+            is_sound = column.type == expected
+        if not is_sound:
+            raise ValueError(f"column {column.name} is invalid")
+        names.append(column.name)
+    return names
 
 
-def _are_evaluations(kind: pa.DataType) -> bool:
+def _are_evaluations(column_type: pa.DataType) -> bool:
     """Return whether a type is a list of structs of numbers, with their step; or a list of nothing."""
-    if not pa.types.is_list(kind) or not pa.types.is_struct(kind.value_type):
-        return bool(pa.types.is_list(kind) and pa.types.is_null(kind.value_type))
-    kinds = {field_.name: field_.type for field_ in kind.value_type}
+    if not pa.types.is_list(column_type):
+        return False
+    if not pa.types.is_struct(column_type.value_type):
+        return bool(pa.types.is_null(column_type.value_type))
+    types = {part.name: part.type for part in column_type.value_type}
+    if len(types) < column_type.value_type.num_fields:
+        return False  # two columns have one name
     numbers = {pa.int64(), pa.float64()}
-    return kinds.get("step") in numbers and {*kinds.values()} <= {*numbers, pa.null()}
+    return types.get("step") in numbers and set(types.values()) <= {*numbers, pa.null()}
 
-
-FORK_TYPES: dict[str, tuple[type, ...]] = {"parent": (str,), "fork_step": (int,)}
-"""Fields that published runs may have which an earlier version forked from others: no run has them now."""
 
 # --- Reading ----------------------------------------------------------------------------------------
 
+FORK_TYPES: dict[str, tuple[type, ...]] = {"parent": (str,), "fork_step": (int,)}
+"""Fields that published runs may have which an earlier version forked from others: no run has them now."""
+SIMPLE_TYPES = (str, int, float)
+
 
 def _read_fields(text: str) -> dict[str, Any]:
-    """Read a configuration, with each known field of a type that it may have."""
-    fields, types = parse_json(text), _field_types()
-    for key, value in fields.items():
-        fits = value is None or isinstance(value, types.get(key, (str, int, float, list)))
-        if not fits or (isinstance(value, list) and any(isinstance(part, list | dict) for part in value)):
-            raise ValueError(f"{key} = {json.dumps(value)[:40]}")
+    """Read a configuration, with each field of a type that it may have."""
+    fields, types_by_field = parse_json(text), _field_types()
+    for name, value in fields.items():
+        types = types_by_field.get(name, (*SIMPLE_TYPES, list))
+        is_sound = value is None or isinstance(value, types)
+        if isinstance(value, list):
+            is_sound = is_sound and not any(isinstance(item, list | dict) for item in value)
+        if not is_sound:
+            raise ValueError(f"{name} = {json.dumps(value)[:40]}")
     return fields
 
 
 @cache
 def _field_types() -> dict[str, tuple[type, ...]]:
-    of_default = {str: (str,), list: (list,), type(None): (int, float, list)}
-    types = {key: of_default.get(type(usual), (int, float)) for key, usual in as_fields(Run()).items()}
+    """Return the types that the value of a field may have, by those of its default."""
+    types_by_default = {str: (str,), list: (list,), type(None): (int, float, list)}
+    types = {}
+    for name, default in as_fields(Run()).items():
+        types[name] = types_by_default.get(type(default), (int, float))
     return {**types, **FORK_TYPES}
 
 
 _DOCUMENTS = {"fields": _read_fields, "provenance": parse_json, "signs": unpack_signs}
 
 
-def read_row(table: pa.Table, place: int = 0, published: bool = False) -> Row:
+def read_row(table: pa.Table, index: int = 0, published: bool = False) -> Row:
     """Return a row of a table of `sound_rows`.
 
     Raises:
-        ValueError: naming a column that makes no sense.
+        ValueError: naming a column that is invalid.
     """
-    row = table.slice(place, 1).replace_schema_metadata(None)
-    cells = {name: row[name][0].as_py() for name in (*NAMING, *NUMBERS)}
+    row = table.slice(index, 1).replace_schema_metadata(None)
+    cells = {name: row[name][0].as_py() for name in (*TEXT_CELLS, *INTEGER_CELLS)}
     for name, read in _DOCUMENTS.items():
         try:
             cells[name] = read(cells[name])
         except ValueError as error:
-            raise ValueError(f"column {name} makes no sense ({error})") from None
+            raise ValueError(f"column {name} is invalid ({error})") from None
     return Row(row, published, budget=cells.pop("steps"), **cells)
 
 
@@ -235,8 +260,10 @@ class Row:
     @property
     def update_steps(self) -> int | None:
         """Agent steps of one update; None if its fields do not say."""
-        counts = self.fields.get("horizon"), self.fields.get("slots"), self.fields.get("players", 1)
-        return math.prod(counts) or None if all(isinstance(count, int) for count in counts) else None
+        counts = (self.fields.get("horizon"), self.fields.get("slots"), self.fields.get("players", 1))
+        if not all(isinstance(count, int) for count in counts):
+            return None
+        return math.prod(counts) or None
 
     @cached_property
     def grid(self) -> np.ndarray:
@@ -248,9 +275,8 @@ class Row:
         return tuple(name for name in TRAINING_QUANTITIES if self.windows_of(name))
 
     def windows_of(self, quantity: str) -> tuple[str, ...]:
-        """Return the windows in which it has a curve, the usual one first; quantities of updates have any."""
-        columns = self._columns
-        return tuple(window for window in WINDOWS if curve_column(quantity, window) in columns)
+        """Return the windows in which it has a curve, the default first; quantities of updates have any."""
+        return tuple(window for window in WINDOWS if curve_column(quantity, window) in self._columns)
 
     @property
     def windows(self) -> tuple[str, ...]:
@@ -258,31 +284,34 @@ class Row:
 
     @cached_property
     def _columns(self) -> frozenset[str]:
+        """The names of its cells that have a value."""
         columns = zip(self.table.column_names, self.table.columns, strict=True)
         return frozenset(name for name, column in columns if column[0].is_valid)
 
     def curve(self, quantity: str, window: str = "") -> np.ndarray:
         """Return a curve on the row's own grid, (points,); NaN where it has no value."""
         windows = self.windows_of(quantity)
-        chosen = window or (windows[0] if windows else "")
-        return self._points(curve_column(quantity, chosen))
+        if windows and not window:
+            window = windows[0]
+        return self._points(curve_column(quantity, window))
 
     def peaks(self, quantity: str) -> np.ndarray:
         """Return the extreme update of one of `EXTREMES` since each previous point, (points,)."""
         return self._points(f"{quantity} {PEAKS}")
 
     def _points(self, column: str) -> np.ndarray:
-        values = self.table[column][0].values if column in self._columns else None
-        if values is None or len(values) != GRID_POINTS:
-            return np.full(GRID_POINTS, np.nan)
-        return values.to_numpy(zero_copy_only=False).astype(float)
+        if column in self._columns:
+            values = self.table[column][0].values
+            if len(values) == GRID_POINTS:
+                return values.to_numpy(zero_copy_only=False).astype(float)
+        return np.full(GRID_POINTS, np.nan)
 
     def known_curve(self, quantity: str) -> Series:
         """Return the points of a curve that have a value; empty if there is no such curve."""
-        return known_points(self.grid, self.curve(quantity))
+        return finite_points(self.grid, self.curve(quantity))
 
     def known_peaks(self, quantity: str) -> Series:
-        return known_points(self.grid, self.peaks(quantity))
+        return finite_points(self.grid, self.peaks(quantity))
 
     def statistic(self, quantity: str, name: str) -> float:
         """Return one of `STATISTICS` of a curve, exact where that is kept; NaN if it has no value."""
@@ -305,12 +334,16 @@ class Row:
 
     @cached_property
     def _evaluations(self) -> dict[str, np.ndarray]:
-        values = self.table[EVALUATIONS][0].values
-        if values is None or pa.types.is_null(values.type):
+        """The columns of its evaluations that have a value, by name."""
+        evaluations = self.table[EVALUATIONS][0].values
+        if evaluations is None or pa.types.is_null(evaluations.type):
             return {}
-        fields = {values.type.field(i).name: values.field(i) for i in range(values.type.num_fields)}
-        known = {name: column for name, column in fields.items() if column.null_count < len(column)}
-        return {name: column.to_numpy(zero_copy_only=False) for name, column in known.items()}
+        columns = {}
+        for part in evaluations.type:
+            column = evaluations.field(part.name)
+            if column.null_count < len(column):
+                columns[part.name] = column.to_numpy(zero_copy_only=False)
+        return columns
 
     @property
     def evaluation_columns(self) -> tuple[str, ...]:
@@ -324,7 +357,7 @@ class Row:
         """Return a column's finite values with their steps; empty if it has no such column."""
         if column not in self._evaluations:
             return np.empty(0), np.empty(0)
-        return known_points(self.evaluations("step"), self.evaluations(column))
+        return finite_points(self.evaluations("step"), self.evaluations(column))
 
     def evaluations_table(self) -> pa.Table:
         return pa.table(dict(self._evaluations))
@@ -343,11 +376,14 @@ class Row:
 
     def same_numbers(self, other: Row) -> bool:
         """Return whether two rows of one run agree in everything that both have, apart from provenance."""
-        names = (self._columns & other._columns) - {"provenance", "fields", EVALUATIONS}
-        lists = {name for name in names if column_type(name) == CURVE}
-        pairs = [(self._points(name), other._points(name)) for name in lists]
-        evaluated = {*self._evaluations} & {*other._evaluations}
-        pairs += [(self.evaluations(name), other.evaluations(name)) for name in evaluated]
-        curves = all(np.array_equal(one, two, equal_nan=True) for one, two in pairs)
-        scalars = names - lists  # as text, in which NaN is NaN
-        return curves and all(repr(self.cell(name)) == repr(other.cell(name)) for name in scalars)
+        for name in (self._columns & other._columns) - {"provenance", "fields", EVALUATIONS}:
+            if column_type(name) == CURVE:
+                is_equal = np.array_equal(self._points(name), other._points(name), equal_nan=True)
+            else:
+                is_equal = repr(self.cell(name)) == repr(other.cell(name))  # as text, in which NaN is NaN
+            if not is_equal:
+                return False
+        for name in self._evaluations.keys() & other._evaluations.keys():
+            if not np.array_equal(self.evaluations(name), other.evaluations(name), equal_nan=True):
+                return False
+        return True

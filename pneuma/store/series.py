@@ -107,7 +107,7 @@ def held_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, end: int)
     return np.where(np.isfinite(curve) & (grid <= end), curve, np.nan)
 
 
-def known_points(step: np.ndarray, values: np.ndarray) -> Series:
+def finite_points(step: np.ndarray, values: np.ndarray) -> Series:
     """Return the finite values with their steps."""
     finite = np.isfinite(values)
     return step[finite], values[finite]
