@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -24,11 +24,7 @@ from pneuma.errors import UserError
 from pneuma.files import parse_json, stored_file
 from pneuma.store import rows, series
 from pneuma.store.checkpoints import TABLES, sound_checkpoint, table_files
-from pneuma.store.quantities import (
-    EPISODE_QUANTITIES,
-    UPDATE_QUANTITIES,
-    WINDOWS,
-)
+from pneuma.store.quantities import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.store.rows import Row, curve_column, decode_row, encode_row
 from pneuma.store.store import ROW_FILE, SCALARS_FILE, Status, Store, run_identity
 from pneuma.store.tables import from_parquet
@@ -37,6 +33,7 @@ if TYPE_CHECKING:
     import pandas as pd  # of logs alone: workers do not load it
 
 UNKNOWN = "0" * 16
+"""The id of a configuration that is not known."""
 
 RELATIVE = ("grad_norm", "grad_norm_actor", "grad_norm_critic")
 """Quantities that are rounded in proportion to each value, as their logarithm is what matters."""
@@ -45,21 +42,28 @@ LEVELS = 512
 
 
 def of_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> series.Recorded:
-    """Return what a run's record tables hold."""
-    found: dict[str, series.Series] = {}
-    for name, quantities in (("episodes", EPISODE_QUANTITIES), ("metrics", UPDATE_QUANTITIES)):
+    """Return what a run's record tables contain."""
+    quantities: dict[str, series.Series] = {}
+    for name, columns in (("episodes", EPISODE_QUANTITIES), ("metrics", UPDATE_QUANTITIES)):
         table = tables[name]
         steps = table["step"].to_numpy().astype(float)
         order = np.argsort(steps, kind="stable")
-        for quantity in quantities:
-            if quantity in table.column_names:
-                values = table[quantity].to_numpy().astype(float)
-                found[quantity] = steps[order], values[order]
-    firsts = tables["episodes"].group_by("slot").aggregate([("step", "min")])["step_min"].to_numpy()
+        for column in columns:
+            if column in table.column_names:
+                values = table[column].to_numpy().astype(float)
+                quantities[column] = steps[order], values[order]
+    return series.Recorded(
+        quantities, tables["evaluations"].to_pylist(), _first_step(fields, tables["episodes"])
+    )
+
+
+def _first_step(fields: Mapping[str, Any], episodes: pa.Table) -> float:
+    """Return the step from which every slot has finished an episode; infinite if one has none."""
+    first_steps = episodes.group_by("slot").aggregate([("step", "min")])["step_min"].to_numpy()
     slots, players = fields.get("slots"), fields.get("players", 1)
-    all_began = isinstance(slots, int) and isinstance(players, int) and len(firsts) == slots * players
-    first_step = float(firsts.max()) if all_began and len(firsts) else math.inf
-    return series.Recorded(found, tables["evaluations"].to_pylist(), first_step)
+    if isinstance(slots, int) and isinstance(players, int) and len(first_steps) == slots * players > 0:
+        return float(first_steps.max())
+    return math.inf
 
 
 # --- Of stored runs ----------------------------------------------------------------------------------
@@ -89,10 +93,13 @@ def row_until(store: Store, name: str, run: Run, step: int) -> Row:
                 f"{store.run_folder(name)}: has no sound checkpoint at step {step:,}; search again"
             )
         files = table_files(latest.records)
-    tables = {table: from_parquet(data) for table, data in files.items()}
-    tables = {key: table.filter(pc.less_equal(table["step"], step)) for key, table in tables.items()}
+    tables = {}
+    for table_name, data in files.items():
+        table = from_parquet(data)
+        tables[table_name] = table.filter(pc.less_equal(table["step"], step))
     status, fields = Status("done", step, identity=run_identity(run)), as_fields(replace(run, steps=step))
-    return decode_row(encode_row(row_cells(name, status, fields, of_tables(fields, tables), {})))
+    cells = row_cells(name, status, fields, recorded=of_tables(fields, tables), provenance={})
+    return decode_row(encode_row(cells))
 
 
 def cells_of_files(name: str, status: Status, files: Mapping[str, bytes]) -> dict[str, Any]:
@@ -114,11 +121,11 @@ def cells_of_files(name: str, status: Status, files: Mapping[str, bytes]) -> dic
 
 def record_frame(store: Store, name: str, table: str) -> pd.DataFrame:
     """Return a run's episodes or metrics as recorded, for export; of a log, all its scalars by step."""
-    logged = SCALARS_FILE in store.checksums(name)
-    file = SCALARS_FILE if logged else f"{table}.parquet"
+    is_log = SCALARS_FILE in store.checksums(name)
+    file = SCALARS_FILE if is_log else f"{table}.parquet"
     with stored_file(store.run_folder(name) / file):
         frame = from_parquet(store.read_file(name, file)).to_pandas()
-    if not logged:
+    if not is_log:
         return frame
     from pneuma.store.points import by_step
 
@@ -137,8 +144,9 @@ def row_cells(
 ) -> dict[str, Any]:
     """Return the cells of a finished run's row, by column; of an import, `fields` are what is known."""
     grid = series.make_grid(fields["steps"])
-    updates = {name: values for name, (_, values) in recorded.series.items() if name in UPDATE_QUANTITIES}
-    step = recorded.series[next(iter(updates))][0] if updates else np.empty(0)
+    update_names = [name for name in recorded.series if name in UPDATE_QUANTITIES]
+    updates = {name: recorded.series[name][1] for name in update_names}
+    step = recorded.series[update_names[0]][0] if updates else np.empty(0)
     cells: dict[str, Any] = {
         "run_id": run_id,
         "config_id": status.identity.config_id if status.identity else UNKNOWN,
@@ -157,7 +165,7 @@ def row_cells(
         cells |= dict(zip(rows.STUCK, series.stuck_updates(step, updates), strict=True))
     with np.errstate(over="ignore"):  # of returns of 1e308 sums are infinite
         for quantity in recorded.series:
-            cells |= _of_quantity(recorded, quantity, grid, status.step)
+            cells |= _quantity_cells(recorded, quantity, grid, status.step)
     if "return" in recorded.series and not recorded.averaged_over:
         curve = np.array(cells[curve_column("return", WINDOWS[0])])
         cells[rows.LAST_EPISODES] = _last_episodes(recorded.series["return"][0], curve, grid)
@@ -166,45 +174,56 @@ def row_cells(
 
 def _last_episodes(step: np.ndarray, curve: np.ndarray, grid: np.ndarray) -> float:
     """Return how many episodes the last point of a curve of returns averages."""
-    known = np.flatnonzero(np.isfinite(curve))
-    if not len(known):
+    points = np.flatnonzero(np.isfinite(curve))
+    if not len(points):
         return 0.0
-    end, window = grid[known[-1]], grid[-1] * series.WINDOW_POINTS / series.GRID_POINTS
-    return float(np.count_nonzero((step > end - window) & (step <= end)))
+    last_step = grid[points[-1]]
+    window = grid[-1] * series.WINDOW_POINTS / series.GRID_POINTS
+    return float(np.count_nonzero((step > last_step - window) & (step <= last_step)))
 
 
-def _of_quantity(recorded: series.Recorded, quantity: str, grid: np.ndarray, end: int) -> dict[str, Any]:
-    """Return the cells of one quantity: its curves, rounded, and what of them is kept exact."""
-    curves = dict(_curves(recorded, quantity, grid, end))
-    usual = next(iter(curves.values()))
-    exact = {name: (usual, series.STATISTICS[name]) for name in rows.EXACT.get(quantity, ())}
-    if take := series.EXTREMES.get(quantity):
-        curves[f"{quantity} {rows.PEAKS}"] = peaks = series.peak_curve(*recorded.series[quantity], grid, take)
-        exact["peak"] = peaks, lambda step, values, until: float(take.reduce(values))
-    cells: dict[str, Any] = {name: _rounded(curve, quantity).tolist() for name, curve in curves.items()}
-    for name, (curve, statistic) in exact.items():
-        known = np.isfinite(curve)
-        if known.any():
-            cells[f"{quantity} {name}"] = statistic(grid[known], curve[known], float(grid[-1]))
+def _quantity_cells(recorded: series.Recorded, quantity: str, grid: np.ndarray, end: int) -> dict[str, Any]:
+    """Return the cells of one quantity: its curves, rounded, and which of their numbers are kept exact."""
+    cells: dict[str, Any] = {}
+    curves = _curves(recorded, quantity, grid, end)
+    for column, curve in curves.items():
+        cells[column] = _rounded(curve, quantity).tolist()
+    extreme = series.EXTREMES.get(quantity)
+    peaks = np.empty(0)
+    if extreme:
+        peaks = series.peak_curve(*recorded.series[quantity], grid, extreme)
+        cells[f"{quantity} {rows.PEAKS}"] = _rounded(peaks, quantity).tolist()
+    default_curve = next(iter(curves.values()))
+    step, values = series.finite_points(grid, default_curve)
+    if len(values):
+        for name in rows.EXACT.get(quantity, ()):
+            cells[f"{quantity} {name}"] = series.STATISTICS[name](step, values, float(grid[-1]))
+    finite_peaks = peaks[np.isfinite(peaks)]
+    if extreme and len(finite_peaks):
+        cells[f"{quantity} peak"] = float(extreme.reduce(finite_peaks))
     return cells
 
 
-def _curves(
-    recorded: series.Recorded, quantity: str, grid: np.ndarray, end: int
-) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield a quantity's curves with their columns, the usual one first."""
+def _curves(recorded: series.Recorded, quantity: str, grid: np.ndarray, end: int) -> dict[str, np.ndarray]:
+    """Return a quantity's curves by their columns, the default one first."""
     step, values = recorded.series[quantity]
-    windows = WINDOWS if quantity in ("return", "length") else WINDOWS[:1]  # as SB3 logs
     if quantity in UPDATE_QUANTITIES:
-        yield quantity, series.update_curve(step, values, grid, end)
-    elif recorded.averaged_over:
+        return {quantity: series.update_curve(step, values, grid, end)}
+    if recorded.averaged_over:
         single = values.astype(np.float32).astype(float)
-        yield curve_column(quantity, "trailing-100"), series.held_curve(step, single, grid, end)
-    else:
-        for window in windows:
-            trailing, first = window != WINDOWS[0], recorded.first_step
-            curve = series.episode_curve(step, values, grid, trailing=trailing, from_step=first, end=end)
-            yield curve_column(quantity, window), curve
+        return {curve_column(quantity, "trailing-100"): series.held_curve(step, single, grid, end)}
+    windows = WINDOWS if quantity in ("return", "length") else WINDOWS[:1]  # as Stable-Baselines3 logs
+    curves = {}
+    for window in windows:
+        curves[curve_column(quantity, window)] = series.episode_curve(
+            step,
+            values,
+            grid,
+            trailing=window != WINDOWS[0],
+            from_step=recorded.first_step,
+            end=end,
+        )
+    return curves
 
 
 def _rounded(values: np.ndarray, quantity: str) -> np.ndarray:
@@ -213,18 +232,18 @@ def _rounded(values: np.ndarray, quantity: str) -> np.ndarray:
     A curve over several orders of magnitude, without negative values, is rounded in proportion to each value
     instead.
     """
-    known = values[np.isfinite(values)]
-    if not len(known) or known.min() == known.max():
+    finite = values[np.isfinite(values)]
+    if not len(finite) or finite.min() == finite.max():
         return values
-    above = known[known > 0]
-    if known.min() >= 0 and (quantity in RELATIVE or known.max() > LEVELS * above.min()):
+    least, most = float(finite.min()), float(finite.max())
+    if least >= 0 and (quantity in RELATIVE or most > LEVELS * finite[finite > 0].min()):
         fraction, exponent = np.frexp(values)
         return np.ldexp(np.round(fraction * LEVELS) / LEVELS, exponent)
-    span = float(known.max()) - float(known.min())
+    span = most - least
     if not sys.float_info.min * LEVELS < span < math.inf:
         return values
-    step = 2.0 ** math.ceil(math.log2(span / LEVELS))
-    steps = np.round(values / step)
-    if known.min() < 0:  # a return's sign tells a collapse, so it stays
-        steps = np.where((steps == 0) & (values != 0), np.sign(values), steps)
-    return steps * step
+    level = 2.0 ** math.ceil(math.log2(span / LEVELS))
+    levels = np.round(values / level)
+    if least < 0:  # the sign of a return is a sign of collapse, so it stays
+        levels = np.where((levels == 0) & (values != 0), np.sign(values), levels)
+    return levels * level
