@@ -70,10 +70,12 @@ def episode_curve(
         end: the agent steps that the run trained; the curve is blank after it.
     """
     first, last = _window(step, grid)
-    enough = last > first
-    if trailing:  # of fewer episodes it would be called what it is not
-        first, enough = np.maximum(last - TRAILING_EPISODES, 0), last >= TRAILING_EPISODES
-    curve = _means(values, first, last, enough & (grid >= from_step) & (grid <= end))
+    has_enough = last > first
+    if trailing:  # the mean of fewer episodes would not be a mean of 100
+        first = np.maximum(last - TRAILING_EPISODES, 0)
+        has_enough = last >= TRAILING_EPISODES
+    is_valid = has_enough & (grid >= from_step) & (grid <= end)
+    curve = _means(values, first, last, is_valid)
     return _single(curve) if trailing else curve
 
 
@@ -83,27 +85,28 @@ def update_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, end: in
     An update stands for all steps since the one before it, so that a window without updates is no gap. Values
     that are not finite are ignored. All are in single precision, as in published tables.
     """
-    step, values = step[np.isfinite(values)], values[np.isfinite(values)]
+    step, values = finite_points(step, values)
     first, last = _window(step, grid)
-    first = np.minimum(first, np.maximum(last - 1, 0))
+    first = np.minimum(first, np.maximum(last - 1, 0))  # an empty window contains the update before it
     return _single(_means(values, first, last, (last > 0) & (grid <= end)))
 
 
-def peak_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, take: np.ufunc) -> np.ndarray:
+def peak_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, extreme: np.ufunc) -> np.ndarray:
     """Return, at each t, the extreme of the updates since the point before, NaN where there was none.
 
     Values that are not finite are ignored. Those past the grid's end belong to its last point.
     """
+    step, values = finite_points(step, values)
+    points = np.minimum(np.searchsorted(grid, step, side="left"), len(grid) - 1)
     curve = np.full(grid.shape, np.nan)
-    finite = np.isfinite(values)
-    places = np.minimum(np.searchsorted(grid, step[finite], side="left"), len(grid) - 1)
-    take.at(curve, places, values[finite])
+    extreme.at(curve, points, values)
     return _single(curve)
 
 
 def held_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, end: int) -> np.ndarray:
     """Return, at each t, the last value at or before t; one that is NaN or infinite is a blank."""
-    curve = np.concatenate([[np.nan], values])[np.searchsorted(step, grid, side="right")]
+    values_before = np.concatenate([[np.nan], values])
+    curve = values_before[np.searchsorted(step, grid, side="right")]
     return np.where(np.isfinite(curve) & (grid <= end), curve, np.nan)
 
 
@@ -118,23 +121,25 @@ def _single(curve: np.ndarray) -> np.ndarray:
 
 
 def _window(step: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    before = np.concatenate([np.zeros(WINDOW_POINTS), grid[:-WINDOW_POINTS]])
-    # values at or before t
-    return np.searchsorted(step, before, side="right"), np.searchsorted(step, grid, side="right")
+    """Return the first index of each point's window, and the one after its last: values at or before t."""
+    window_start = np.concatenate([np.zeros(WINDOW_POINTS), grid[:-WINDOW_POINTS]])
+    first = np.searchsorted(step, window_start, side="right")
+    last = np.searchsorted(step, grid, side="right")
+    return first, last
 
 
-def _means(values: np.ndarray, first: np.ndarray, last: np.ndarray, valid: np.ndarray) -> np.ndarray:
+def _means(values: np.ndarray, first: np.ndarray, last: np.ndarray, is_valid: np.ndarray) -> np.ndarray:
     """Return the mean of the values of each window, NaN where it is not valid.
 
     Differences of a running total are used, unless a value is huge or not finite, which would spoil all later
     means.
     """
     if len(values) and not np.abs(values).max() <= HUGE:
-        sums = np.array([values[a:b].sum() for a, b in zip(first, last, strict=True)])
+        sums = np.array([values[start:stop].sum() for start, stop in zip(first, last, strict=True)])
     else:
-        total = np.concatenate([[0.0], np.cumsum(values)])
-        sums = total[last] - total[first]
-    return np.divide(sums, last - first, out=np.full(sums.shape, np.nan), where=valid)
+        running_total = np.concatenate([[0.0], np.cumsum(values)])
+        sums = running_total[last] - running_total[first]
+    return np.divide(sums, last - first, out=np.full(sums.shape, np.nan), where=is_valid)
 
 
 # --- Statistics of a curve ---------------------------------------------------------------------------
@@ -147,14 +152,17 @@ def mean_height(step: np.ndarray, values: np.ndarray, until: float) -> float:
     """
     if not len(values):
         return math.nan
-    step, values = np.append(step, max(until, step[-1])), np.append(values, values[-1])
+    step = np.append(step, max(until, step[-1]))
+    values = np.append(values, values[-1])
     span = step[-1] - step[0]
-    return float(np.trapezoid(values, step) / span) if span > 0 else float(values[0])
+    if span <= 0:
+        return float(values[0])
+    return float(np.trapezoid(values, step) / span)
 
 
 def _early(step: np.ndarray, values: np.ndarray, until: float) -> float:
-    early = values[step <= 0.1 * until]
-    return float(early.mean()) if len(early) else math.nan
+    early_values = values[step <= 0.1 * until]
+    return float(early_values.mean()) if len(early_values) else math.nan
 
 
 STATISTICS: dict[str, Callable[[np.ndarray, np.ndarray, float], float]] = {
@@ -188,24 +196,24 @@ Stretch = tuple[float, float]
 
 
 def update_signs(step: np.ndarray, columns: Mapping[str, np.ndarray]) -> dict[str, list[Stretch]]:
-    """Return where each sign holds that the columns tell of.
+    """Return where the signs hold that can be seen in the columns.
 
     Args:
         step: (updates,) increasing.
         columns: (updates,) each: entropy, dead_units, `ACTION_QUANTITIES`. NaN is no sign. A column of NaN
             only, such as the entropy of learners of action values, is ignored.
     """
-    known = {name: values for name, values in columns.items() if not np.isnan(values).all()}
-    if "action_0" in {*columns} - {*known} or not _has_choice(columns):
-        known.pop("entropy", None)  # of actions that are numbers it may be of any size
-    holding: dict[str, np.ndarray] = {}
-    if "entropy" in known:
-        holding[NO_ENTROPY] = known["entropy"] < LEAST_ENTROPY
-    if {*ACTION_QUANTITIES} <= {*known}:
-        holding[ONE_ACTION] = _most_used(known) >= MOST_OF_ONE
-    if "dead_units" in known:
-        holding[DEAD_UNITS] = known["dead_units"] >= MOST_DEAD
-    return {sign: stretches(step, holds) for sign, holds in holding.items()}
+    recorded = {name: values for name, values in columns.items() if not np.isnan(values).all()}
+    has_continuous_actions = "action_0" in columns and "action_0" not in recorded
+    signs = {}
+    # the entropy of continuous actions may have any size
+    if "entropy" in recorded and _has_choice(columns) and not has_continuous_actions:
+        signs[NO_ENTROPY] = stretches(step, recorded["entropy"] < LEAST_ENTROPY)
+    if recorded.keys() >= set(ACTION_QUANTITIES):
+        signs[ONE_ACTION] = stretches(step, _most_used(recorded) >= MOST_OF_ONE)
+    if "dead_units" in recorded:
+        signs[DEAD_UNITS] = stretches(step, recorded["dead_units"] >= MOST_DEAD)
+    return signs
 
 
 def _has_choice(columns: Mapping[str, np.ndarray]) -> bool:
@@ -232,26 +240,28 @@ def stuck_updates(step: np.ndarray, columns: Mapping[str, np.ndarray]) -> tuple[
         step: (updates,) increasing.
         columns: (updates,) each: entropy and `ACTION_QUANTITIES`. NaN is not stuck.
     """
-    names = ("entropy", *ACTION_QUANTITIES)
-    unknown = any(name not in columns or np.isnan(columns[name]).all() for name in names)
-    if unknown or not _has_choice(columns):
+    for name in ("entropy", *ACTION_QUANTITIES):
+        if name not in columns or np.isnan(columns[name]).all():
+            return 0, 0, 0
+    if not _has_choice(columns):
         return 0, 0, 0
-    holds = (columns["entropy"] < LEAST_ENTROPY) & (_most_used(columns) > STUCK_SHARE)
-    return int(holds.sum()), len(step), len(stretches(step, holds))
+    is_stuck = (columns["entropy"] < LEAST_ENTROPY) & (_most_used(columns) > STUCK_SHARE)
+    return int(is_stuck.sum()), len(step), len(stretches(step, is_stuck))
 
 
 def stretches(step: np.ndarray, holds: np.ndarray) -> list[Stretch]:
     """Return first and last step of every unbroken stretch over which something holds."""
     edges = np.diff(np.concatenate([[False], holds, [False]]).astype(int))
-    firsts, lasts = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
-    return [(float(step[first]), float(step[last])) for first, last in zip(firsts, lasts, strict=True)]
+    first_steps = step[np.flatnonzero(edges == 1)].astype(float).tolist()
+    last_steps = step[np.flatnonzero(edges == -1) - 1].astype(float).tolist()
+    return list(zip(first_steps, last_steps, strict=True))
 
 
 def pack_signs(signs: Mapping[str, list[Stretch]]) -> str:
     """Return where signs hold as JSON: a unit of steps, and for each sign gaps and lengths in turn."""
-    ends = {sign: [int(end) for stretch in parts for end in stretch] for sign, parts in signs.items()}
-    unit = math.gcd(*(end for sign_ends in ends.values() for end in sign_ends)) or 1
-    packed = {sign: np.diff(np.array([0, *sign_ends]) // unit).tolist() for sign, sign_ends in ends.items()}
+    ends = {sign: np.array(sign_stretches, int).ravel() for sign, sign_stretches in signs.items()}
+    unit = math.gcd(*np.concatenate([[0], *ends.values()]).tolist()) or 1
+    packed = {sign: np.diff(sign_ends // unit, prepend=0).tolist() for sign, sign_ends in ends.items()}
     return json.dumps({"unit": unit, "signs": packed}, separators=(",", ":"))
 
 
@@ -262,11 +272,11 @@ def unpack_signs(text: str) -> dict[str, list[Stretch]]:
         ValueError: for any other text.
     """
     packed = parse_json(text)
+    signs = {}
     try:
-        found: dict[str, list[Stretch]] = {}
         for sign, gaps in packed["signs"].items():
             ends = (np.cumsum(gaps) * packed["unit"]).astype(float).tolist()
-            found[sign] = list(zip(ends[::2], ends[1::2], strict=True))
+            signs[sign] = list(zip(ends[::2], ends[1::2], strict=True))
     except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"signs of collapse that make no sense: {error}") from None
-    return found
+        raise ValueError(f"invalid signs of collapse: {error}") from None
+    return signs
