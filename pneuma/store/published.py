@@ -28,24 +28,29 @@ def encode_published(
 
     The same rows give the same bytes. `Published.about` gives `about` back.
     """
-    parts = [row.table for row in rows]
-    table = _without_folders(pa.concat_tables(parts, promote_options="permissive").combine_chunks())
-    lists = [name for name in table.column_names if column_type(name) == CURVE]
-    kept = [name for name in lists if curves is None or name.partition(" ")[0] in curves]
-    table = table.drop_columns([name for name in lists if name not in kept])
-    head = {"pneuma": json.dumps({"schema": 3, **about}), "pneuma.checksum": _NO_SUM}
-    table = table.cast(pa.schema(map(_as_parquet, table.schema))).replace_schema_metadata(head)
+    table = pa.concat_tables([row.table for row in rows], promote_options="permissive")
+    table = _without_folders(table.combine_chunks())
+    kept_curves = []
+    for name in table.column_names:
+        if column_type(name) == CURVE:
+            if curves is None or name.partition(" ")[0] in curves:
+                kept_curves.append(name)
+            else:
+                table = table.drop_columns([name])
+    metadata = {"pneuma": json.dumps({"schema": SCHEMA, **about}), "pneuma.checksum": _NO_CHECKSUM}
+    table = table.cast(pa.schema(map(_as_parquet, table.schema))).replace_schema_metadata(metadata)
     sink = io.BytesIO()
-    pq.write_table(  # a dictionary does not help if numbers hardly repeat
+    pq.write_table(
         table,
         sink,
         compression="zstd",
         compression_level=19,
-        use_dictionary=[name for name in table.column_names if name not in kept],
-        use_byte_stream_split=[f"{name}.list.element" for name in kept],
+        # a dictionary does not help where numbers hardly repeat
+        use_dictionary=[name for name in table.column_names if name not in kept_curves],
+        use_byte_stream_split=[f"{name}.list.element" for name in kept_curves],
     )
     data = sink.getvalue()
-    return data.replace(_NO_SUM.encode(), f"sha256:{checksum(data)}".encode())
+    return data.replace(_NO_CHECKSUM.encode(), f"sha256:{checksum(data)}".encode())
 
 
 _FOLDERS = re.compile(r'(?<=")/(?:[^"/]*/)*(?=[^"/]*")')
@@ -54,21 +59,23 @@ _FOLDERS = re.compile(r'(?<=")/(?:[^"/]*/)*(?=[^"/]*")')
 
 def _without_folders(table: pa.Table) -> pa.Table:
     """Return rows whose fields name the user's own files without their folders, which are of one machine."""
-    place = table.column_names.index("fields")
-    texts = pa.array([_FOLDERS.sub("", text) for text in table["fields"].to_pylist()], pa.string())
-    return table.set_column(place, table.schema.field(place), texts.cast(table.schema.field(place).type))
+    index = table.column_names.index("fields")
+    column = table.schema.field(index)
+    texts = [_FOLDERS.sub("", text) for text in table["fields"].to_pylist()]
+    return table.set_column(index, column, pa.array(texts, column.type))
 
 
-def _as_parquet(field_: pa.Field) -> pa.Field:
+def _as_parquet(column: pa.Field) -> pa.Field:
     """Return a column whose lists call their elements as Parquet does, as in rows from published tables."""
-    if not pa.types.is_list(field_.type):
-        return field_
-    return field_.with_type(pa.list_(pa.field("element", field_.type.value_type)))
+    if not pa.types.is_list(column.type):
+        return column
+    return column.with_type(pa.list_(pa.field("element", column.type.value_type)))
 
 
-_NO_SUM = "sha256:" + "0" * 64
+SCHEMA = 3
+_NO_CHECKSUM = "sha256:" + "0" * 64
 """Placeholder for the checksum over all other bytes of a published table."""
-_SUM = re.compile(rb"sha256:([0-9a-f]{64})")
+_CHECKSUM = re.compile(rb"sha256:([0-9a-f]{64})")
 
 INDEX_COLUMNS = ["run_id", "config_id", "seed", "steps", "status", "end"]
 _INDEX_SCHEMA = pa.schema([pa.field(name, column_type(name), nullable=False) for name in INDEX_COLUMNS])
@@ -90,11 +97,12 @@ class Published:
         self.path = path
         self._data = data
         with stored_file(path):
-            if _SUM.findall(data) != [checksum(_SUM.sub(_NO_SUM.encode(), data)).encode()]:
+            without_checksum = _CHECKSUM.sub(_NO_CHECKSUM.encode(), data)
+            if _CHECKSUM.findall(data) != [checksum(without_checksum).encode()]:
                 raise ValueError("damaged")
             index = from_parquet(data, INDEX_COLUMNS).select(INDEX_COLUMNS)
             self.about = parse_json(index.schema.metadata[b"pneuma"])
-            if self.about.get("schema") != 3:
+            if self.about.get("schema") != SCHEMA:
                 raise ValueError("of another version of Pneuma")
             columns = index.cast(_INDEX_SCHEMA).to_pydict().values()
         self.index = list(zip(*columns, strict=True))

@@ -25,7 +25,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -157,28 +157,30 @@ class Store:
         """Create the folder if needed; check that it can be written, and that no link leads out of it."""
         try:
             self.root.mkdir(parents=True, exist_ok=True)
-            for folder in (self.root / part for part in ("runs", "studies", "searches")):
-                self._check_within(folder)
+            for name in ("runs", "studies", "searches"):
+                self._check_within(self.root / name)
             with tempfile.TemporaryFile(dir=self.root):
                 pass
         except OSError as error:
-            problem = "is not a folder" if self.root.is_file() else f"cannot be written ({error.strerror})"
+            problem = f"cannot be written ({error.strerror})"
+            if self.root.is_file():
+                problem = "is not a folder"
             raise UserError(f"--results {self.root}: {problem}; name another folder") from None
 
     def _check_within(self, folder: Path) -> None:
         """Refuse a folder from which a link leads out of the results, or in a circle."""
         try:
-            within = folder.resolve().is_relative_to(self.root.resolve())
-        except (OSError, RuntimeError):  # Python 3.11 and 3.12 say of a ring of links: RuntimeError
-            within = False
-        if not within:
+            is_within = folder.resolve().is_relative_to(self.root.resolve())
+        except (OSError, RuntimeError):  # Python 3.11 and 3.12 raise RuntimeError for a ring of links
+            is_within = False
+        if not is_within:
             raise UserError(f"{folder}: a link leads out of the results folder; remove it")
 
     # --- Runs ---------------------------------------------------------------------------------
 
     def run_folder(self, run_id: str) -> Path:
         if not _RUN_ID.fullmatch(run_id):
-            raise UserError(f"{run_id!r} is no run's id: 16 hexadecimal digits")
+            raise UserError(f"{run_id!r} is not a run id: 16 hexadecimal digits")
         return self.root / "runs" / run_id
 
     def lock(self, run_id: str) -> AbstractContextManager[bool]:
@@ -194,29 +196,35 @@ class Store:
     def status(self, run_id: str, quick: bool = False) -> Status:
         """Return a run's status, judged by the checksums of its files; with `quick`, by their existence."""
         folder, manifest = self.run_folder(run_id), self._manifest(run_id)
-        about = manifest or {"status": "planned", "step": 0, "files": {}}
-        known = {key: about[key] for key in ("config_id", "seed", "steps") if key in about}
-        identity = Identity(**known) if len(known) == 3 else None
-        recorded = Status(about["status"], about["step"], identity=identity)
-        for name, expected in about["files"].items():
+        status, checksums = Status("planned"), {}
+        if manifest:
+            status, checksums = _manifest_status(manifest), manifest["files"]
+        for name, expected in checksums.items():
             if name == ROW_FILE:
-                continue  # it is made anew
-            sound = (folder / name).is_file() if quick else read_sound(folder, name, expected) is not None
-            if not sound:
-                return replace(recorded, name="damaged", step=0, detail=name)
-        if recorded.finished:
-            return recorded
+                continue  # it is made again where it is missing
+            path = folder / name
+            is_sound = path.is_file() if quick else read_sound(folder, name, expected) is not None
+            if not is_sound:
+                return replace(status, name="damaged", step=0, detail=name)
+        if status.finished:
+            return status
         try:
-            checkpoints = [*map(read_checkpoint_name, names_in(folder / CHECKPOINTS))]
+            checkpoint_names = names_in(folder / CHECKPOINTS)
         except UserError as error:
-            return replace(recorded, name="damaged", step=0, detail=str(error))
-        steps = [named[0] for named in checkpoints if named]  # a crash does not know its step
-        status = replace(recorded, step=max(recorded.step, 0, *steps))
+            return replace(status, name="damaged", step=0, detail=str(error))
+        steps = [0, status.step]  # a crash stores no step
+        for name in checkpoint_names:
+            checkpoint = read_checkpoint_name(name)
+            if checkpoint:
+                steps.append(checkpoint[0])
+        status = replace(status, step=max(steps))
         if is_held(folder):
             return replace(status, name="running")
         if manifest is None and os.path.lexists(folder / "status.json"):
             return replace(status, name="damaged", detail="status.json")
-        return replace(status, name="partial") if status.step and status.name == "planned" else status
+        if status.name == "planned" and status.step:
+            return replace(status, name="partial")
+        return status
 
     def plan_run(self, run_id: str, identity: Identity) -> None:
         """Note that a run is to be trained, unless something of it is stored."""
@@ -252,9 +260,9 @@ class Store:
         folder, before = self.run_folder(run_id), self.status(run_id, quick=status.finished)
         if before.finished and not status.finished:
             return self.remove(folder / LOCK_FILE)
-        known = replace(status, identity=status.identity or before.identity)
+        status = replace(status, identity=status.identity or before.identity)
         checksums = {name: checksum(data) for name, data in files.items()}
-        self._write_all(folder, {**files, "status.json": _status_document(known, checksums)})
+        self._write_all(folder, {**files, "status.json": _status_document(status, checksums)})
         for path in folder.glob("[!.]*"):
             if path.name not in (*files, "status.json") and path.is_file():
                 self.remove(path)
@@ -267,9 +275,11 @@ class Store:
 
     def failure(self, run_id: str) -> str:
         """Return the last line of why a run failed; empty if it did not."""
-        with suppress(UserError):
-            return self.read_file(run_id, "error.txt").decode(errors="replace").strip().rpartition("\n")[2]
-        return ""
+        try:
+            text = self.read_file(run_id, "error.txt").decode(errors="replace")
+        except UserError:
+            return ""
+        return text.strip().rpartition("\n")[2]
 
     def read_file(self, run_id: str, name: str) -> bytes:
         """Return one file of a run, if it is what was written."""
@@ -280,15 +290,17 @@ class Store:
         return data
 
     def read_document(self, run_id: str, name: str) -> dict[str, Any]:
-        """Return a run's JSON file; empty if it is missing, damaged or no object."""
+        """Return a run's JSON file; empty if it is missing, damaged or not an object."""
         try:
             return parse_json(self.read_file(run_id, name))
         except (UserError, ValueError):
             return {}
 
     def checksums(self, run_id: str) -> dict[str, str]:
-        files: dict[str, str] = (self._manifest(run_id) or {"files": {}})["files"]
-        return files
+        """Return the checksum of each file of a run; none if nothing is stored of it."""
+        manifest = self._manifest(run_id)
+        checksums: dict[str, str] = manifest["files"] if manifest else {}
+        return checksums
 
     def _manifest(self, run_id: str) -> dict[str, Any] | None:
         document = load_checksummed(self.run_folder(run_id) / "status.json")
@@ -313,6 +325,7 @@ class Store:
         return self.root / "studies"
 
     def listings(self) -> list[str]:
+        """Return the names of the studies without a file that are recorded here."""
         names = names_in(self.studies)
         return [name.removesuffix(".json") for name in names if re.fullmatch(r"[^.].*\.json", name)]
 
@@ -325,10 +338,14 @@ class Store:
 
     def published(self, shipped: bool = True) -> list[Path]:
         """Return the published tables here; with `shipped`, also Pneuma's own of other names."""
-        found: dict[str, Path] = {}
-        for folder in (*([shipped_tables()] if shipped else []), self.root / PUBLISHED):
-            found |= {name: folder / name for name in names_in(folder) if name.endswith(TABLE_SUFFIX)}
-        return [found[name] for name in sorted(found)]
+        folders = [shipped_tables()] if shipped else []
+        folders.append(self.root / PUBLISHED)
+        paths: dict[str, Path] = {}
+        for folder in folders:
+            for name in names_in(folder):
+                if name.endswith(TABLE_SUFFIX):
+                    paths[name] = folder / name
+        return [paths[name] for name in sorted(paths)]
 
     # --- Writing ------------------------------------------------------------------------------
 
@@ -363,8 +380,8 @@ class Store:
         except FileNotFoundError:
             pass  # another process has removed a part of it
         except OSError as error:
-            text = f"{path}: cannot be removed ({error.strerror or error})"
-            raise (StorageError(text) if is_storage_problem(error) else UserError(text)) from None
+            kind = StorageError if is_storage_problem(error) else UserError
+            raise kind(f"{path}: cannot be removed ({error.strerror or error})") from None
 
     @contextmanager
     def _writing(self, folder: Path) -> Iterator[None]:
@@ -379,11 +396,13 @@ class Store:
 
 def read_sound(folder: Path, name: str, expected: str | None) -> bytes | None:
     """Return a file of a run; None if it lacks the checksum that the run's status lists."""
-    with suppress(OSError):
-        if expected and _FILE_NAME.fullmatch(name):
-            data = (folder / name).read_bytes()
-            return data if checksum(data) == expected else None
-    return None
+    if not expected or not _FILE_NAME.fullmatch(name):
+        return None
+    try:
+        data = (folder / name).read_bytes()
+    except OSError:
+        return None
+    return data if checksum(data) == expected else None
 
 
 def read_checkpoint_name(name: str) -> tuple[int, str] | None:
@@ -405,5 +424,15 @@ def run_document(run: Run, run_id: str) -> bytes:
 
 
 def _status_document(status: Status, checksums: Mapping[str, str]) -> bytes:
-    known = asdict(status.identity) if status.identity else {}
-    return dump_checksummed({"status": status.name, "step": status.step, "files": checksums, **known})
+    document = {"status": status.name, "step": status.step, "files": checksums}
+    if status.identity:
+        document |= asdict(status.identity)
+    return dump_checksummed(document)
+
+
+def _manifest_status(manifest: Mapping[str, Any]) -> Status:
+    """Return the status in a document of `_status_document`."""
+    identity = None
+    if manifest.keys() >= {"config_id", "seed", "steps"}:
+        identity = Identity(manifest["config_id"], manifest["seed"], manifest["steps"])
+    return Status(manifest["status"], manifest["step"], identity=identity)
