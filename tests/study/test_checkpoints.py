@@ -32,12 +32,13 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> _Clock:
     return clock
 
 
-def begin(store: Store, said: list[str] | None = None) -> RunCheckpoints:
-    return RunCheckpoints(store, NAME, 15.0, (said if said is not None else list[str]()).append)
+def begin(store: Store, notes: list[str] | None = None) -> RunCheckpoints:
+    notes = [] if notes is None else notes
+    return RunCheckpoints(store, NAME, 15.0, notes.append)
 
 
-def tell(own: RunCheckpoints, step: int, at_once: bool = False) -> None:
-    own.update(Progress(step, Records(), lambda: Checkpoint(step, {})), Attempt(), at_once)
+def tell(run_checkpoints: RunCheckpoints, step: int, at_once: bool = False) -> None:
+    run_checkpoints.update(Progress(step, Records(), lambda: Checkpoint(step, {})), Attempt(), at_once)
 
 
 def steps(store: Store) -> list[int]:
@@ -45,15 +46,15 @@ def steps(store: Store) -> list[int]:
 
 
 def test_a_checkpoint_is_taken_when_it_is_time_and_two_are_kept(store: Store, clock: _Clock) -> None:
-    own = begin(store)
-    tell(own, 256)
+    run_checkpoints = begin(store)
+    tell(run_checkpoints, 256)
     assert steps(store) == []
-    tell(own, 256, at_once=True)
+    tell(run_checkpoints, 256, at_once=True)
     for step in (512, 768, 1024):
         clock.now += 15.0
-        tell(own, step)
+        tell(run_checkpoints, step)
     assert steps(store) == [1024, 768]
-    own.finish()
+    run_checkpoints.finish()
     assert not (store.run_folder(NAME) / "checkpoints").exists()
 
 
@@ -67,10 +68,10 @@ def test_what_takes_long_to_write_is_written_less_often(
         return b""
 
     monkeypatch.setattr(checkpoints, "encode", slowly)
-    own = begin(store)
+    run_checkpoints = begin(store)
     for seconds, step in ((15.0, 256), (79.0, 512), (1.0, 768)):
         clock.now += seconds
-        tell(own, step)
+        tell(run_checkpoints, step)
     assert steps(store) == [768, 256]
 
 
@@ -79,10 +80,10 @@ def test_a_damaged_checkpoint_is_said_and_the_one_before_is_taken(store: Store) 
         tell(begin(store), step, at_once=True)
     path = checkpoint_files(store.run_folder(NAME))[0].path
     path.write_bytes(path.read_bytes()[:-1])
-    said: list[str] = []
-    checkpoint = begin(store, said=said).latest()
+    notes: list[str] = []
+    checkpoint = begin(store, notes).latest()
     assert checkpoint is not None and checkpoint.step == 256
-    assert said == ["the checkpoint at step 512 is damaged: going on from the one before"]
+    assert notes == ["the checkpoint at step 512 is damaged: going on from the one before"]
     checkpoint_files(store.run_folder(NAME))[0].path.write_bytes(b"")
     assert begin(store).latest() is None  # it starts anew
     assert steps(store) == []
@@ -90,12 +91,12 @@ def test_a_damaged_checkpoint_is_said_and_the_one_before_is_taken(store: Store) 
 
 def test_attempts_before_a_kill_come_with_the_checkpoint(store: Store) -> None:
     for step in (256, 512):
-        own = begin(store)
-        own.latest()
-        tell(own, step, at_once=True)
-    own = begin(store)
-    own.latest()
-    assert [attempt["step"] for attempt in own.attempts] == [256, 512]
+        run_checkpoints = begin(store)
+        run_checkpoints.latest()
+        tell(run_checkpoints, step, at_once=True)
+    run_checkpoints = begin(store)
+    run_checkpoints.latest()
+    assert [attempt["step"] for attempt in run_checkpoints.attempts] == [256, 512]
 
 
 def test_folders_in_the_place_of_files_are_swept(store: Store) -> None:
@@ -103,7 +104,7 @@ def test_folders_in_the_place_of_files_are_swept(store: Store) -> None:
     checkpoint = "0000000000256-0123456789abcdef.safetensors"
     for place in (".x.y", "metrics.parquet", f"checkpoints/{checkpoint}", "checkpoints/.x.y"):
         (folder / place / "within").mkdir(parents=True)
-    own = begin(store)
-    assert own.latest() is None
-    own.finish()
+    run_checkpoints = begin(store)
+    assert run_checkpoints.latest() is None
+    run_checkpoints.finish()
     assert list(folder.iterdir()) == []

@@ -65,7 +65,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[Executed, Executed]
 
 
 def test_one_configuration_is_trained_once_for_two_conditions(together: Executed) -> None:
-    assert [(own.status.name, own.status.step, own.trained) for own in together.results] == [
+    assert [(result.status.name, result.status.step, result.trained) for result in together.results] == [
         ("done", 256, True)
     ] * 4
     names = [cell.run_id for cell in together.plan.cells]
@@ -100,11 +100,11 @@ def test_a_run_ends_with_the_same_bits_alone_and_in_company_in_a_worker_and_here
 
 def test_only_what_is_missing_is_trained(together: Executed, alone: tuple[Executed, Executed]) -> None:
     first, second = alone
-    assert [(own.cell.seed, own.trained) for own in first.results] == [(1, True)]
-    assert [(own.cell.seed, own.trained) for own in second.results] == [(0, True), (1, False)]
+    assert [(result.cell.seed, result.trained) for result in first.results] == [(1, True)]
+    assert [(result.cell.seed, result.trained) for result in second.results] == [(0, True), (1, False)]
     assert {*second.seeds} == {0}
     again = _run(together.plan, together.store, 2, lambda cell, event: pytest.fail("something happened"))
-    assert [(own.status.name, own.trained) for own in again] == [("done", False)] * 4
+    assert [(result.status.name, result.trained) for result in again] == [("done", False)] * 4
 
 
 def test_a_planned_run_says_what_it_is_and_a_study_leaves_its_file(tmp_path: Path) -> None:

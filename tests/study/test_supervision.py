@@ -33,11 +33,11 @@ def test_after_ctrl_c_every_run_comes_to_a_checkpoint(tmp_path: Path) -> None:
     for worker in children(process.pid):
         os.kill(worker, signal.SIGTERM)  # as a shutdown or a queue does; only the parent decides
     process.send_signal(signal.SIGINT)
-    out, told = process.communicate(timeout=240)  # of which a busy machine compiles most
+    out, err = process.communicate(timeout=240)  # of which a busy machine compiles most
     assert process.returncode == 130
     assert (
-        told.count("Stopping after this step") == 1
-        and "The same command goes on where every run was stopped" in told
+        err.count("Stopping after this step") == 1
+        and "The same command goes on where every run was stopped" in err
     )
     begun = len(checkpoints(tmp_path))  # on a busy machine one may not have come to its first update
     store = Store(tmp_path / "results")
@@ -69,8 +69,8 @@ def test_ctrl_c_twice_ends_all_at_once(tmp_path: Path) -> None:
 def test_two_commands_on_one_folder_share_the_work(tmp_path: Path) -> None:
     study = write_study(tmp_path, 64 * 30, seeds=3)
     both = [begin(tmp_path, study, "--workers", "1") for _ in range(2)]
-    told = [process.communicate(timeout=120) for process in both]
-    assert [process.returncode for process in both] == [0, 0], told
-    rows = [json.loads(out)["runs"] for out, _ in told]
-    assert all(row["status"] == "done" for one in rows for row in one)
+    outputs = [process.communicate(timeout=120) for process in both]
+    assert [process.returncode for process in both] == [0, 0], outputs
+    rows = [json.loads(out)["runs"] for out, _ in outputs]
+    assert all(row["status"] == "done" for command_rows in rows for row in command_rows)
     assert [one["trained"] + other["trained"] for one, other in zip(*rows, strict=True)] == [1, 1, 1]
