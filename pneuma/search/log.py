@@ -32,7 +32,7 @@ from optuna.trial import FrozenTrial, TrialState
 
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION
 from pneuma.errors import UserError, print_aside
-from pneuma.files import names_in
+from pneuma.files import names_in, write_error
 from pneuma.search.spec import Budget, Search, load_search
 from pneuma.store.store import PUBLISHED, Store
 from pneuma.study.identity import user_files_digest
@@ -109,8 +109,9 @@ class LogLock(BaseJournalFileLock):
                 os.truncate(self._log, self._log.stat().st_size - len(torn))
 
     def _torn_line(self) -> bytes:
-        data = self._log.read_bytes() if self._log.exists() else b""
-        return data[data.rfind(b"\n") + 1 :]
+        if not self._log.exists():
+            return b""
+        return self._log.read_bytes().rpartition(b"\n")[2]
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ class Record:
             with self.lock:
                 yield
         except OSError as error:
-            raise UserError(f"{self.path}: cannot be written ({error.strerror})") from None
+            raise write_error(self.path, error) from None
 
     def document(self) -> dict[str, Any]:
         """Return it as JSON."""
@@ -189,7 +190,6 @@ def open_record(store: Store, search: Search, budget: Budget, say: Callable[[str
     digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:12]
     first_log = store.root / "searches" / f"{search.label}.log"
     own_log = first_log.with_name(f"{search.label}.{digest}.log")
-    first_log.parent.mkdir(parents=True, exist_ok=True)
     if not own_log.exists():
         record = _begin(first_log, search, budget, identity)
         changed = ", ".join(_changes(record.study, identity))
@@ -204,23 +204,32 @@ def _begin(path: Path, search: Search, budget: Budget, identity: dict[str, Any])
     if path.is_symlink():
         raise UserError(f"{path}: is a link; remove it")
     lock = LogLock(path)
-    with _explained(path, search), lock:
-        storage = JournalStorage(JournalFileBackend(str(path), lock))
-        if not storage.get_all_studies():  # `create_study` would write a line each time
-            storage.create_new_study(search.directions, search.name)
-        study = _load_study(storage, search)
-        if ABOUT not in study.user_attrs:
-            names = []
-            for objective in search.objectives.values():
-                names.append(f"{objective.outcome}, {objective.over_seeds}")
-            with warnings.catch_warnings(action="ignore"):  # it is experimental
-                study.set_metric_names(names)
-            about = {"search": search.name, "identity": identity, "trials_asked": budget.trials}
-            study.set_user_attr(ABOUT, about)
-        about = study.user_attrs[ABOUT]
-        if not _changes(study, identity) and about["trials_asked"] < budget.trials:
-            study.set_user_attr(ABOUT, {**about, "trials_asked": budget.trials})
+    with _explained(path, search):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with lock:
+            study = _open_study(path, lock, search, identity, budget)
         return Record(search, budget, study, path, lock)
+
+
+def _open_study(
+    path: Path, lock: LogLock, search: Search, identity: dict[str, Any], budget: Budget
+) -> optuna.Study:
+    storage = JournalStorage(JournalFileBackend(str(path), lock))
+    if not storage.get_all_studies():  # `create_study` would write a line each time
+        storage.create_new_study(search.directions, search.name)
+    study = _load_study(storage, search)
+    if ABOUT not in study.user_attrs:
+        names = []
+        for objective in search.objectives.values():
+            names.append(f"{objective.outcome}, {objective.over_seeds}")
+        with warnings.catch_warnings(action="ignore"):  # it is experimental
+            study.set_metric_names(names)
+        about = {"search": search.name, "identity": identity, "trials_asked": budget.trials}
+        study.set_user_attr(ABOUT, about)
+    about = study.user_attrs[ABOUT]
+    if not _changes(study, identity) and about["trials_asked"] < budget.trials:
+        study.set_user_attr(ABOUT, {**about, "trials_asked": budget.trials})
+    return study
 
 
 def _identify(search: Search, budget: Budget) -> dict[str, Any]:
@@ -319,7 +328,7 @@ def _explained(path: Path, search: Search) -> Iterator[None]:
     except UserError:
         raise
     except OSError as error:
-        raise UserError(f"{error.filename or path}: cannot be opened ({error.strerror})") from None
+        raise write_error(path, error) from None
     except Exception as error:
         reason = str(error) or type(error).__name__
         raise UserError(

@@ -98,7 +98,7 @@ class Parameter(Table):
 
     def value(self, parameter: Any) -> Any:
         """Return the field's value for a parameter."""
-        return self.choices[parameter] if self.choices else parameter
+        return self.choices.get(parameter, parameter)
 
     def applies(self, run_fields: Mapping[str, Any]) -> bool:
         """Return whether it is searched in a run with these fields."""
@@ -107,7 +107,9 @@ class Parameter(Table):
 
 def as_parameter(value: Any) -> Any:
     """Return the parameter that stands for a field's value."""
-    return value if value is None or isinstance(value, bool | int | float | str) else json.dumps(value)
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return json.dumps(value)
 
 
 def _read(name: str, value: Any, key: str) -> Any:

@@ -234,8 +234,10 @@ def load_search(name: str, world: str | None = None) -> Search:
     The world is one of `pneuma.presets.WORLDS`; default: the arena.
     """
     search = _read_search(find_file("search", name, studies_folder() / "search"))
-    world = checked_world(world) or (ARENA if search.has_worlds else "")
-    return search.in_world(world) if world else search
+    world = checked_world(world)
+    if world is None and not search.has_worlds:
+        return search
+    return search.in_world(world or ARENA)
 
 
 def _read_search(path: Path) -> Search:
