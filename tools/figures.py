@@ -49,7 +49,7 @@ from pneuma.values import shown_value
 from tools import noise_scale
 from tools.environment_figures import draw_level, draw_mailman, draw_screens
 from tools.gallery import draw_gallery
-from tools.verdicts import write_verdicts
+from tools.verdicts import draw_verdicts
 
 FOLDER, RESULTS = Path("paper_figures"), Path("results")
 
@@ -151,7 +151,7 @@ def _draw_verdicts(folder: Path, results: Path) -> list[Path]:
         return []
     index = RunIndex(store, stored=False, shipped=False)
     verdicts = [verdict for claims in shipped_claims() for verdict in judge(claims, index)]
-    return write_verdicts(verdicts_by_claim(verdicts), folder)
+    return draw_verdicts(verdicts_by_claim(verdicts), folder)
 
 
 def _draw_searches(folder: Path, results: Path) -> list[Path]:

@@ -1,132 +1,197 @@
-"""All verdicts on the thesis's sentences, as a picture and as a page: a row each, a column for each world."""
+"""All verdicts on the thesis's sentences as a forest plot: a row for each, a panel for each world.
+
+An interval is drawn as a multiple of its margin, and so that the side on the right is what the sentence says.
+"""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
-from itertools import groupby
+from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
 
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
+from pneuma.analysis.claims.verdicts import DESCRIBED, ClaimContrast, Verdict
 from pneuma.analysis.claims.words import (
     FAILS,
     HOLDS,
     NOT_TESTED,
     UNDECIDED,
-    count_words,
+    ByClaim,
+    letter,
     verdict_table,
+    word,
+    worlds_of,
 )
-from pneuma.analysis.export import encode_frame
 from pneuma.figures.origin import line_of_runs, origin_text
-from pneuma.figures.report import Verdicts
 from pneuma.figures.style import COLOURS, GREY, characters, house_style, save_figure
-from pneuma.files import write_whole
 from pneuma.presets import WORLDS
 
 STEM = "verdicts"
-WIDTH_INCHES, EDGE_INCHES, TEXT_INCHES, WORLDS_INCHES, MARK_INCHES = 7.4, 0.03, 0.32, 2.75, 0.13
-"""The width; where sections, sentences and worlds begin; and the width of a mark."""
-TYPE, SMALL = 6.2, 5.6
-"""Points of words and sentences, and of effects."""
-SPACING = 1.06
-LINE_INCHES = SPACING * 1.1 * TYPE / 72
-HEAD_LINES, GAP_LINES = 1.7, 0.5
+WIDTH_INCHES, SENTENCES_INCHES, TEXT_INCHES = 7.4, 3.4, 0.3
+"""The width, that of the column of sentences, and where they begin."""
+HEAD_INCHES, FOOT_INCHES = 0.25, 0.62
+TYPE = 5.8
+LINE_INCHES = 1.16 * TYPE / 72
+MOST_LINES, GAP_LINES = 3, 0.28
+"""Of a sentence, which is shortened; and between rows."""
+MOST_MARGINS = 8.0
+"""Intervals are cut there."""
+TICKS = {-5: "−5", -1: "−1", 0: "0", 1: "1", 5: "5"}
 LOOKS: dict[str, dict[str, Any]] = {
     HOLDS: {"marker": "o", "color": COLOURS[0]},
     FAILS: {"marker": "X", "color": COLOURS[1]},
     UNDECIDED: {"marker": "o", "color": "#555555", "markerfacecolor": "white"},
+    DESCRIBED: {"marker": "D", "color": GREY, "markerfacecolor": "white"},
     NOT_TESTED: {"marker": "_", "color": GREY},
 }
 """Verdicts differ in shape too, so that they can be told apart in grey."""
 
 
-def write_verdicts(claims: Verdicts, folder: Path) -> list[Path]:
-    """Draw the verdicts, and write them as a page with whole sentences and the names of claims."""
-    table = verdict_table(claims, whole=True)
-    table.insert(1, "Claim", [*claims])
-    tables = (encode_frame(frame, "markdown").decode() for frame in (count_words(claims), table))
-    page = folder / f"{STEM}.md"
-    write_whole(page, "\n".join(["# Verdicts\n", *tables]).encode())
-    return [*draw_verdicts(claims, folder), page]
+@dataclass(frozen=True)
+class Row:
+    """A row of the figure: its text, its verdict in each world, and its place in lines."""
+
+    section: str
+    sentence: list[str]
+    compared: str
+    is_apart: bool  # what is compared has a line of its own
+    verdicts: dict[str, Verdict]
+    top: float
+
+    @property
+    def bottom(self) -> float:
+        return self.top + max(2, len(self.sentence) + self.is_apart) + GAP_LINES
 
 
-# --- The picture ----------------------------------------------------------------------------------
-
-
-def draw_verdicts(claims: Verdicts, folder: Path) -> list[Path]:
-    """Draw the table of verdicts."""
-    table = verdict_table(claims)
-    worlds = [*table.columns[2:]]
-    column = (WIDTH_INCHES - WORLDS_INCHES) / len(worlds)
-    rows = [_Row(row, column) for row in table.itertuples(index=False, name=None)]
-    height = HEAD_LINES + sum(row.lines for row in rows)
+def draw_verdicts(claims: ByClaim, folder: Path) -> list[Path]:
+    """Draw the verdicts on one page."""
+    worlds, rows = worlds_of(claims), _rows(claims)
+    lines = rows[-1].bottom
+    height = HEAD_INCHES + lines * LINE_INCHES + FOOT_INCHES
+    bottom, share = FOOT_INCHES / height, lines * LINE_INCHES / height
+    panel = (WIDTH_INCHES - SENTENCES_INCHES) / len(worlds)
     with house_style(TYPE):
-        figure = plt.figure(figsize=(WIDTH_INCHES, height * LINE_INCHES))
-        axes = figure.add_axes((0, 0, 1, 1))
-        axes.set(xlim=(0, WIDTH_INCHES), ylim=(height, 0))  # inches, and lines of text
-        axes.set_axis_off()
-        axes.text(EDGE_INCHES, 0.9, "The thesis's sentence, by section", fontweight="bold", va="center")
-        for place, world in enumerate(worlds):
-            axes.text(WORLDS_INCHES + place * column, 0.9, world, fontweight="bold", va="center")
-        top = HEAD_LINES
-        for section, group in groupby(rows, key=lambda row: row.section):
-            axes.axhline(top, color="#BBBBBB", linewidth=0.5)
-            axes.text(EDGE_INCHES, top + GAP_LINES / 2, section, fontweight="bold", va="top")
-            for row in group:
-                row.draw(axes, top + GAP_LINES / 2)
-                top += row.lines
+        figure = plt.figure(figsize=(WIDTH_INCHES, height))
+        sentences = figure.add_axes((0, bottom, SENTENCES_INCHES / WIDTH_INCHES, share))
+        sentences.set(xlim=(0, SENTENCES_INCHES), ylim=(lines, 0))
+        _draw_sentences(sentences, rows)
+        for place, (world, name) in enumerate(worlds.items()):
+            left = (SENTENCES_INCHES + place * panel) / WIDTH_INCHES
+            axes = figure.add_axes((left, bottom, 0.9 * panel / WIDTH_INCHES, share))
+            axes.set_title(name, fontsize=TYPE)
+            _draw_scale(axes, lines)
+            for row in rows:
+                if world in row.verdicts:
+                    _draw_verdict(axes, row, row.verdicts[world])
+        _draw_legend(figure, {word(verdict) for row in rows for verdict in row.verdicts.values()})
         paths = save_figure(figure, folder, STEM, ("png",), _origin(claims))
         plt.close(figure)
     return paths
 
 
-class _Row:
-    """A row of the table in lines of text."""
-
-    def __init__(self, row: Sequence[str], column: float) -> None:
-        self.section, text, *cells = row
-        self._column = column
-        width = characters(TYPE, WORLDS_INCHES - TEXT_INCHES + MARK_INCHES)
-        self._sentence = [line for part in text.split("\n") for line in wrap(part, width)]
-        self._cells = [_cell_lines(cell, column) for cell in cells]
-        self.lines = max(map(len, (self._sentence, *self._cells))) + GAP_LINES
-
-    def draw(self, axes: Axes, top: float) -> None:
-        axes.text(TEXT_INCHES, top, "\n".join(self._sentence), va="top", linespacing=SPACING)
-        for place, (word, *effect) in enumerate(self._cells):
-            left = WORLDS_INCHES + place * self._column
-            if word not in LOOKS:  # not judged there
-                continue
-            look = LOOKS[word]
-            axes.plot(left + 0.04, top + 0.5, markersize=4, markeredgewidth=0.8, clip_on=False, **look)
-            axes.text(left + MARK_INCHES, top, word, va="top", color=look["color"], fontweight="bold")
-            told = "\n".join(effect)
-            axes.text(
-                left + MARK_INCHES,
-                top + 1,
-                told,
-                va="top",
-                fontsize=SMALL,
-                linespacing=SPACING * TYPE / SMALL,
-            )
+def _rows(claims: ByClaim) -> list[Row]:
+    width = characters(TYPE, SENTENCES_INCHES - TEXT_INCHES + 0.15)
+    rows: list[Row] = []
+    texts = verdict_table(claims).iloc[:, :2].to_numpy().tolist()
+    for (section, text), verdicts in zip(texts, claims.values(), strict=True):
+        sentence, compared = text.rsplit("\n", 1)
+        top = rows[-1].bottom if rows else 0.0
+        wrapped = wrap(sentence, width, max_lines=MOST_LINES, placeholder=" …")
+        is_apart = len(wrapped) == 1 or len(f"{wrapped[-1]}  {compared}") > width
+        rows.append(Row(section, wrapped, compared, is_apart, dict(verdicts), top))
+    return rows
 
 
-def _cell_lines(cell: str, column: float) -> list[str]:
-    """Return a verdict's word, and below it each effect, whose difference begins a line."""
-    word, *effects = cell.replace(" to ", "\xa0to\xa0").replace(" %", "\xa0%").split("\n")
-    parts = [part for effect in effects for part in re.split("(?<=:) ", effect)]
-    lines = [line for part in parts for line in wrap(part, characters(SMALL, column))]
-    return [word, *(line.replace("\xa0", " ") for line in lines)]
+def _draw_sentences(axes: Axes, rows: list[Row]) -> None:
+    """Write each section once, and of each row the sentence and what is compared."""
+    axes.set_axis_off()
+    drawn = ""
+    for row in rows:
+        top = row.top + GAP_LINES / 2
+        if row.section != drawn:
+            axes.axhline(row.top, color="#BBBBBB", linewidth=0.5)
+            axes.text(0.03, top, row.section, fontweight="bold", va="top")
+            drawn = row.section
+        for line, text in enumerate(row.sentence):
+            last = axes.text(TEXT_INCHES, top + line, text, va="top")
+        left, line = TEXT_INCHES, len(row.sentence)
+        if not row.is_apart:
+            right = axes.transData.inverted().transform(last.get_window_extent())[1, 0]
+            left, line = right + 0.1, line - 1
+        axes.text(left, top + line, row.compared, va="top", color=GREY)
 
 
-def _origin(claims: Verdicts) -> str:
+def _draw_scale(axes: Axes, lines: float) -> None:
+    """Draw what all rows share: zero, and the range within which a difference is too small to count."""
+    axes.set_xscale("symlog", linthresh=1.0, linscale=1.0)  # linear within the margin
+    axes.set(xlim=(-MOST_MARGINS, MOST_MARGINS), ylim=(lines, 0))
+    axes.set_xticks([*TICKS], labels=[*TICKS.values()])
+    axes.minorticks_off()
+    axes.set_yticks([])
+    axes.tick_params(length=2, pad=1.5)
+    axes.spines["left"].set_visible(False)
+    axes.axvspan(-1, 1, color="#E8E8E8", zorder=0, linewidth=0)
+    axes.axvline(0, color="#999999", linewidth=0.6, zorder=1)
+
+
+def _draw_verdict(axes: Axes, row: Row, verdict: Verdict) -> None:
+    """Draw the intervals of a verdict below each other, in its own colour, and the letter of its label."""
+    look = LOOKS[word(verdict)]
+    middle = (row.top + row.bottom) / 2
+    contrasts = [contrast for contrast in verdict.deciding if contrast.has_effect and _scale(contrast)]
+    if word(verdict) == NOT_TESTED:
+        axes.plot(0, middle, markersize=4, **look)
+        contrasts = []
+    for line, contrast in enumerate(contrasts, start=1):
+        height = row.top + (row.bottom - row.top) * line / (len(contrasts) + 1)
+        low, centre, high = _in_margins(contrast)
+        axes.plot([low, high], [height, height], color=look["color"], linewidth=1.0, zorder=2)
+        axes.plot(centre, height, markersize=3.2, markeredgewidth=0.7, zorder=3, clip_on=False, **look)
+    where = axes.get_yaxis_transform()  # a share of the width, and a line
+    axes.text(1.02, middle, letter(verdict), transform=where, va="center", ha="left", color=GREY)
+
+
+def _in_margins(row: ClaimContrast) -> tuple[float, float, float]:
+    """Return the low end, the effect and the high end in margins, positive as the sentence says."""
+    scale = _scale(row)
+    numbers = [row.contrast.simultaneous.low, row.contrast.effect, row.contrast.simultaneous.high]
+    low, centre, high = sorted(number / scale for number in numbers)
+    limits = [min(max(number, -MOST_MARGINS), MOST_MARGINS) for number in (low, centre, high)]
+    return limits[0], limits[1], limits[2]
+
+
+def _scale(row: ClaimContrast) -> float:
+    """Return the margin, negative if the sentence says less; 0 without a margin."""
+    margin = row.claim.margin_of(row.world, row.outcome) or 0.0
+    return -margin if row.claim.claimed(row.outcome) == "less" else margin
+
+
+def _draw_legend(figure: Figure, words: set[str]) -> None:
+    marks = [
+        Line2D([], [], linestyle="none", markersize=4, markeredgewidth=0.8, label=name, **look)
+        for name, look in LOOKS.items()
+        if name in words
+    ]
+    figure.legend(handles=marks, loc="lower left", ncols=5, bbox_to_anchor=(0.0, 0.0), fontsize=TYPE)
+    text = (
+        "Differences with their intervals, in margins: to the right as the sentence says;\n"
+        "grey: too small to count. “Little to no effect” and “similar” hold within the grey.\n"
+        "A mark alone has no interval. p: preregistered; 3: same runs as list 3; d: descriptive; *: changed."
+    )
+    figure.text(0.99, 0.01, text, ha="right", va="bottom", color=GREY, linespacing=1.25)
+
+
+def _origin(claims: ByClaim) -> str:
     """Return the picture's origin: the runs read of each study in each world, without their seeds."""
     ids: dict[str, list[str]] = {}
-    for one in (one for verdicts in claims.values() for one in verdicts.values()):
-        ids.setdefault(f"{one.claim.study} in {WORLDS[one.world].title}", []).extend(one.run_ids)
+    for judged in claims.values():
+        for verdict in judged.values():
+            study = f"{verdict.claim.study} in {WORLDS[verdict.world].title}"
+            ids.setdefault(study, []).extend(verdict.run_ids)
     runs = [line_of_runs(study, "", run_ids, ()) for study, run_ids in ids.items() if run_ids]
     return origin_text("the verdicts on the thesis's sentences", runs)

@@ -115,10 +115,10 @@ def _origin(index: RunIndex, verdicts: Sequence[Verdict]) -> str:
 
 
 def _cell(world: str, verdict: Verdict) -> Iterator[str]:
-    from pneuma.analysis.claims.words import lines, word
+    from pneuma.analysis.claims.words import lines, registration, word
 
     head = f"{world:{NAME_WIDTH}}{word(verdict)}"
-    for text in lines(verdict) or [""]:
+    for text in [*lines(verdict), registration(verdict)]:
         yield f"    {head:{2 * NAME_WIDTH}}{text}".rstrip()
         head = ""
 

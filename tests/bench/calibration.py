@@ -4,7 +4,8 @@ Lists of claims whose truth is known are simulated and judged by the code that j
 claim are equal, or differ by half the margin (which counts as no difference), by exactly the margin (where a
 false verdict of equivalence is most likely), or by much more. docs/evidence.md has the results.
 
-    python -m tests.bench.calibration [LISTS]
+    python -m tests.bench.calibration [LISTS]           # all tables: about an hour with 400 lists
+    python -m tests.bench.calibration limits            # those of what a verdict rests on: some minutes
 """
 
 from __future__ import annotations
@@ -16,12 +17,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import special
+from scipy import special, stats
 
 from pneuma.analysis import EDGED_BANDS, intervals
 from pneuma.analysis.claims.contrasts import compare
 from pneuma.analysis.claims.verdicts import decide
 from pneuma.analysis.curves import Curve
+from pneuma.analysis.environments import AGGREGATES, bootstrap
 from pneuma.analysis.intervals import mean
 from pneuma.cli.output import print_result, rows_result
 
@@ -152,6 +154,76 @@ def make_arms(
     return a, 0.0 if alone else draw(generator, seeds) / setting.spread, margin
 
 
+# --- Where intervals promise too much ------------------------------------------------------------------
+
+STRICT = 0.0015
+"""About the error rate of one contrast in a list of 33."""
+NOISE = 0.05
+"""The deviation of runs around what they all come to."""
+
+
+def failing_arms(samples: int, generator: np.random.Generator) -> Iterator[dict[str, Any]]:
+    """Yield how often arms of equal means differ, of which one has all runs near 0.8.
+
+    Of the other four fifths end near 1, and one fifth fails and ends near 0.
+    """
+    for seeds in (10, 30):
+        found = 0
+        for _ in range(samples):
+            failing = 1.0 * (generator.random(seeds) < 0.8) + NOISE * generator.normal(size=seeds)
+            sound = 0.8 + NOISE * generator.normal(size=seeds)
+            ends = compare("mean", failing, sound, 1 - STRICT).simultaneous
+            found += ends.low > 0 or ends.high < 0
+        yield {"runs an arm": seeds, "nominal": STRICT, "found different": found / samples}
+
+
+def far_shares() -> Iterator[dict[str, Any]]:
+    """Yield how often the interval of a difference of shares misses it at worst, summed over all tables."""
+    for seeds in SEEDS:
+        counts = np.arange(seeds + 1)
+        for alpha in (ALPHA, STRICT):
+            contrasts = [
+                [
+                    intervals.incidence_difference_interval(int(a), seeds, int(b), seeds, 1 - alpha)
+                    for b in counts
+                ]
+                for a in counts
+            ]
+            low = np.array([[ends.low for ends in row] for row in contrasts])
+            high = np.array([[ends.high for ends in row] for row in contrasts])
+            for name, gaps in SHARES_APART.items():
+                worst = 0.0
+                for apart in gaps:
+                    misses = (low > apart) | (high < apart)
+                    for share in np.linspace(0, 1 - apart, 21):
+                        chance = np.outer(
+                            stats.binom.pmf(counts, seeds, share + apart),
+                            stats.binom.pmf(counts, seeds, share),
+                        )
+                        worst = max(worst, float(chance[misses].sum()))
+                yield {"runs an arm": seeds, "nominal": alpha, "shares apart": name, "missed at most": worst}
+
+
+SHARES_APART = {
+    "up to 0.6": np.linspace(0, 0.6, 25),
+    "0.6 to 0.9": np.linspace(0.6, 0.9, 13),
+    "over 0.9": np.linspace(0.9, 1, 21)[1:-1],
+}
+
+
+def bootstrap_over_environments(samples: int, generator: np.random.Generator) -> Iterator[dict[str, Any]]:
+    """Yield how often 95 % bootstrap intervals of a mean score over environments cover it, of normal runs."""
+    mean_score = AGGREGATES["mean"]
+    for seeds in (3, 5, 10):
+        for environments in (1, 2, 5):
+            covered = 0
+            for _ in range(samples):
+                runs = list(generator.normal(size=(environments, seeds)))
+                low, high = bootstrap(mean_score, runs, resamples=1_000)
+                covered += low <= 0 <= high
+            yield {"runs": seeds, "environments": environments, "coverage": covered / samples}
+
+
 # --- Intervals and bands ---------------------------------------------------------------------------
 
 
@@ -203,5 +275,20 @@ def main(lists: int = 400) -> None:
         print_result(rows_result(table, rows), "table")
 
 
+def print_limits() -> None:
+    generator = np.random.default_rng(1)
+    tables = {
+        "failing_arms": failing_arms(20_000, generator),
+        "far_shares": far_shares(),
+        "bootstrap_over_environments": bootstrap_over_environments(4_000, generator),
+    }
+    for table, rows in tables.items():
+        print_result(rows_result(table, list(rows)), "table")
+
+
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:]))
+    if sys.argv[1:] == ["limits"]:
+        print_limits()
+    else:
+        main(*map(int, sys.argv[1:]))
+        print_limits()

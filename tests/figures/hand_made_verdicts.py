@@ -6,7 +6,7 @@ from typing import Any
 
 from pneuma.analysis.claims.claim_list import Claim
 from pneuma.analysis.claims.contrasts import Contrast
-from pneuma.analysis.claims.verdicts import ClaimContrast, Verdict
+from pneuma.analysis.claims.verdicts import PREREGISTERED, ClaimContrast, Verdict
 from pneuma.analysis.intervals import Interval, no_interval
 
 
@@ -40,4 +40,4 @@ def comparison(
 
 def judged(own: Claim, **verdicts: tuple[str, str, tuple[ClaimContrast, ...]]) -> dict[str, Verdict]:
     """Return a claim with its verdict, reason and contrasts in each world."""
-    return {world: Verdict(own, world, *each) for world, each in verdicts.items()}
+    return {world: Verdict(own, world, *each, label=PREREGISTERED) for world, each in verdicts.items()}

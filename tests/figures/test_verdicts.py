@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,9 @@ from PIL import Image
 
 from pneuma.analysis.claims import words
 from pneuma.analysis.claims.claim_list import shipped_claims
-from pneuma.analysis.claims.verdicts import AS_CLAIMED_BUT_SMALL
+from pneuma.analysis.claims.verdicts import AS_CLAIMED_BUT_SMALL, Verdict
 from pneuma.analysis.claims.words import arms_in_words, cell, effect, sentence, short_sentence, verdict_table
-from tools.verdicts import SMALL, draw_verdicts
+from tools.verdicts import draw_verdicts
 
 from .hand_made_verdicts import claim, comparison, judged
 
@@ -52,18 +53,18 @@ def test_effects_are_told_in_plain_units(fields: dict[str, Any], means: Pair, en
 @pytest.mark.parametrize(
     ("verdict", "reason", "told"),
     [
-        ("supported", "", f"holds\n{KILLS}"),
-        ("refuted", "", f"does not hold\n{KILLS}"),
-        ("mixed", "", f"undecided\n{KILLS}\nits two measures disagree"),
-        ("inconclusive", "", f"undecided\n{KILLS}"),
+        ("supported", "", f"holds [p]\n{KILLS}"),
+        ("refuted", "", f"does not hold [p]\n{KILLS}"),
+        ("mixed", "", f"undecided [p]\n{KILLS}\nits two measures disagree"),
+        ("inconclusive", "", f"undecided [p]\n{KILLS}"),
         (
             "untestable",
             "no runs: tanh, 8 seeds; train with: pneuma",
-            "not tested\nnot trained yet",
+            "not tested [p]\nnot trained yet",
         ),
-        ("untestable", "arm at floor: tanh is not shown", "not tested\nthe agents learned nothing there"),
-        ("untestable", "tanh seed 7: nothing is recorded", "not tested\na run has no value"),
-        ("refuted", AS_CLAIMED_BUT_SMALL, f"does not hold\n{KILLS}\n{AS_CLAIMED_BUT_SMALL}"),
+        ("untestable", "arm at floor: tanh is not shown", "not tested [p]\nthe agents learned nothing there"),
+        ("untestable", "tanh seed 7: nothing is recorded", "not tested [p]\na run has no value"),
+        ("refuted", AS_CLAIMED_BUT_SMALL, f"does not hold [p]\n{KILLS}\n{AS_CLAIMED_BUT_SMALL}"),
     ],
 )
 def test_a_cell_is_one_of_four_words_and_the_effect_or_why_there_is_none(
@@ -80,7 +81,7 @@ def test_every_outcome_is_told_and_that_nobody_learned() -> None:
         comparison("supported", 1.1, (0.3, 2.0), of=own, means=(8.6, 7.5), outcome="final-return"),
     )
     assert cell(judged(own, text=("supported", "", rows))["text"]).split("\n") == [
-        "holds",
+        "holds [p]",
         KILLS,
         "return 8.6 against 7.5 (0.3 to 2.0)",
         "none plays better than at random",
@@ -131,24 +132,33 @@ def test_the_table_is_by_section_and_says_a_sentence_once() -> None:
     ]  # fmt: skip
 
 
-def test_the_picture_fits_a_page_can_be_read_and_has_the_same_bytes_again(
+def test_the_letter_of_a_label_has_a_star_if_the_claim_was_changed() -> None:
+    own = Verdict(claim(), "text", "supported", "", label="same runs as list 3", changed=("seeds",))
+    assert (words.letter(own), words.letter(replace(own, changed=()))) == ("3*", "3")
+    assert words.registration(own) == "same runs as list 3; changed since the first run: seeds"
+
+
+def test_an_interval_is_drawn_in_margins_and_as_claimed_to_the_right(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    claims = {
-        name: judged(
-            claim(name, section=section),
-            text=("supported", "", (comparison("supported", 0.02, MEANS[1], means=MEANS[0]),)),
-            arena=("untestable", "A/A: the same", ()),
-        )
-        for name, section in (("one", "6.1"), ("two", "6.2"))
-    }
+    """0.02 (−0.012 to 0.052), with a margin of 0.04; where less is claimed, the other way round."""
+    claims = {}
+    for name, way in (("one", "greater"), ("two", "less")):
+        own = claim(name, section="6.1", direction=way, margin=0.04)
+        row = comparison("supported", 0.02, MEANS[1], of=own, means=MEANS[0])
+        claims[name] = judged(own, text=("supported", "", (row,)), arena=("untestable", "A/A: same", ()))
     drawn: list[Figure] = []
     monkeypatch.setattr(plt, "close", drawn.append)
     (path,), (again,) = (draw_verdicts(claims, tmp_path / name) for name in ("first", "again"))
     assert path.name == "verdicts.png" and path.read_bytes() == again.read_bytes()
+    sentences, text, arena = drawn[0].axes
+    intervals = [line.get_xdata() for line in text.lines if len(line.get_xdata()) == 2]
+    assert [pytest.approx(ends) for ends in intervals[1:]] == [
+        [-0.3, 1.3],
+        [-1.3, 0.3],
+    ]  # after the zero line
+    assert [line.get_marker() for line in arena.lines[1:]] == ["_", "_"]
+    assert "“improves performance”" in [one.get_text() for one in sentences.texts]
     with Image.open(path) as image:
         assert image.width / image.info["dpi"][0] == pytest.approx(7.4, abs=0.01)
-    texts = drawn[0].axes[0].texts
-    assert min(text.get_fontsize() for text in texts) == SMALL >= 5.5
-    assert [text.get_text() for text in texts].count("holds") == 2
-    assert "kills 85 against 83 % (−1 to 5)" in [text.get_text() for text in texts]
+    assert min(one.get_fontsize() for axes in drawn[0].axes for one in axes.texts) >= 5.5

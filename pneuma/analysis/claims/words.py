@@ -18,8 +18,10 @@ import pandas as pd
 from pneuma.analysis.claims.claim_list import Claim
 from pneuma.analysis.claims.verdicts import (
     DESCRIBED,
+    DESCRIPTIVE,
     INCONCLUSIVE,
     MIXED,
+    PREREGISTERED,
     REFUTED,
     SUPPORTED,
     UNTESTABLE,
@@ -38,6 +40,7 @@ WORDS = {
     NOT_TESTED: "The runs are not there yet, or cannot tell anything about it.",
 }
 """The four words, and what each says of a sentence in a world."""
+_LETTERS = {PREREGISTERED: "p", DESCRIPTIVE: "d"}
 _WORD_OF = {
     SUPPORTED: HOLDS, REFUTED: FAILS, MIXED: UNDECIDED, INCONCLUSIVE: UNDECIDED, UNTESTABLE: NOT_TESTED,
     DESCRIBED: DESCRIBED,
@@ -144,10 +147,11 @@ def verdict_table(claims: ByClaim, whole: bool = False) -> pd.DataFrame:
     quoted: set[str] = set()
     for name, judged in claims.items():
         claim = first_claim(name, judged)
+        quote = sentence(claim) if whole else short_sentence(claim)
         heading = claim.context or name
-        if claim.quote not in ("", *quoted):
-            heading = f"“{sentence(claim) if whole else short_sentence(claim)}”"
-            quoted.add(claim.quote)
+        if quote not in ("", *quoted):
+            heading = f"“{quote}”"
+            quoted.add(quote)
         cells = [cell(judged.get(world)) for world in worlds]
         rows.append([claim.section, f"{heading}\n{arms_in_words(claim)}", *cells])
     heading = "The thesis's sentence" if quoted else "Claim"
@@ -158,8 +162,10 @@ def verdict_table(claims: ByClaim, whole: bool = False) -> pd.DataFrame:
 
 
 def cell(verdict: Verdict | None) -> str:
-    """Return a verdict's word, and in the next lines its effects, or why there are none."""
-    return "–" if verdict is None else "\n".join([word(verdict), *lines(verdict)])
+    """Return a verdict's word and label; in the next lines its effects, or why there are none."""
+    if verdict is None:
+        return "–"
+    return "\n".join([f"{word(verdict)} [{letter(verdict)}]", *lines(verdict)])
 
 
 def word(verdict: Verdict) -> str:
@@ -180,8 +186,16 @@ def lines(verdict: Verdict) -> list[str]:
         texts.append("{} against {} runs".format(*unequal[0]))
     if verdict.registered_verdict not in ("", verdict.verdict):
         texts.append(f"by the registered margins: {_WORD_OF[verdict.registered_verdict]}")
-    texts.append(registration(verdict))
     return [text for text in texts if text]
+
+
+def letter(verdict: Verdict) -> str:
+    """Return p for preregistered, d for descriptive, or the number of the list whose runs were known.
+
+    A star follows if the claim was changed after its first run.
+    """
+    mark = _LETTERS.get(verdict.label, verdict.label.rpartition(" ")[2])
+    return f"{mark}*" if verdict.changed else mark
 
 
 def registration(verdict: Verdict) -> str:
