@@ -38,18 +38,10 @@ def drawn_by(policy: Policy) -> np.ndarray:
 OBSERVATION = np.array([[-1.0, 1.0]], np.float32)
 
 
-@pytest.mark.parametrize(
-    ("activation", "logits", "value"),
-    [
-        ("relu", [0.0, 4.0, 0.0], 4.5),
-        ("leaky-relu", [-0.01, 4.0, 0.0], 4.49),
-        ("tanh", [np.tanh(-1.0), np.tanh(4.0), 0.0], np.tanh(-1.0) + np.tanh(4.0) + 0.5),
-    ],
-)
-def test_forward_pass_by_hand(activation: str, logits: list[float], value: float) -> None:
-    policy = tiny(activation)
-    np.testing.assert_allclose(policy.logits(OBSERVATION)[0], logits, rtol=1e-6)
-    np.testing.assert_allclose(policy.values(OBSERVATION)[0], value, rtol=1e-6)
+def test_forward_pass_by_hand() -> None:
+    policy = tiny("leaky-relu")
+    np.testing.assert_allclose(policy.logits(OBSERVATION)[0], [-0.01, 4.0, 0.0], rtol=1e-6)
+    np.testing.assert_allclose(policy.values(OBSERVATION)[0], -0.01 + 4 + 0.5, rtol=1e-6)
     assert policy.best(OBSERVATION)[0] == 1
 
 

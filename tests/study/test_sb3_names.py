@@ -91,13 +91,6 @@ def test_mistakes_are_told_at_once_each_with_its_line(tmp_path: Path) -> None:
         load_study(str(study(tmp_path / "zoo.toml", "seed = 1\nn_steps = 1\nx = 2\n")))
 
 
-def test_arguments_of_ppo_without_a_field_are_joined(tmp_path: Path) -> None:
-    """As the zoo's entry for PPO on Pendulum-v1 has them."""
-    given = 'engine = "sb3"\nn_timesteps = 2048\nuse_sde = true\nclip_range_vf = 0.2\n'
-    (run, _) = runs(study(tmp_path / "zoo.toml", given)).values()
-    assert run.algorithm_kwargs == '{"clip_range_vf": 0.2, "use_sde": true}'
-
-
 @pytest.mark.parametrize(
     ("lines", "told"),
     [
