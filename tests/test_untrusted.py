@@ -157,6 +157,10 @@ ODD_CELLS: dict[str, tuple[str, pa.Array]] = {
     "evaluations of text": ("evaluations", _evaluations(step=STEPS, share_killed=pa.array(["x", "y"]))),
     "evaluations of yes": ("evaluations", _evaluations(step=STEPS, share_killed=pa.array([True, True]))),
     "evaluations of times": ("evaluations", _evaluations(step=TIMES, share_killed=SHARES)),
+    "evaluations at an infinite step": (
+        "evaluations",
+        _evaluations(step=pa.array([500, float("inf")]), share_killed=SHARES),
+    ),
     "evaluations at no step": ("evaluations", _evaluations(step=pa.nulls(2), share_killed=SHARES)),
     "a list of parents": ("fields", pa.array([json.dumps({"steps": 1000, "parent": ["a"]})])),
     "a step of text": ("fields", pa.array([json.dumps({"steps": 1000, "fork_step": "a"})])),

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from pneuma.config import Run, as_fields
 from pneuma.files import parse_json
@@ -122,6 +123,11 @@ def sound_rows(table: pa.Table) -> pa.Table:
     for name, pattern in _PATTERNS.items():
         if not all(re.fullmatch(pattern, str(cell)) for cell in table[name].to_pylist()):
             raise ValueError(f"column {name} is invalid")
+    evaluations = pc.list_flatten(table[EVALUATIONS])
+    if pa.types.is_struct(evaluations.type):
+        steps = pc.struct_field(evaluations, "step")
+        if not pc.all(pc.is_finite(steps)).as_py():
+            raise ValueError(f"column {EVALUATIONS} is invalid")
     return table
 
 
