@@ -106,7 +106,7 @@ def _read_arguments(value: Any) -> str:
         raise ValueError
     if not table:
         return ""
-    return json.dumps(plain(table, whole=False), sort_keys=True, allow_nan=False)
+    return json.dumps(plain(table, floats_to_integers=False), sort_keys=True, allow_nan=False)
 
 
 def _read_wrappers(value: Any) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from operator import itemgetter
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
@@ -48,8 +49,10 @@ class Table(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _only_known_keys(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping):
+            return data
         names = [name for name, field in cls.model_fields.items() if not field.exclude]
-        unknown = [key for key in data if key not in names] if isinstance(data, Mapping) else []
+        unknown = [key for key in data if key not in names]
         if unknown:
             raise all_wrong({key: str(unknown_name("key", key, names)) for key in unknown})
         return data
@@ -84,26 +87,37 @@ def passes(check: Callable[[Any], object]) -> AfterValidator:
     return AfterValidator(validate)
 
 
-FREE = ("env_kwargs", "algorithm_kwargs")
+KEPT_AS_WRITTEN = ("env_kwargs", "algorithm_kwargs")
 """Tables whose numbers keep their types, as they are handed to code that is not Pneuma's."""
 
 
-def plain(value: Any, deepest: int = DEEPEST, whole: bool = True) -> Any:
+def plain(value: Any, levels: int = DEEPEST, floats_to_integers: bool = True) -> Any:
     """Return a value in the types of models: lists as tuples, NumPy's as Python's, whole numbers as int.
 
-    The last not if `whole` is false, and never in the tables `FREE`. ValueError for those nested too deeply.
+    Args:
+        value: of a file or an argument.
+        levels: how deep tables and lists may lie in each other.
+        floats_to_integers: whether 1e6 becomes an int; never in tables that are `KEPT_AS_WRITTEN`.
+
+    Raises:
+        ValueError: for tables or lists that lie too deep in each other.
     """
-    if not deepest:
+    if not levels:
         raise ValueError(f"tables or lists lie more than {DEEPEST} deep in each other")
     if isinstance(value, Mapping):
-        return {key: plain(item, deepest - 1, whole and key not in FREE) for key, item in value.items()}
+        table = {}
+        for key, item in value.items():
+            table[key] = plain(item, levels - 1, floats_to_integers and key not in KEPT_AS_WRITTEN)
+        return table
     if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, list | tuple):
-        return tuple(plain(item, deepest - 1, whole) for item in value)
+        return tuple(plain(item, levels - 1, floats_to_integers) for item in value)
     if isinstance(value, PathLike):
         return fspath(value)
-    return int(value) if whole and isinstance(value, float) and value.is_integer() else value
+    if floats_to_integers and isinstance(value, float) and value.is_integer():
+        return int(value)
+    return value
 
 
 # --- Fields of a dataclass -------------------------------------------------------------------------
@@ -113,11 +127,12 @@ def read_field(owner: type, key: str, value: Any) -> Any:
     """Check the value of a field of a dataclass and return it in its type."""
     if key not in _hints(owner):
         raise unknown_name("key", key, _hints(owner))
-    given = plain({key: value})
+    data = plain({key: value})
     try:
-        return _adapter(owner, key).validate_python(given[key])
+        return _adapter(owner, key).validate_python(data[key])
     except ValidationError as error:
-        raise UserError(complaints(error, given, (key,))[0][2]) from None
+        (_, _, message), *_ = mistakes_in(data, error, at=(key,))
+        raise UserError(message) from None
 
 
 @cache
@@ -144,16 +159,19 @@ class TomlFile:
     def mistake(self, where: Where, message: str, key: str = "") -> UserError:
         return self.mistakes([(where, key, message)])
 
-    def mistakes(self, all_of_them: Iterable[Mistake]) -> UserError:
-        """Return the error that tells mistakes at their lines, all in one line."""
-        told = []
-        for where, key, message in all_of_them:
+    def mistakes(self, mistakes: Iterable[Mistake]) -> UserError:
+        """Return the error that lists mistakes in the order of their lines, all in one line."""
+        texts_by_line = []
+        for where, key, message in mistakes:
+            text = f"[{'.'.join(where)}] {message}" if where else message
             line = _line_of(self.text, (*where, key) if key else where)
-            table = f"[{'.'.join(where)}] " if where else ""
-            told.append((line or 0, f"{f'line {line}: ' if line else ''}{table}{message}"))
-        first, *others = [text for _, text in sorted(told, key=lambda one: one[0])]
-        between = ", " if first.startswith("line ") else ": "
-        return UserError("; ".join([f"{self.path}{between}{first}", *others]))
+            if line:
+                text = f"line {line}: {text}"
+            texts_by_line.append((line or 0, text))
+        texts_by_line.sort(key=itemgetter(0))
+        text = "; ".join(text for _, text in texts_by_line)
+        separator = ", " if text.startswith("line ") else ": "
+        return UserError(f"{self.path}{separator}{text}")
 
     def table(self, where: Where) -> dict[str, Any]:
         """Return a table, empty when there is none, and refuse another value in its place."""
@@ -177,19 +195,26 @@ def read_model(
     model: type[Model],
     file: TomlFile,
     where: Where = (),
-    usual: Mapping[str, Any] | None = None,
-    fixed: Mapping[str, Any] | None = None,
+    defaults: Mapping[str, Any] = {},
+    overrides: Mapping[str, Any] = {},
 ) -> Model:
-    """Check a table of a file, the whole file by default.
+    """Check a table of a file.
 
-    `usual` has values of missing keys, `fixed` those that replace what the table says.
+    Args:
+        model: what the table must be.
+        file: the file.
+        where: the table's path in it; the whole file by default.
+        defaults: values of missing keys.
+        overrides: values that replace the table's.
     """
-    data = {**(usual or {}), **file.table(where), **(fixed or {})}
+    data = {**defaults, **file.table(where), **overrides}
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        found = complaints(error, data)
-        raise file.mistakes([((*where, *inside), key, message) for inside, key, message in found]) from None
+        mistakes = []
+        for path, key, message in mistakes_in(data, error):
+            mistakes.append(((*where, *path), key, message))
+        raise file.mistakes(mistakes) from None
 
 
 # --- From pydantic's errors to words ---------------------------------------------------------------
@@ -202,46 +227,69 @@ PLAINER = {
 }  # fmt: skip
 
 
-def complaints(error: ValidationError, data: Mapping[str, Any], at: Where = ()) -> list[Mistake]:
-    """Return the mistakes in some data, or `at` a place of it: of each of its keys the first."""
-    deepest: dict[Any, Any] = {}  # a table tells more than that it is no number
-    for one in error.errors(include_url=False, include_input=False):
-        one["loc"] = (*at, *one["loc"])
-        if len(one["loc"]) > len(deepest.setdefault(one["loc"][:1], one)["loc"]):
-            deepest[one["loc"][:1]] = one
-    return [mistake for one in deepest.values() for mistake in _mistakes(one, data)]
+def mistakes_in(data: Mapping[str, Any], error: ValidationError, at: Where = ()) -> list[Mistake]:
+    """Return the mistakes in some data, or at a path in it: of each of its keys one.
+
+    Where a key has several, as where it could be a number or a table, the one that lies deepest says most.
+    """
+    deepest: dict[Any, Any] = {}
+    for details in error.errors(include_url=False, include_input=False):
+        details["loc"] = (*at, *details["loc"])
+        key = details["loc"][:1]
+        if key not in deepest or len(details["loc"]) > len(deepest[key]["loc"]):
+            deepest[key] = details
+    mistakes = []
+    for details in deepest.values():
+        mistakes += _mistakes(details, data)
+    return mistakes
 
 
 def _mistakes(error: Mapping[str, Any], data: Mapping[str, Any]) -> list[Mistake]:
-    kind, loc, context = error["type"], error["loc"], error.get("ctx", {})
-    if kind == "missing":
-        (*where, key) = map(str, loc)
+    """Return an error of pydantic as mistakes, of which `wrong` may have several."""
+    error_type, context = error["type"], error.get("ctx", {})
+    if error_type == "missing":
+        (*where, key) = map(str, error["loc"])
         return [(tuple(where), "", f"the key {key!r} is missing")]
-    path: Where = ()
-    value: Any = data
-    for step in loc:  # a list is not looked into; which of several models it was is no key
-        if isinstance(value, Mapping) and step in value:
-            path, value = (*path, str(step)), value[step]
-    if kind == "wrong" and isinstance(value, Mapping):
-        return [(path, *pair) for pair in context["messages"].items()]
+    path, value = _find(error["loc"], data)
+    if error_type == "wrong" and isinstance(value, Mapping):
+        return [(path, key, message) for key, message in context["messages"].items()]
     (*where, key) = path
     names = context.get("names") or re.findall(r"'([^']*)'", str(context.get("expected", "")))
     allowed = error["msg"].replace("Input should be ", "must be ")
-    for pydantics, ours in PLAINER.items():
-        allowed = allowed.replace(pydantics, ours)
-    if kind == "wrong":
+    for words, plainer_words in PLAINER.items():
+        allowed = allowed.replace(words, plainer_words)
+    if error_type == "wrong":
         message = f"{key}: {next(iter(context['messages'].values()))}"
-    elif loc[-1] == "[key]":  # a table's name, where only some are known
-        message = (
-            str(unknown_name("key", key, names)) if names else f"the name {key!r} is not allowed: {allowed}"
-        )
-    elif kind in ("dict_type", "model_type", "mappings_type"):
+    elif error["loc"][-1] == "[key]" and names:
+        message = str(unknown_name("key", key, names))
+    elif error["loc"][-1] == "[key]":
+        message = f"the name {key!r} is not allowed: {allowed}"
+    elif error_type in ("dict_type", "model_type", "mappings_type"):
         message = f"{key} must be a table, not {shown(value)}"
     else:
-        words = value if isinstance(value, list | tuple) else [value]
-        hints = [nearest_name(word, names) for word in words if isinstance(word, str) and word not in names]
-        message = f"{key} = {shown(value)} is not allowed{next(filter(None, hints), '')}: {allowed}"
+        message = f"{key} = {shown(value)} is not allowed{_hint(value, names)}: {allowed}"
     return [(tuple(where), key, message)]
+
+
+def _find(location: Iterable[Any], data: Mapping[str, Any]) -> tuple[Where, Any]:
+    """Return the path and the value at a location of pydantic, which also names models and list items."""
+    path: Where = ()
+    value: Any = data
+    for part in location:
+        if isinstance(value, Mapping) and part in value:
+            path, value = (*path, str(part)), value[part]
+    return path, value
+
+
+def _hint(value: object, names: Iterable[str]) -> str:
+    """Return a hint at the name that was meant by a word, or by the first one of a list that has a hint."""
+    words = value if isinstance(value, list | tuple) else [value]
+    for word in words:
+        if isinstance(word, str) and word not in names:
+            hint = nearest_name(word, names)
+            if hint:
+                return hint
+    return ""
 
 
 def shown(value: object) -> str:
@@ -258,18 +306,19 @@ _SETS = re.compile(rf"^[ \t]*(?:\[+[ \t]*({_PATH})[ \t]*\]+[ \t]*(?:#.*)?$|({_PA
 _LONG_TEXT = re.compile(r'""".*?"""' + r"|'''.*?'''", re.DOTALL)
 
 
-def _line_of(text: str, wanted: Where) -> int | None:
-    """Return the line, from 1, where `wanted` is set or begins, or else the closest table around it."""
-    text = _LONG_TEXT.sub(lambda found: "\n" * found[0].count("\n"), text)
+def _line_of(text: str, target: Where) -> int | None:
+    """Return the line, from 1, where a path is set or begins, or else the closest table around it."""
+    text = _LONG_TEXT.sub(lambda match: "\n" * match[0].count("\n"), text)
     table: Where = ()
-    best, best_depth = None, 0
-    for found in _SETS.finditer(text):
-        path = tuple(key.strip("\"'") for key in re.findall(_KEY, found[1] or found[2]))
-        if found[1]:
+    closest_line, closest_depth = None, 0
+    for match in _SETS.finditer(text):
+        header, key_path = match[1], match[2]
+        path = tuple(key.strip("\"'") for key in re.findall(_KEY, header or key_path))
+        if header:
             table = path
         else:
             path = table + path
-        depth = min(len(path), len(wanted))
-        if depth > best_depth and path[:depth] == wanted[:depth]:
-            best, best_depth = text.count("\n", 0, found.start()) + 1, depth
-    return best
+        depth = min(len(path), len(target))
+        if depth > closest_depth and path[:depth] == target[:depth]:
+            closest_line, closest_depth = text.count("\n", 0, match.start()) + 1, depth
+    return closest_line
