@@ -118,12 +118,12 @@ def names_like(pattern: str, allowed: str, names: tuple[str, ...] = ()) -> Reads
     """
 
     def read(value: Any) -> tuple[str, ...]:
-        each = tuple(value.split(",") if isinstance(value, str) else value)
-        if not 1 <= len(each) <= MOST_NAMES:
+        names_given = tuple(value.split(",") if isinstance(value, str) else value)
+        if not 1 <= len(names_given) <= MOST_NAMES:
             raise ValueError
-        if not all(isinstance(name, str) and re.fullmatch(pattern, name) for name in each):
+        if not all(isinstance(name, str) and re.fullmatch(pattern, name) for name in names_given):
             raise ValueError
-        return each
+        return names_given
 
     return Reads(read, allowed, names)
 
@@ -142,9 +142,11 @@ def short(value: object) -> str:
     if isinstance(value, float):
         digits, _, power = f"{value:e}".partition("e")
         scientific = f"{digits.rstrip('0').rstrip('.')}e{int(power)}"
-        text = min(f"{value:g}", scientific, key=len)
-        return text if float(text) == value else repr(value)
-    return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
+        shortest = min(f"{value:g}", scientific, key=len)
+        return shortest if float(shortest) == value else repr(value)
+    if isinstance(value, str):
+        return value
+    return json.dumps(value, default=str, ensure_ascii=False)
 
 
 def shown_settings(settings: Mapping[str, Any]) -> str:
@@ -153,15 +155,19 @@ def shown_settings(settings: Mapping[str, Any]) -> str:
 
 def setting_words(settings: Mapping[str, Any]) -> list[str]:
     """Return changed fields as words of a command."""
+    return [f"--set={key}={_value_word(value)}" for key, value in settings.items()]
 
-    def plain(value: Any) -> str:
-        if value is None or isinstance(value, bool):
-            return shown_value(value)
-        if isinstance(value, Mapping):
-            return "{" + ", ".join(f"{key} = {json.dumps(each)}" for key, each in value.items()) + "}"
-        return str(list(value) if isinstance(value, tuple) else value)
 
-    return [f"--set={key}={plain(value)}" for key, value in settings.items()]
+def _value_word(value: Any) -> str:
+    """Return a value as `read_value` reads it."""
+    if value is None or isinstance(value, bool):
+        return shown_value(value)
+    if isinstance(value, Mapping):
+        items = ", ".join(f"{key} = {json.dumps(item)}" for key, item in value.items())
+        return f"{{{items}}}"
+    if isinstance(value, tuple):
+        value = list(value)
+    return str(value)
 
 
 def read_settings(words: Iterable[str]) -> dict[str, Any]:
@@ -187,10 +193,13 @@ def read_seeds(value: object) -> tuple[int, ...]:
         value = _seeds_of_text(value)
     if type(value) is int and 1 <= value <= MOST_SEEDS:
         return tuple(range(value))
-    seeds = tuple(value) if isinstance(value, list | tuple) else ()
-    if all(type(seed) is int and 0 <= seed < 2**32 for seed in seeds) and 0 < len({*seeds}) == len(seeds):
-        return seeds
-    raise ValueError
+    if not isinstance(value, list | tuple) or not value:
+        raise ValueError
+    if not all(type(seed) is int and 0 <= seed < 2**32 for seed in value):
+        raise ValueError
+    if len(set(value)) < len(value):
+        raise ValueError
+    return tuple(value)
 
 
 def _seeds_of_text(text: str) -> int | list[int]:
@@ -210,45 +219,55 @@ def _seeds_of_text(text: str) -> int | list[int]:
 
 def shown_seeds(seeds: Iterable[int]) -> str:
     """Return seeds as `--seeds` reads them, sorted, neighbours as a range: 0..49,60."""
-    spans: list[list[int]] = []
+    ranges: list[list[int]] = []
     for seed in sorted(set(seeds)):
-        if spans and seed == spans[-1][-1] + 1:
-            spans[-1] = [spans[-1][0], seed]
+        if ranges and seed == ranges[-1][-1] + 1:
+            ranges[-1] = [ranges[-1][0], seed]
         else:
-            spans.append([seed])
-    return ",".join("..".join(map(str, span)) for span in spans)
+            ranges.append([seed])
+    return ",".join("..".join(map(str, ends)) for ends in ranges)
 
 
 def seeds_option(seeds: Collection[int]) -> str:
     """Return seeds as the value of an option: as `shown_seeds`, but `7,` for the seed 7 alone."""
-    return shown_seeds(seeds) + ("," if len(seeds) == 1 else "")
+    text = shown_seeds(seeds)
+    return f"{text}," if len(seeds) == 1 else text
 
 
 def settings_name(settings: Mapping[str, Any], *more: str) -> str:
     """Return a file name for changed fields; the end of a long one is replaced by a checksum."""
-    whole = "-".join([*(f"{key}={shown_value(value)}" for key, value in settings.items()), *more])
-    name = re.sub(r"[^\w.=+-]+", "-", whole).strip("-")
+    settings_texts = [f"{key}={shown_value(value)}" for key, value in settings.items()]
+    text = "-".join([*settings_texts, *more])
+    name = re.sub(r"[^\w.=+-]+", "-", text).strip("-")
     if len(name) > LONGEST_NAME:
-        name = f"{name[:LONGEST_NAME]}-{hashlib.sha256(whole.encode(errors='replace')).hexdigest()[:6]}"
+        digest = hashlib.sha256(text.encode(errors="replace")).hexdigest()
+        name = f"{name[:LONGEST_NAME]}-{digest[:6]}"
     return name
 
 
 def read_value(text: str) -> Any:
     """Read a value as TOML would, also without a list's brackets, a word's quotes, or a 0 before a point."""
-    numbers = re.sub(r"(?<![\w.])\.(?=\d)", "0.", text)
-    for form in (text, f"[{text}]", numbers, f"[{numbers}]") if text else ():
+    if not text:
+        return text
+    with_zeros = re.sub(r"(?<![\w.])\.(?=\d)", "0.", text)
+    for form in (text, f"[{text}]", with_zeros, f"[{with_zeros}]"):
         with suppress(ValueError, RecursionError):
             return tomllib.loads(f"value = {form}")["value"]
-    return [*map(read_value, split_list(text[1:-1]))] if text[:1] + text[-1:] == "[]" else text
+    if text.startswith("[") and text.endswith("]"):
+        return [read_value(item) for item in split_list(text[1:-1])]
+    return text
 
 
 def split_list(text: str) -> list[str]:
-    """Return the parts of a list without its brackets; a list in it is one part."""
-    parts, depth = [""], 0
+    """Return the items of a list without its brackets; a list in it is one item."""
+    items, depth = [""], 0
     for character in text:
-        depth += (character in "[{") - (character in "]}")
+        if character in "[{":
+            depth += 1
+        elif character in "]}":
+            depth -= 1
         if character == "," and not depth:
-            parts.append("")
+            items.append("")
         else:
-            parts[-1] += character
-    return [part.strip() for part in parts]
+            items[-1] += character
+    return [item.strip() for item in items]
