@@ -65,8 +65,8 @@ def test_verdicts_are_counted_and_shown_world_by_world(page: Any) -> None:
     counts = [each.text for each in page.all("td", "number")]
     assert counts[:8] == ["1", "0", "1", "0", "0", "0", "0", "1"]
     words = " ".join(page.all("main")[0].text.split())
-    assert "✔ holds kills 62 against 50 %: +12 points (5 to 19)" in words
-    assert "? undecided kills 180 against 50 %: +130 points (70 to 240)" in words
+    assert "✔ holds kills 62 against 50 % (5 to 19) preregistered" in words
+    assert "? undecided kills 180 against 50 % (70 to 240) preregistered" in words
     assert "tanh against relu, n = 10 and 10" in words
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
@@ -152,7 +153,8 @@ def test_an_interval_is_drawn_in_margins_and_as_claimed_to_the_right(
     (path,), (again,) = (draw_verdicts(claims, tmp_path / name) for name in ("first", "again"))
     assert path.name == "verdicts.png" and path.read_bytes() == again.read_bytes()
     sentences, text, arena = drawn[0].axes
-    intervals = [line.get_xdata() for line in text.lines if len(line.get_xdata()) == 2]
+    ends = [np.asarray(line.get_xdata(), float) for line in text.lines]
+    intervals = [own.tolist() for own in ends if own.size == 2]
     assert [pytest.approx(ends) for ends in intervals[1:]] == [
         [-0.3, 1.3],
         [-1.3, 0.3],
@@ -161,4 +163,4 @@ def test_an_interval_is_drawn_in_margins_and_as_claimed_to_the_right(
     assert "“improves performance”" in [one.get_text() for one in sentences.texts]
     with Image.open(path) as image:
         assert image.width / image.info["dpi"][0] == pytest.approx(7.4, abs=0.01)
-    assert min(one.get_fontsize() for axes in drawn[0].axes for one in axes.texts) >= 5.5
+    assert min(float(one.get_fontsize()) for axes in drawn[0].axes for one in axes.texts) >= 5.5
