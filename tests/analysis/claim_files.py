@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.claims.verdicts import Verdict, judge
 from pneuma.config import Run, as_fields
@@ -122,7 +124,12 @@ def save_run(
     ]
     episode = {"step": run.steps, "return": curve[-1] if returned is None else returned, "length": 9}
     rows = [episode], [{"step": run.steps, "entropy": 1.0}], evaluations
-    about: dict[str, Any] = {"wall_seconds": 1 + curve[-1], "cpu": "a", "threads": 1, **provenance}
+    about: dict[str, Any] = {
+        "wall_seconds": 1 + float(np.nan_to_num(curve[-1])),
+        "cpu": "a",
+        "threads": 1,
+        **provenance,
+    }
     hand_made.save_run(
         store, run_id(run), *rows, run.steps, fields=as_fields(run), config_id=config_id(run), **about
     )

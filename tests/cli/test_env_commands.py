@@ -86,6 +86,7 @@ def test_a_run_plays_in_its_own_environment(here: Path, arena: str) -> None:
 
 
 def test_no_code_of_a_stored_reward_runs(here: Path) -> None:
+    sys.modules.pop("mine", None)  # another test's
     (here / "mine.py").write_text("import numpy as np\ndef pay(e, p, s):\n    return np.zeros(e.shape)\n")
     name = store_run(here / "results", reward="mine:pay", episode_steps=3)
     (here / "mine.py").write_text("raise SystemExit('it ran')\n")
