@@ -76,11 +76,11 @@ def test_verdicts_in_every_form(tmp_path: Path) -> None:
     """0.735 against 0.235: a difference of one half in every run."""
     save_runs(Store(tmp_path / "results"), tmp_path, {"high": HIGH, "low": LOW})
     asked = ["study", "verify", "--claims", write_files(tmp_path), "--results", tmp_path / "results"]
-    effect = "kills 74 against 24 %: +50 points"
+    effect = "kills 74 against 24 % (47 to 53; ±4.0)"
     lines = printed(*asked, "--format", "markdown").splitlines()
     assert lines[0] == "| Section | The thesis's sentence | text |"
-    assert lines[2].startswith(f"| 6 | “a quote”<br>high against low | holds<br>{effect} (")
-    assert effect.replace("%", r"\%") in printed(*asked, "--format", "latex")
+    assert lines[2].startswith(f"| 6 | “a quote”<br>high against low | holds [p]<br>{effect} |")
+    assert r"kills 74 against 24 \% (47 to 53; " in printed(*asked, "--format", "latex")
     (row,) = csv.DictReader(io.StringIO(printed(*asked, "--format", "csv")))
     assert (row["claim"], row["verdict"], row["seeds_a"]) == ("better", "supported", "8")
     assert float(row["mean_a"]) - float(row["mean_b"]) == pytest.approx(0.5)
