@@ -55,7 +55,7 @@ class PneumaEnv(WithSpec, Rendering, gymnasium.Env[np.ndarray, np.int64]):
     Rows of the dead are zeros, at the end. `pneuma/Pneuma-v0` has 60 numbers, without the facing, and
     `pneuma/PneumaGodot-v0` 74, by `observation`, the layout:
 
-    | `observation` | the player | each monster | unless told otherwise |
+    | `observation` | the player | each monster | by default |
     | --- | --- | --- | --- |
     | `thesis` | x, y, HP, XP | distance, direction x and y, HP | all, nearest first, unit: 60 |
     | `pygame` | x, y, facing x and y, HP, energy | the same, XP it is worth | the 5 nearest, map: 31 |
@@ -119,7 +119,7 @@ class PneumaEnv(WithSpec, Rendering, gymnasium.Env[np.ndarray, np.int64]):
         config = make_env_config(settings, env_id)
         if config.players != 1:
             alternative = "make the vector environment, or pneuma.env.pettingzoo.parallel_env"
-            raise UserError(f"players = {config.players}: this face has one player; {alternative}")
+            raise UserError(f"players = {config.players}: this environment has one player; {alternative}")
         self.state = Worlds(1, config)
         self.observation_space = self.state.space
         self.action_space = self.state.action_space

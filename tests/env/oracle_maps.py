@@ -10,7 +10,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 KINDS = {"bamboo": 390, "spirit": 391, "raccoon": 392, "squid": 393}
-START, OBSTACLE, WATER, GRASS, SAND = 400, 395, 0, 2, 3
+START, OBSTACLE, WATER, GRASS = 400, 395, 0, 2
 CROWD = 30
 REACH = 47.5
 """No drawn body reaches further from the middle of the square in which it begins."""
@@ -31,7 +31,6 @@ class Map:
     shore: int = 1  # tiles of water around
     lakes: tuple[Tile, ...] = ()
     obstacles: tuple[Tile, ...] = ()
-    sand: tuple[Tile, ...] = ()
     starts: tuple[Place, ...] = ((512.0, 512.0),)
     monsters: tuple[tuple[str, float, float], ...] = ()
     clear: frozenset[Tile] = frozenset()
@@ -43,8 +42,7 @@ class Map:
         shore = self.shore
         ground[shore : self.rows - shore, shore : self.columns - shore] = GRASS
         obstacles = np.full_like(ground, -1)
-        layers = (ground, SAND, self.sand), (ground, WATER, self.lakes), (obstacles, OBSTACLE, self.obstacles)
-        for layer, code, tiles in layers:
+        for layer, code, tiles in ((ground, WATER, self.lakes), (obstacles, OBSTACLE, self.obstacles)):
             for column, row in tiles:
                 layer[row % self.rows, column % self.columns] = code
         for column, row in self.clear:
@@ -84,6 +82,6 @@ def maps(draw: st.DrawFn) -> Map:
     ]
     return Map(
         columns, rows, tile, shore=draw(st.integers(0, 2)), lakes=tuple(draw(tiles)[:4]),
-        obstacles=tuple(draw(tiles)), sand=tuple(draw(tiles)), starts=tuple(places[:starts]),
+        obstacles=tuple(draw(tiles)), starts=tuple(places[:starts]),
         monsters=tuple((draw(kinds), *place) for place in places[starts:]), clear=frozenset(under),
     )  # fmt: skip
