@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -42,19 +43,20 @@ def store(tmp_path: Path) -> Store:
     return store
 
 
-def _swapped(store: Store, name: str, change: Any) -> None:
-    """Seal the run again with one of its tables changed."""
-    files = {own: store.read_file(RUN, own) for own in store.checksums(RUN)}
+def _change_table(store: Store, name: str, change: Callable[[pa.Table], pa.Table]) -> None:
+    """Store the run again with one of its tables changed, under checksums that are right."""
+    files = {file: store.read_file(RUN, file) for file in store.checksums(RUN)}
     sink = pa.BufferOutputStream()
     pq.write_table(change(from_parquet(files[f"{name}.parquet"])), sink)
     files[f"{name}.parquet"] = sink.getvalue().to_pybytes()
     store.save_run(RUN, Status("done", 1000), files)
 
 
-def _put(column: str, values: Any) -> Any:
+def _put(column: str, value: Any) -> Callable[[pa.Table], pa.Table]:
+    """Return a function that puts a value into all cells of a column."""
+
     def change(table: pa.Table) -> pa.Table:
-        own = pa.array([values] * len(table)) if not isinstance(values, pa.Array) else values
-        return table.set_column(table.column_names.index(column), column, own)
+        return table.set_column(table.column_names.index(column), column, pa.array([value] * len(table)))
 
     return change
 
@@ -72,7 +74,7 @@ def _put(column: str, values: Any) -> Any:
 def test_untrusted_a_checksummed_table_that_makes_no_sense_is_one_line(
     store: Store, name: str, change: Any
 ) -> None:
-    _swapped(store, name, change)
+    _change_table(store, name, change)
     index = RunIndex(store, shipped=False)
     with pytest.raises(UserError, match="study mine has no finished run in"):
         open_study(index, Query(study="mine"))
@@ -88,53 +90,53 @@ def test_untrusted_a_checksummed_table_that_makes_no_sense_is_one_line(
      ("evaluations", _put("step", -1)), ("episodes", _put("slot", 2**62))],
 )  # fmt: skip
 def test_untrusted_odd_numbers_are_numbers(store: Store, name: str, change: Any) -> None:
-    _swapped(store, name, change)
+    _change_table(store, name, change)
     data = study_of(store, ONE)
     (run,) = data.rows
     assert diagnose(run) is not None
-    assert all(isinstance(outcome(run, own), float) for own in OUTCOMES)
+    assert all(isinstance(outcome(run, outcome_name), float) for outcome_name in OUTCOMES)
     assert encode_table(data, "curves", "csv", store) and encode_published([run], {})
 
 
-def _forged(data: StudyData, store: Store, about: dict[str, Any], column: str, values: Any) -> None:
-    """Publish a study with something changed, under a checksum that is right."""
+def _publish_changed(data: StudyData, store: Store, about: dict[str, Any], column: str, value: Any) -> None:
+    """Publish a study of one run with something changed, under a checksum that is right."""
     path = publish(data, store)
     table = from_parquet(path.read_bytes())
-    told = {**json.loads(table.schema.metadata[b"pneuma"]), **about}
     if column:
-        own = pa.array(values if isinstance(values, list) else [values])
-        table = table.set_column(table.column_names.index(column), column, own)
-    blank = "sha256:" + "0" * 64
+        table = _put(column, value)(table)
+    about = {**json.loads(table.schema.metadata[b"pneuma"]), **about}
+    no_checksum = "sha256:" + "0" * 64
+    metadata = {"pneuma": json.dumps(about), "pneuma.checksum": no_checksum}
     sink = pa.BufferOutputStream()
-    metadata = {"pneuma": json.dumps(told), "pneuma.checksum": blank}
     pq.write_table(table.replace_schema_metadata(metadata), sink, compression="none")
-    forged = sink.getvalue().to_pybytes()
-    store.write(path, forged.replace(blank.encode(), f"sha256:{checksum(forged)}".encode()))
+    changed = sink.getvalue().to_pybytes()
+    store.write(path, changed.replace(no_checksum.encode(), f"sha256:{checksum(changed)}".encode()))
 
 
 @pytest.mark.parametrize(
-    ("about", "column", "values"),
+    ("about", "column", "value"),
     [({"schema": 2}, "", None), ({"listing": {"runs": 3}}, "", None), ({"listing": 3}, "", None),
      ({}, "run_id", "../.."), ({}, "config_id", "x"), ({}, "status", "planned"), ({}, "steps", 0),
-     ({}, "end", None), ({}, "return last", "x"), ({}, "evaluations", [[{"a": 1.0}]]), ({}, "seed", None)],
+     ({}, "end", None), ({}, "return last", "x"), ({}, "evaluations", [{"a": 1.0}]), ({}, "seed", None)],
 )  # fmt: skip
 def test_untrusted_a_published_table_that_makes_no_sense_is_one_line(
-    store: Store, about: dict[str, Any], column: str, values: Any, tmp_path: Path
+    store: Store, about: dict[str, Any], column: str, value: Any, tmp_path: Path
 ) -> None:
     clone = Store(tmp_path / "clone")
-    _forged(study_of(store, ONE), clone, about, column, values)
+    _publish_changed(study_of(store, ONE), clone, about, column, value)
+    index = RunIndex(clone, shipped=False)
     with pytest.raises(UserError) as refused:
-        open_study(index := RunIndex(clone, shipped=False), Query(study="mine"))
-    told = [str(refused.value), *index.problems]
-    assert all("\n" not in line for line in told) and any("mine" in line for line in told)
-    _forged(study_of(store, ONE), store, about, column, values)
+        open_study(index, Query(study="mine"))
+    lines = [str(refused.value), *index.problems]
+    assert all("\n" not in line for line in lines) and any("mine" in line for line in lines)
+    _publish_changed(study_of(store, ONE), store, about, column, value)
     assert len(open_study(RunIndex(store, shipped=False), Query(study="mine")).runs) == 1
 
 
 @pytest.mark.parametrize(("column", "text"), [("fields", "["), ("provenance", "{"), ("signs", "{}")])
 def test_untrusted_text_that_is_no_document_is_one_line(store: Store, column: str, text: str) -> None:
     clone = Store(store.root / "clone")
-    _forged(study_of(store, ONE), clone, {}, column, text)
+    _publish_changed(study_of(store, ONE), clone, {}, column, text)
     for command in ("summary", "status"):
         told = call("study", command, "mine", "--results", clone.root)
         assert told.code in (0, 2) and "Traceback" not in told.err
@@ -202,7 +204,7 @@ def test_untrusted_a_number_that_no_run_can_have_is_one_line_that_names_its_run(
     """In the run's own row, and in a published one."""
     text = TEXTS[column].replace("@", number)
     clone = Store(store.root / "clone")
-    _forged(study_of(store, ONE), clone, {}, column, text)
+    _publish_changed(study_of(store, ONE), clone, {}, column, text)
     cells = from_ipc(store.read_file(RUN, ROW_FILE)).to_pydict()
     cells = {**{name: values[0] for name, values in cells.items()}, column: text}
     store.save_run(RUN, Status("done", 1000), {"run.json": b"{}", ROW_FILE: encode_row(cells)})
