@@ -15,7 +15,7 @@ from textwrap import shorten
 
 import pandas as pd
 
-from pneuma.analysis.claims.claim_list import Claim
+from pneuma.analysis.claims.claim_list import TOGETHER, Claim
 from pneuma.analysis.claims.verdicts import (
     DESCRIBED,
     DESCRIPTIVE,
@@ -103,57 +103,67 @@ def verdicts_by_claim(verdicts: Iterable[Verdict]) -> dict[str, dict[str, Verdic
 
     Those of a claim that is like another stand with the other's.
     """
-    grouped: dict[str, dict[str, Verdict]] = {}
+    by_claim: dict[str, dict[str, Verdict]] = {}
     for verdict in sorted(verdicts, key=_section_numbers):
-        grouped.setdefault(verdict.claim.row, {})[verdict.world] = verdict
-    return grouped
+        by_claim.setdefault(verdict.claim.row, {})[verdict.world] = verdict
+    return by_claim
 
 
 def _section_numbers(verdict: Verdict) -> list[int]:
     return [int(number) for number in re.findall(r"\d+", verdict.claim.section)]
 
 
-def first_claim(name: str, judged: Mapping[str, Verdict]) -> Claim:
+def first_claim(name: str, by_world: Mapping[str, Verdict]) -> Claim:
     """Return the claim of a row: the one that others are like, or the first of these without it."""
-    claims = {verdict.claim.name: verdict.claim for verdict in judged.values()}
+    claims = {verdict.claim.name: verdict.claim for verdict in by_world.values()}
     return claims.get(name) or next(iter(claims.values()))
 
 
-def worlds_of(claims: ByClaim) -> dict[str, str]:
+def worlds_of(by_claim: ByClaim) -> dict[str, str]:
     """Return the names of the worlds in which claims were judged; statements of one's own may have none."""
-    verdicts = [verdict for judged in claims.values() for verdict in judged.values()]
-    judged_in = {verdict.world for verdict in verdicts}
-    if len(judged_in) == 1 and not any(verdict.claim.quote for verdict in verdicts):
-        return dict.fromkeys(judged_in, "verdict")
-    return {world: WORLD_NAMES[world] for world in WORLDS if world in judged_in}
+    worlds: set[str] = set()
+    has_quotes = False
+    for by_world in by_claim.values():
+        for world, verdict in by_world.items():
+            worlds.add(world)
+            has_quotes |= bool(verdict.claim.quote)
+    if len(worlds) == 1 and not has_quotes:
+        return dict.fromkeys(worlds, "verdict")
+    return {world: name for world, name in WORLD_NAMES.items() if world in worlds}
 
 
-def count_words(claims: ByClaim) -> pd.DataFrame:
+def count_words(by_claim: ByClaim) -> pd.DataFrame:
     """Return how many claims have each word, a row for each world."""
+    counts: dict[str, Counter[str]] = {}
+    for by_world in by_claim.values():
+        for world, verdict in by_world.items():
+            counts.setdefault(world, Counter()).update([word(verdict)])
     rows = []
-    for world, name in worlds_of(claims).items():
-        counts = Counter(word(judged[world]) for judged in claims.values() if world in judged)
-        rows.append([name, *(counts[one] for one in WORDS)])
+    for world, name in worlds_of(by_claim).items():
+        rows.append([name] + [counts[world][each_word] for each_word in WORDS])
     return pd.DataFrame(rows, columns=["", *WORDS])
 
 
-def verdict_table(claims: ByClaim, whole: bool = False) -> pd.DataFrame:
+def verdict_table(by_claim: ByClaim, whole: bool = False) -> pd.DataFrame:
     """Return a row for each claim: section, sentence and arms, and for each world the word and effects.
 
     With `whole`, sentences are not shortened.
     """
-    worlds = worlds_of(claims)
+    worlds = worlds_of(by_claim)
     rows: list[list[str]] = []
     quoted: set[str] = set()
-    for name, judged in claims.items():
-        claim = first_claim(name, judged)
+    for name, by_world in by_claim.items():
+        claim = first_claim(name, by_world)
         quote = sentence(claim) if whole else short_sentence(claim)
-        heading = claim.context or name
-        if quote not in ("", *quoted):
+        if quote and quote not in quoted:
             heading = f"“{quote}”"
             quoted.add(quote)
-        cells = [cell(judged.get(world)) for world in worlds]
-        rows.append([claim.section, f"{heading}\n{arms_in_words(claim)}", *cells])
+        else:
+            heading = claim.context or name
+        row = [claim.section, f"{heading}\n{arms_in_words(claim)}"]
+        for world in worlds:
+            row.append(cell(by_world[world]) if world in by_world else "–")
+        rows.append(row)
     heading = "The thesis's sentence" if quoted else "Claim"
     return pd.DataFrame(rows, columns=["Section", heading, *worlds.values()])
 
@@ -161,10 +171,8 @@ def verdict_table(claims: ByClaim, whole: bool = False) -> pd.DataFrame:
 # --- One verdict -----------------------------------------------------------------------------------
 
 
-def cell(verdict: Verdict | None) -> str:
+def cell(verdict: Verdict) -> str:
     """Return a verdict's word and label; in the next lines its effects, or why there are none."""
-    if verdict is None:
-        return "–"
     return "\n".join([f"{word(verdict)} [{letter(verdict)}]", *lines(verdict)])
 
 
@@ -174,19 +182,22 @@ def word(verdict: Verdict) -> str:
 
 def lines(verdict: Verdict) -> list[str]:
     """Return the effect of each outcome, if any was tested, and what must be added or stands instead."""
-    tested: list[ClaimContrast] = []
+    texts: list[str] = []
     if word(verdict) != NOT_TESTED:
         tested = [row for row in verdict.deciding if row.has_effect]
-    texts = [effect(row) for row in tested]
-    if any(row.none_learned for row in tested):
-        texts.append("none plays better than at random")
-    texts.append(why(verdict))
-    unequal = [row.contrast.seeds for row in tested if 0 < row.contrast.seeds[1] != row.contrast.seeds[0]]
-    if unequal:
-        texts.append("{} against {} runs".format(*unequal[0]))
+        texts = [effect(row) for row in tested]
+        if any(row.none_learned for row in tested):
+            texts.append("none plays better than at random")
+        for row in tested[:1]:
+            runs, other_runs = row.contrast.seeds
+            if other_runs and runs != other_runs:
+                texts.append(f"{runs} against {other_runs} runs")
+    reason = why(verdict)
+    if reason:
+        texts.append(reason)
     if verdict.registered_verdict not in ("", verdict.verdict):
         texts.append(f"by the registered margins: {_WORD_OF[verdict.registered_verdict]}")
-    return [text for text in texts if text]
+    return texts
 
 
 def letter(verdict: Verdict) -> str:
@@ -200,8 +211,9 @@ def letter(verdict: Verdict) -> str:
 
 def registration(verdict: Verdict) -> str:
     """Return whether a claim was stated before its runs, and what has changed since."""
-    changed = ", ".join(verdict.changed or ())
-    return f"{verdict.label}; changed since the first run: {changed}" if changed else verdict.label
+    if not verdict.changed:
+        return verdict.label
+    return f"{verdict.label}; changed since the first run: {', '.join(verdict.changed)}"
 
 
 def why(verdict: Verdict) -> str:
@@ -211,21 +223,28 @@ def why(verdict: Verdict) -> str:
     if verdict.verdict == MIXED:
         return "its two measures disagree"
     reason = verdict.reason.partition(":")[0]
-    return "a run has no value" if " seed " in reason else _PLAIN_REASONS.get(reason, reason)
+    if " seed " in reason:
+        return "a run has no value"
+    return _PLAIN_REASONS.get(reason, reason)
 
 
 def details(verdict: Verdict) -> list[str]:
     """Return what is compared; for each contrast arms, numbers of runs, effect, margin; why there is none."""
-    texts = [verdict.claim.context]
     if verdict.lacks_runs:
-        return [*texts, verdict.reason]
+        return [verdict.claim.context, verdict.reason]
+    texts = [verdict.claim.context]
     for row in verdict.contrasts:
-        parts = [row.contrast.reason]
-        if row.has_effect:
-            parts = [effect(row), row.contrast.reason]
         runs = " and ".join(str(count) for count in row.contrast.seeds if count)
-        texts.append(f"{' against '.join(row.names)}, {runs} runs: {'; '.join(filter(None, parts))}")
+        text = f"{' against '.join(row.names)}, {runs} runs:"
+        if row.has_effect:
+            text += f" {effect(row)}"
+        if row.contrast.reason:
+            text += f" ({row.contrast.reason})"
+        texts.append(text)
     return texts
+
+
+# --- One effect ------------------------------------------------------------------------------------
 
 
 def effect(row: ClaimContrast) -> str:
@@ -234,43 +253,52 @@ def effect(row: ClaimContrast) -> str:
     In brackets stand the ends of the interval of the difference, the first less the second, which holds
     together with all others of its family; and the margin. Of logarithms they are factors.
     """
-    contrast = row.contrast
-    ends = contrast.simultaneous.low, contrast.simultaneous.high
-    is_share = row.claim.is_incidence or find_outcome(row.outcome).unit == "share"
-    is_factor = row.claim.kind == "hazard" or row.outcome in _LOGARITHMS
-    unit = " %" if is_share or row.claim.kind == "hazard" else ""
-    if is_factor:
-        a, b = (f"{100 * mean:.0f}" if unit else _factor(mean) for mean in contrast.means)
-        low, high = (_factor(end) for end in ends)
-        margin = f"×{_factor(row.margin)}" if row.margin else ""
+    if row.claim.kind == "hazard" or row.outcome in _LOGARITHMS:
+        a, b, interval, margin = _factors(row)
     else:
-        scale = 100 if is_share else 1
-        means = [scale * mean for mean in contrast.means]
-        a, b, low, high = _in_digits(means, [scale * end for end in ends], whole=is_share)
-        margin = f"±{shown(scale * row.margin, decimals(scale * row.margin) - 1)}" if row.margin else ""
-    interval = f"{low} to {high}" if contrast.simultaneous.exists else ""
-    if interval and is_factor:
-        interval += " times"
-    brackets = "; ".join(part for part in (interval, margin) if part)
-    name = _name(row)
+        a, b, interval, margin = _numbers(row)
     if row.b:
-        text = f"{name} {a} against {b}{unit}"
+        text = f"{_name(row)} {a.removesuffix(' %')} against {b}"
     elif row.other_outcome:
-        text = f"{name} {a}{unit}, {_OUTCOME_NAMES.get(row.other_outcome, row.other_outcome)} {b}{unit}"
+        text = f"{_name(row)} {a}, {_OUTCOME_NAMES.get(row.other_outcome, row.other_outcome)} {b}"
     elif row.value:
-        text = f"{name} {a}{unit}, threshold {b}{unit}"
+        text = f"{_name(row)} {a}, threshold {b}"
     else:
-        text = f"{name} {a}{unit}"
+        text = f"{_name(row)} {a}"
+    brackets = "; ".join(filter(None, (interval, margin)))
     return f"{text} ({brackets})" if brackets else text
 
 
-def _in_digits(means: Sequence[float], ends: Sequence[float], whole: bool) -> list[str]:
-    """Return two numbers and the ends of the interval of their difference, as far as it is known."""
-    places = _places(means[0] - means[1], *ends)
-    if whole:
+def _numbers(row: ClaimContrast) -> tuple[str, str, str, str]:
+    """Return both numbers, the interval of their difference, and the margin, as far as the interval knows."""
+    contrast, ends = row.contrast, row.contrast.simultaneous
+    is_share = row.claim.is_incidence or find_outcome(row.outcome).unit == "share"
+    scale, unit = (100, " %") if is_share else (1, "")
+    places = _places(scale * (contrast.means[0] - contrast.means[1]), scale * ends.low, scale * ends.high)
+    if is_share:
         places = max(places, 0)
-    texts = [shown(mean, places) for mean in means] + [_end(end, places) for end in ends]
-    return [text.replace("-", "−") for text in texts]
+    a, b = (shown(scale * mean, places).replace("-", "−") + unit for mean in contrast.means)
+    interval = margin = ""
+    if ends.exists:
+        interval = f"{_end(scale * ends.low, places)} to {_end(scale * ends.high, places)}"
+    if row.margin:
+        margin = f"±{shown(scale * row.margin, decimals(scale * row.margin) - 1)}"
+    return a, b, interval.replace("-", "−"), margin
+
+
+def _factors(row: ClaimContrast) -> tuple[str, str, str, str]:
+    """Return the same of logarithms as factors; of a hazard both numbers are shares of runs."""
+    contrast, ends = row.contrast, row.contrast.simultaneous
+    if row.claim.kind == "hazard":
+        a, b = (f"{100 * share:.0f} %" for share in contrast.means)
+    else:
+        a, b = (_factor(mean) for mean in contrast.means)
+    interval = margin = ""
+    if ends.exists:
+        interval = f"{_factor(ends.low)} to {_factor(ends.high)} times"
+    if row.margin:
+        margin = f"×{_factor(row.margin)}"
+    return a, b, interval, margin
 
 
 def _end(end: float, places: int) -> str:
@@ -280,13 +308,15 @@ def _end(end: float, places: int) -> str:
     return shown(end, min(places, MOST))
 
 
-def _places(size: float, low: float, high: float) -> int:
+def _places(difference: float, low: float, high: float) -> int:
     """Return decimal places by which half an interval has one digit, or two if it begins with 1."""
     half = (high - low) / 2
     if not half > 0:
-        return decimals(size)
+        return decimals(difference)
     places = min(MOST, -math.floor(math.log10(half / 2)))
-    return places + (round(size, places) == 0)
+    if round(difference, places) == 0:
+        places += 1
+    return places
 
 
 def _factor(log: float) -> str:
@@ -300,19 +330,26 @@ def _factor(log: float) -> str:
 def _name(row: ClaimContrast) -> str:
     """Return the words for an outcome of a contrast, after those for its pair of arms."""
     event = row.claim.event(row.outcome)
-    words = _OUTCOME_NAMES.get(f"{row.outcome} {event}".strip(), "")
-    if row.outcome.startswith("steps-to:"):
-        words = f"steps to {100 * float(row.outcome.partition(':')[2]):g} % of the monsters"
-    if not words:
-        words = _OUTCOME_NAMES.get(row.outcome, find_outcome(row.outcome).words)
-        words = f"runs with {words} {event}" if event else words
+    if f"{row.outcome} {event}" in _OUTCOME_NAMES:
+        words = _OUTCOME_NAMES[f"{row.outcome} {event}"]
+    elif row.outcome.startswith("steps-to:"):
+        share = float(row.outcome.removeprefix("steps-to:"))
+        words = f"steps to {100 * share:g} % of the monsters"
+    else:
+        words = _OUTCOME_NAMES.get(row.outcome) or find_outcome(row.outcome).words
+        if event:
+            words = f"runs with {words} {event}"
     if row.claim.kind in ("spread", "range"):
         words = f"{row.claim.kind} of {words}"
+    pair_names = row.claim.called[2:]
     if row.claim.kind == "interaction":
-        words = f"difference of {words}, {' against '.join(row.claim.called[2:])}"
-    pair_names = dict(zip(row.claim.pairs(row.outcome), row.claim.called[2:], strict=False))
-    pair = pair_names.get((row.a, row.b))
-    return f"{pair}, {words}" if pair else words
+        return f"effect on {words}, {' against '.join(pair_names)}:"
+    if row.claim.kind in TOGETHER:
+        return words
+    for pair, name in zip(row.claim.pairs(row.outcome), pair_names, strict=False):
+        if pair == (row.a, row.b):
+            return f"{name}, {words}"
+    return words
 
 
 # --- Claims ----------------------------------------------------------------------------------------
@@ -320,12 +357,17 @@ def _name(row: ClaimContrast) -> str:
 
 def arms_in_words(claim: Claim) -> str:
     """Return what is compared, as 'tanh against ReLU'; one arm alone is held against a threshold."""
-    first, second = claim.called[:2] if claim.called else (_arm(claim.a), _arm(claim.b))
+    if claim.called:
+        first, second = claim.called[:2]
+    else:
+        first, second = _list_in_words(claim.a), _list_in_words(claim.b)
     return f"{first} against {second}" if second else first
 
 
-def _arm(conditions: Sequence[str]) -> str:
-    return " and ".join(filter(None, (", ".join(conditions[:-1]), *conditions[-1:])))
+def _list_in_words(names: Sequence[str]) -> str:
+    if len(names) < 2:
+        return "".join(names)
+    return f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def sentence(claim: Claim) -> str:
