@@ -48,9 +48,9 @@ def _one_line(value: object) -> object:
 
 
 def _count_or_seeds(value: Any) -> Any:
-    """Read seeds, but keep a count as it is, because the list sets the first seed."""
-    seeds = read_seeds(value)
-    return value if isinstance(value, int) else seeds
+    """Check seeds but keep a count as it is, because the list sets the first seed."""
+    read_seeds(value)
+    return value
 
 
 def _find_outcomes(names: tuple[str, ...]) -> None:
