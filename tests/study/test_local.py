@@ -145,6 +145,7 @@ def test_workers_keep_byte_code_where_packages_have_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    monkeypatch.delenv("PYTHONPYCACHEPREFIX", raising=False)  # set for the suite where it has no byte code
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     numpy = find_spec("numpy")
     assert numpy is not None
