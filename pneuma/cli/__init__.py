@@ -54,6 +54,16 @@ class _Root(TyperGroup):
     def __init__(self, **given: Any) -> None:
         super().__init__(**{**given, "commands": _Commands()})
 
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find a command; of one that is in a group, such as `plot`, name the group."""
+        try:
+            return super().resolve_command(ctx, args)
+        except typer.TyperException:
+            for group in COMMANDS:
+                if args[0] in getattr(self.commands[group], "commands", {}):
+                    raise UserError(f"no such command {args[0]!r}: `pneuma {group} {args[0]}`") from None
+            raise
+
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])

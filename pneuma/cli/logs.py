@@ -9,6 +9,7 @@ from pneuma.cli import options as opt
 from pneuma.cli.output import Result, command, say
 from pneuma.errors import counted
 from pneuma.store.store import Store
+from pneuma.study.spec import results_words
 
 if TYPE_CHECKING:
     from pneuma.imports.logs import Import, Log
@@ -72,7 +73,7 @@ def _imported(imported: Import, results: Path) -> Result:
         f"{study}: {counted(len(logs), 'run')}, {counted(points, 'point')}; {new} imported now, "
         f"{len(logs) - new} were stored.",
         _averaging(logs),
-        f"Draw it with: {command('study', 'plot', study, '--results', results)}",
+        f"Draw it with: {command('study', 'plot', study, *results_words(results))}",
     ]
     return Result({"study": study, "runs": rows, "notes": notes}, lines)
 

@@ -23,7 +23,7 @@ from pneuma.presets import WORLDS
 from pneuma.store.store import Store
 from pneuma.study.plan import Query
 from pneuma.training.executors.base import EXECUTORS, LOCAL, RAY, ExecutorConfig, load_executor
-from pneuma.values import SEEDS_ALLOWED, read_seeds, read_value, setting_words, shown_seeds
+from pneuma.values import SEEDS_ALLOWED, read_seeds, read_value
 
 if TYPE_CHECKING:
     from pneuma.analysis.study_data import StudyData
@@ -75,7 +75,7 @@ def count(help_text: str) -> Any:
         except ValueError:
             number = 0.0
         if not (1 <= number < 2**53 and number.is_integer()):
-            raise WrongText(f"{text}: must be a whole number of at least 1")
+            raise WrongText(f"{text}: must be a whole number of at least 1, as 100_000 or 1e5")
         return int(number)
 
     return option("N", help_text, read)
@@ -178,6 +178,8 @@ class RunFilter:
         """Every run, stored or published."""
         from pneuma.store.index import RunIndex
 
+        if self.results != HERE and not (self.store.runs() or self.store.published(shipped=False)):
+            say(f"Note: {self.results} has no results.")
         return RunIndex(self.store)
 
     def open(self, name: str, world: str | None = None) -> StudyData:
@@ -209,26 +211,6 @@ class Place:
         config = ExecutorConfig(executor=executor, address=self.address)
         most_workers = load_executor(config).most_workers(config)  # refuses a place that cannot be reached
         return replace(config, workers=self.workers or most_workers)
-
-
-def words_of(asked: Any) -> list[object]:
-    """Return the options in a dataclass that are not at their defaults, as words of a command."""
-    words: list[object] = []
-    for item in _options_of(type(asked)):
-        value, (declared,) = getattr(asked, item.name), item.annotation.__metadata__
-        name = "--" + item.name.replace("_", "-") if declared.default is ... else declared.default
-        if value in (None, item.default) and item.name != "results":
-            continue
-        if name == "--set":
-            words += setting_words(dict(value))
-        elif name == "--seeds":
-            words += [name, shown_seeds(value) + "," * (len(value) == 1)]
-        elif value is True:
-            words.append(name)
-        else:
-            several = value if isinstance(value, list) else [value]
-            words += [word for each in several for word in (name, each)]
-    return words
 
 
 # --- Commands --------------------------------------------------------------------------------------

@@ -49,6 +49,11 @@ class Location:
     def store(self) -> Store:
         return Store(self.results)
 
+    def command(self, verb: str, name: str) -> str:
+        """Return a command about the same search."""
+        world = [] if self.world is None else ["--world", self.world]
+        return command("search", verb, name, *world, *spec.results_words(self.results))
+
     def read(self, name: str) -> Record:
         from pneuma.search.log import read_record
 
@@ -83,10 +88,10 @@ def show(name: SearchName, world: opt.World = None) -> Result:
 def status(name: SearchName, location: Location) -> Result:
     """Show the progress of a search, and its best trials."""
     record = location.read(name)
-    return Result(record.document(), _status(record, [name, *opt.words_of(location)]))
+    return Result(record.document(), _status(record, name, location))
 
 
-def _status(record: Record, words: list[object]) -> Iterator[str | Table]:
+def _status(record: Record, name: str, location: Location) -> Iterator[str | Table]:
     from pneuma.search.log import STATES
     from pneuma.search.spec import shown_params
 
@@ -106,12 +111,12 @@ def _status(record: Record, words: list[object]) -> Iterator[str | Table]:
         rows.append((mark, trial.number, state, _value(trial), shown_params(trial.params), note))
     yield Table(("", "trial", "", "value", "", ""), rows)
     if isinstance(best, int):
-        yield f"Best (*): trial {best}. Confirm it with: {command('search', 'promote', *words)}"
+        yield f"Best (*): trial {best}. Confirm it with: {location.command('promote', name)}"
     elif best:
         yield f"Pareto front (*): trials {', '.join(map(str, best))}."
     else:
         yield "No trial is complete yet."
-    yield f"Look closer with: {command('search', 'plot', *words)}"
+    yield f"Look closer with: {location.command('plot', name)}"
 
 
 @app.command(short_help="Draw a search.")
@@ -179,9 +184,8 @@ def run(
         code = STOPPED
     lines: list[str] = []
     if not code and not quiet:
-        words = [name, *opt.words_of(location)]
-        lines = [f"See its trials with: {command('search', 'status', *words)}"]
-        lines.append(f"Draw it with: {command('search', 'plot', *words)}")
+        lines = [f"See its trials with: {location.command('status', name)}"]
+        lines.append(f"Draw it with: {location.command('plot', name)}")
     return Result(progress.document, lines, code=code)
 
 

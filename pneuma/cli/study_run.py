@@ -251,5 +251,5 @@ def _outcome(planned: plan.Plan, results: Sequence[execute.CellResult], store: S
     stored = f"{trained} trained now, {len(results) - trained} were stored"
     yield f"{planned.study.name}: {states}; {stored}."
     if results and all(result.status.finished for result in results):
-        drawn = command("study", "plot", *spec.asked_words(planned.study), "--results", store.root)
+        drawn = command("study", "plot", *spec.asked_words(planned.study), *spec.results_words(store.root))
         yield f"Draw it with: {drawn}"

@@ -43,10 +43,22 @@ def read_head(name: str, folder: Path | None = None) -> dict[str, Any]:
     return tomllib.loads(((folder or studies_folder()) / f"{name}.toml").read_text(encoding="utf-8"))
 
 
+def studies_by_figure() -> dict[str, str]:
+    """Return the shipped study of each figure, such as optimizer of fig-6-4."""
+    studies = {}
+    for name in list_studies():
+        figure = read_head(name).get("figure")
+        if figure:
+            studies[figure] = name
+    return studies
+
+
 def find_file(
     what: str, name: str, folder: Path, others: Iterable[str] = (), kept: Path | None = None
 ) -> Path:
     """Return the path of a file by itself, by a shipped name, or by that of NAME.toml here or in examples.
+
+    A study has the name of its figure, too.
 
     Of none of these, `kept` may have it, a folder of files as they were run. A mistyped name may mean one of
     `others`.
@@ -66,6 +78,11 @@ def find_file(
         elif kept and (kept / path).is_file():
             return kept / path
         else:
+            figures = {} if what != "study" else studies_by_figure()
+            if name in figures:
+                return folder / f"{figures[name]}.toml"
+            if what == "study" and name in shipped_names(folder / "search"):
+                raise UserError(f"{name} is a search, not a study: `pneuma search run {name}`")
             raise unknown_name(what, name, [*known, *others, *examples])
     refuse_taken_name(path, folder / path.name, what)
     return path

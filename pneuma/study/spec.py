@@ -15,6 +15,7 @@ file → Study, checked here → Plan (`plan.py`). A study owns no results.
 from __future__ import annotations
 
 import math
+import os
 import shlex
 from collections.abc import Iterable, Mapping
 from itertools import product
@@ -40,7 +41,7 @@ from pneuma.presets import (
 from pneuma.sb3_names import fields_and_keys
 from pneuma.schema import Table, TomlFile, Where, all_wrong, read_model, read_toml, shown, wrong
 from pneuma.study.identity import files_beside
-from pneuma.study.shipped import find_file, list_studies, read_head, studies_folder
+from pneuma.study.shipped import find_file, studies_by_figure, studies_folder
 from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, matching, read_seeds, setting_words, short
 
 PRESETS = ("quick", "standard", "paper")
@@ -342,7 +343,7 @@ def _mentioned_conditions(where: Where, amounts: Amounts) -> list[tuple[Where, s
 def _figure(path: Path, named: str) -> str:
     """Return a figure's name, which in a copy of a shipped study is not the shipped one's."""
     own = path.resolve().parent != studies_folder().resolve()
-    if own and any(read_head(name).get("figure") == named for name in list_studies()):
+    if own and named in studies_by_figure():
         return f"study-{path.stem}"
     return named or f"study-{path.stem}"
 
@@ -443,5 +444,5 @@ def asked_words(study: Study) -> list[str]:
 
 
 def results_words(folder: Path) -> list[str]:
-    """Return the option that names a results folder, unless it is the usual one."""
-    return [] if folder == Path("results") else ["--results", str(folder)]
+    """Return the option that names a results folder, unless it is the default."""
+    return [] if folder == Path(os.environ.get("PNEUMA_RESULTS") or "results") else ["--results", str(folder)]

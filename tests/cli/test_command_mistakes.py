@@ -29,6 +29,9 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 RUN = "study run activation"
 MISTAKES = {
     "study run activaton": "'activaton' (did you mean activation?)",
+    "study run ppo": "ppo is a search, not a study: `pneuma search run ppo`",
+    "plot activation": "no such command 'plot': `pneuma study plot`",
+    f"{RUN} --steps 100k": "--steps 100k: must be a whole number of at least 1, as 100_000 or 1e5",
     f"{RUN} --set optimizer=sdg": "did you mean sgd?",
     f"{RUN} --set gamma": "--set gamma: must be KEY=VALUE",
     f"{RUN} --set steps=3": "--steps",
@@ -52,6 +55,11 @@ MISTAKES = {
 def test_a_mistake_is_one_line_and_nothing_is_written(words: str, here: Path) -> None:
     assert MISTAKES[words] in refused(*words.split())
     assert os.listdir(here) == []
+
+
+def test_a_study_is_found_by_its_figure_and_a_folder_without_results_is_noted(here: Path) -> None:
+    called = call("study", "summary", "fig-6-4", "--results", "nowhere")
+    assert called.out.startswith("Optimizer") and "Note: nowhere has no results." in called.err
 
 
 @pytest.mark.parametrize("threads", ["x", "0", "-1", "1.5"])

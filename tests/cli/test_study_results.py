@@ -6,13 +6,10 @@ import io
 import shutil
 import sys
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 import pytest
 
-from pneuma.cli import options as opt
-from pneuma.cli.output import Result
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 
@@ -108,34 +105,6 @@ def test_a_copy_of_a_shipped_study_plans_the_same_runs(
         plans = [make_plan(study, Query(preset="quick")).cells for study in (own, shipped)]
         assert [cell.run_id for cell in plans[0]] == [cell.run_id for cell in plans[1]]
         assert (own.title, own.section, own.about) == (f"my-{name}", "", "")
-
-
-# --- The options that select runs -----------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        ({}, ""),
-        ({"seeds": (0, 1, 2)}, "--seeds 0..2"),
-        ({"seeds": (4,), "steps": 512}, "--seeds 4, --steps 512"),
-        ({"condition": ["tanh", "relu, gamma=0.5"]}, "--condition tanh --condition relu, gamma=0.5"),
-        ({"set_": {"gamma": 0.5, "magic": True}}, "--set=gamma=0.5 --set=magic=true"),
-        ({"set_": {"actor": [64, 64], "reward": "none"}}, "--set=actor=[64, 64] --set=reward=none"),
-    ],
-)
-def test_a_selection_is_told_in_the_words_that_make_it(given: dict[str, Any], words: str) -> None:
-    asked, app, read = opt.RunFilter(**given), opt.Commands("", ""), []
-
-    @app.command()
-    def take(picked: opt.RunFilter) -> Result:
-        read.append(picked)
-        return Result({})
-
-    told = [*map(str, opt.words_of(asked))]
-    assert " ".join(told) == f"{words} --results results".lstrip()
-    app(told, standalone_mode=False)
-    assert read[0].query("x") == asked.query("x")
 
 
 def test_a_comparison_shows_the_outcomes_of_the_claim_on_it_first() -> None:
