@@ -284,5 +284,4 @@ def shown_with_interval(value: float, low: float, high: float) -> str:
     ends = shown(low, places), shown(high, places)
     if math.isnan(low) or math.isnan(high) or ends[0] == ends[1]:  # nearly equal runs: no width would show
         return shown(value, places)
-    between = "; " if "," in "".join(ends) else ", "  # as in [-8,400; 9,400]
-    return f"{shown(value, places)} [{between.join(ends)}]"
+    return f"{shown(value, places)} [{' to '.join(ends)}]"

@@ -132,12 +132,12 @@ def test_a_terminal_of_a_hundred_columns_shows_words_and_intervals_whole(
     """A head was once broken as final-share-kil, led."""
     monkeypatch.setenv("COLUMNS", "100")
     heads = [f"final-share-killed-{k} (share)" for k in range(4)]
-    cells = ["0.851 [0.827, 0.876]", "two words that are longer than the rest", "–", "0.5"]
+    cells = ["0.851 [0.827 to 0.876]", "two words that are longer than the rest", "–", "0.5"]
     with contextlib.redirect_stdout(Terminal()) as terminal:
         print_result(Result({}, [Table(heads, [cells, ["", "b", "c", "d"]])]), "table")
     lines = terminal.getvalue().splitlines()
     assert max(map(len, lines)) <= 100
-    words = "[0.827, 0.876]", *(f"final-share-killed-{k}" for k in range(4)), "(share)"
+    words = "[0.827 to 0.876]", *(f"final-share-killed-{k}" for k in range(4)), "(share)"
     assert all(any(word in line for line in lines) for word in words)
     assert [line.split() for line in lines[-1:]] == [["b", "c", "d"]]
     monkeypatch.setenv("COLUMNS", "20")  # too narrow for all words, which stay whole

@@ -100,4 +100,4 @@ def test_numbers_have_a_row_for_each_condition_and_their_intervals() -> None:
     columns = ["condition", "outcome", "statistic", "value", "low", "high", "runs"]
     _, heads, cells, _ = numbers_table("own", pd.DataFrame(rows, columns=columns))
     assert heads == ["Condition", "final-share-killed\nmean", "collapsed\nshare"]
-    assert cells == [["tanh", "0.25 [0.12, 0.50]\nn = 3", "–"], ["relu", "–", "0.500\nn = 2"]]
+    assert cells == [["tanh", "0.25 [0.12 to 0.50]\nn = 3", "–"], ["relu", "–", "0.500\nn = 2"]]
