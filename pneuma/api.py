@@ -3,6 +3,7 @@
     run_study(study)      trains what is missing, and opens it: `plan_study`, `train_plan`, `open_data`
     open_data(study)      a study's data, for `pneuma.analysis`
     compare(study, a, b)  the differences of two conditions, with intervals
+    summarize(study)      the outcomes of each condition
     plot(study)           a study's curves in axes of your own
     promote(search)       trains a search's best trial and its base on fresh seeds, as a study
     load_policy(run_id)   a stored run's policy, with its environment
@@ -36,10 +37,10 @@ from pneuma.training.progress import ProgressDisplay
 from pneuma.values import read_seeds
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
 
     from pneuma.analysis.study_data import StudyData
+    from pneuma.answers.answer import Answer
     from pneuma.engines.evaluation import Act
     from pneuma.engines.policy import Policy
     from pneuma.engines.sb3_open import LearnedPolicy
@@ -172,22 +173,54 @@ def open_data(
 
 
 def compare(
-    study: StudyData | Where, a: str, b: str, outcomes: Sequence[str] = (), results: Where | None = None
-) -> pd.DataFrame:
-    """Compare condition a of a study, or of opened data, with b, as `pneuma study compare` does.
+    study: StudyData | Where,
+    a: str = "",
+    b: str = "",
+    outcomes: Sequence[str] = (),
+    results: Where | None = None,
+    *,
+    other: StudyData | Where | None = None,
+) -> Answer:
+    """Compare condition `a` of a study, or of opened data, with `b`, as `pneuma study compare` does.
 
-    Outcomes are names from docs/outcomes.md; left out, the usual three.
+    Args:
+        study: opened data, or what `open_data` takes.
+        a: a condition.
+        b: the condition that it is compared with.
+        outcomes: names from docs/outcomes.md; default: the study's own or usual ones.
+        results: as of `run_study`.
+        other: another study, each of whose conditions is compared with that of the same name, instead of two
+            conditions.
 
     Returns:
-        A row for each outcome: means, their difference with its interval, `p_better`, and counts of runs.
+        An answer whose `table` has a row for each outcome: means, their difference with its interval,
+        `p_better`, and counts of runs. Its `notes` say what makes the numbers doubtful.
 
     Raises:
         UserError: for unknown names, or outcomes that cannot be compared.
     """
-    from pneuma.analysis.summaries import compare_conditions
+    from pneuma.answers.comparison import compare
+
+    second = None if other is None else _opened(other, results)
+    names = (outcomes,) if isinstance(outcomes, str) else tuple(outcomes)
+    return compare(_opened(study, results), a, b, names, second)
+
+
+def summarize(study: StudyData | Where, outcomes: Sequence[str] = (), results: Where | None = None) -> Answer:
+    """Summarize the outcomes of each condition, as `pneuma study summary` does.
+
+    Args:
+        study: opened data, or what `open_data` takes.
+        outcomes: names from docs/outcomes.md; default: the study's own or usual ones.
+        results: as of `run_study`.
+
+    Returns:
+        An answer whose `table` has a row for each condition, outcome and statistic.
+    """
+    from pneuma.answers.summary import summarize
 
     names = (outcomes,) if isinstance(outcomes, str) else tuple(outcomes)
-    return compare_conditions(_opened(study, results), a, b, names)
+    return summarize(_opened(study, results), names)
 
 
 def plot(

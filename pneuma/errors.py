@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import difflib
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
 
 NEAR = 0.6
 """Least similarity of a name that is suggested."""
@@ -25,8 +27,36 @@ MEANT = {
 """Other common names of fields, quantities and outcomes."""
 
 
+@dataclass(frozen=True)
+class Hint:
+    """An argument that a message names; the command line writes `--steps 5`, Python `steps=5`.
+
+    Attributes:
+        field: the argument's name in Python.
+        value: the value that helps, or that is wrong; None if the message names the argument alone.
+    """
+
+    field: str
+    value: Any = None
+
+    def __str__(self) -> str:
+        return self.field if self.value is None else f"{self.field}={self.value!r}"
+
+
+def written(parts: Iterable[str | Hint], write: Callable[[Hint], str] = str) -> str:
+    """Return a message whose hints are written by a function: as in Python unless another is given."""
+    texts = [write(part) if isinstance(part, Hint) else str(part) for part in parts]
+    return "".join(texts)
+
+
 class UserError(Exception):
-    """A mistake in a command or a file; the message says in one line what to change."""
+    """A mistake in a command or a file; the message says in one line what to change.
+
+    Its arguments are the parts of the message: texts and hints.
+    """
+
+    def __str__(self) -> str:
+        return written(self.args)
 
 
 class StorageError(UserError):

@@ -31,6 +31,7 @@ LAYERS = (
     ("pneuma.imports",),
     ("pneuma.analysis",),
     ("pneuma.search",),
+    ("pneuma.answers",),
     ("pneuma.figures",),
     ("pneuma.api",),
     ("pneuma.cli", "pneuma.__main__"),

@@ -101,15 +101,6 @@ def primary(data: StudyData) -> str:
     return "evaluated-return" if is_foreign(data) else PRIMARY
 
 
-def refuse_unlike_returns(data: StudyData, name: str, conditions: Iterable[str] | None = None) -> None:
-    """Refuse to compare conditions (default: all) by returns that have different units."""
-    if is_return(name) and not have_one_return(data, conditions):
-        raise UserError(
-            f"outcome {name}: returns of unlike rewards, or of more players, cannot be compared; "
-            "name another, such as final-share-killed"
-        )
-
-
 def outcome(run: Row, name: str) -> float:
     """Return a run's outcome at its end; NaN if it has none, or one that no statistic can be made of."""
     value = find_outcome(name).measure(run)

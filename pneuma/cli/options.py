@@ -184,9 +184,12 @@ class RunFilter:
 
     def open(self, name: str, world: str | None = None) -> StudyData:
         """Open the finished runs of a study's cells, and print what is shown."""
+        return self.open_query(self.query(name, world))
+
+    def open_query(self, query: Query) -> StudyData:
         from pneuma.analysis.runs import open_study
 
-        return open_study(self.index, self.query(name, world), say)
+        return open_study(self.index, query, say)
 
     def find(self, name: str) -> StudyData:
         """Return the runs of a study's cells, finished or not."""

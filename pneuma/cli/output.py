@@ -30,6 +30,7 @@ from pneuma.study.shipped import read_head, shipped_names
 if TYPE_CHECKING:
     import pandas as pd
 
+    from pneuma.answers.answer import Answer
     from pneuma.figures.grid import Page
     from pneuma.figures.style import Look
 
@@ -198,6 +199,16 @@ def _shown(cell: object) -> str:
 
 def frame_table(frame: pd.DataFrame) -> Table:
     return Table([*frame], frame.to_numpy())
+
+
+def answer_result(answer: Answer) -> Result:
+    """Return an answer as a command prints it."""
+    shown: list[str | Table] = []
+    for cells in answer.cells:
+        shown += ["", frame_table(cells)]
+    if answer.legend:
+        shown += ["", *answer.legend]
+    return Result(answer.document, shown, answer.title, answer.notes, answer.cells[0], answer.table)
 
 
 def rows_result(many: str, rows: Sequence[Mapping[str, Any]]) -> Result:

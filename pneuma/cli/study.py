@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pneuma.cli import delete, study_files, study_results, study_run, study_summary, study_verify
+from pneuma.cli import delete, study_answers, study_files, study_run, study_verify
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, listed_result, rows_of, say, tallied, write_file
 from pneuma.config import is_gymnasium_id, reads
@@ -34,9 +34,9 @@ app.command(short_help="Draw a study: curves over its steps, or a summary.")(stu
 app.command()(study_files.export)
 app.command(short_help="Print one of the thesis's tables of hyperparameters.")(study_files.table)
 app.command(short_help="Write a study's runs as one small table.")(study_files.publish)
-app.command(short_help="Say what each condition's runs come to.")(study_summary.summary)
-app.command(short_help="Compare two conditions.")(study_summary.compare)
-app.command(short_help="Say which runs collapsed, when, and how often.")(study_results.collapse)
+app.command(short_help="Summarize each condition's outcomes.")(study_answers.summary)
+app.command(short_help="Compare two conditions.")(study_answers.compare)
+app.command(short_help="Show which runs collapsed, when, and how often.")(study_answers.collapse)
 app.command(short_help="Judge the thesis's claims by the runs they fix.")(study_verify.verify)
 
 

@@ -25,7 +25,7 @@ from pneuma.analysis.claims import words
 from pneuma.analysis.claims.verdicts import Verdict
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.study_data import StudyData
-from pneuma.analysis.summaries import wide, with_cells
+from pneuma.answers.cells import pivot_cells, with_cells
 from pneuma.errors import counted
 from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import save_page
@@ -127,7 +127,7 @@ def numbers_table(study: str, summary: pd.DataFrame) -> CaptionedTable:
     every = dict.fromkeys(zip(found["outcome"], found["statistic"], strict=True))
     pairs = [pair for pair in every if pair in LEADING or pair[1] in LEADING]
     pairs.sort(key=lambda pair: pair[1] == "share")  # how many failed comes last
-    table = wide(found, [*found["condition"].unique()], pairs)
+    table = pivot_cells(found, ["condition"], ["outcome", "statistic"], [*found["condition"].unique()], pairs)
     caption = f"Outcomes of {study}, with 95 % intervals and counts of runs"
     rows = table.reset_index().to_numpy().tolist()
     return caption, ["Condition", *map("\n".join, pairs)], rows, 1

@@ -15,13 +15,9 @@ from pneuma.analysis.export import encode_table
 from pneuma.analysis.intervals import shown_with_interval
 from pneuma.analysis.outcomes import reason
 from pneuma.analysis.study_data import StudyData
-from pneuma.analysis.summaries import (
-    compare_conditions,
-    failures_text,
-    overview_cells,
-    summary_table,
-    with_cells,
-)
+from pneuma.analysis.summaries import summary_table
+from pneuma.answers.comparison import compare
+from pneuma.answers.summary import summarize
 from pneuma.store.store import Store
 
 from ..hand_made import BUDGET, healthy, learning, save_collapse, study_of
@@ -89,7 +85,7 @@ def test_intervals_of_five_runs_stay_within_what_their_outcome_can_be(tmp_path: 
     low, high = (value(data, name, "final-share-killed", "mean") for name in "ab")
     assert (low["low"], low["high"]) == (0, pytest.approx(0.06 + 0.06 * 2.776445))
     assert (high["low"], high["high"]) == (pytest.approx(0.94 - 0.06 * 2.776445), 1)
-    (row,) = compare_conditions(data, "b", "a", ["final-share-killed"]).to_dict("records")
+    (row,) = compare(data, "b", "a", ["final-share-killed"]).table.to_dict("records")
     assert (row["low"], row["high"]) == (pytest.approx(0.88 - 0.06 * 2**0.5 * 2.306004), 1)
 
 
@@ -144,7 +140,7 @@ def test_a_return_of_any_size_is_summarised_without_a_warning(tmp_path: Path) ->
 
 def test_means_their_difference_and_who_is_better(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pneuma.analysis.summaries.LEAST_FOR_BETTER", 5)
-    (row,) = compare_conditions(study(tmp_path, ARMS), "a", "b", ["final-share-killed"]).to_dict("records")
+    (row,) = compare(study(tmp_path, ARMS), "a", "b", ["final-share-killed"]).table.to_dict("records")
     welch = stats.ttest_ind(ARMS["a"], ARMS["b"], equal_var=False).confidence_interval(0.95)
     assert (row["mean_a"], row["mean_b"]) == (pytest.approx(0.5), pytest.approx(0.3))
     assert row["difference"] == pytest.approx(0.2)
@@ -156,12 +152,10 @@ def test_means_their_difference_and_who_is_better(tmp_path: Path, monkeypatch: p
 def test_four_runs_have_a_difference_without_an_interval_and_steps_without_end_an_order(
     data: StudyData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (few,) = compare_conditions(data, "a", "b", ["final-share-killed"])["p_better"]
+    (few,) = compare(data, "a", "b", ["final-share-killed"]).table["p_better"]
     assert np.isnan(few)
     monkeypatch.setattr("pneuma.analysis.summaries.LEAST_FOR_BETTER", 4)
-    killed, steps = compare_conditions(data, "a", "b", ["final-share-killed", "steps-to:0.5"]).to_dict(
-        "records"
-    )
+    killed, steps = compare(data, "a", "b", ["final-share-killed", "steps-to:0.5"]).table.to_dict("records")
     assert killed["difference"] == pytest.approx(0.2) and np.isnan([killed["low"], killed["high"]]).all()
     assert steps["mean_b"] == float("inf") and np.isnan(steps["difference"])
     assert steps["p_better"] == pytest.approx((2 * 4 + 2 * 4 * 0.5) / 16)  # two of a's runs get there
@@ -172,11 +166,12 @@ def test_the_overview_has_five_columns_and_what_never_happens_is_a_line(tmp_path
     store, cells = Store(tmp_path), {("a", seed): f"a{seed}" * 8 for seed in range(4)}
     for (_, seed), run_id in cells.items():
         save_collapse(store, run_id, healthy(), learning(), end=BUDGET // 2 if seed < 2 else BUDGET)
-    data = study_of(store, cells)
-    found = with_cells(summary_table(data))
+    answer = summarize(study_of(store, cells))
     heads = ["condition", "runs", "final-share-killed (share)", "auc-share-killed (share)"]
-    assert [*overview_cells(data, found)] == [*heads, "diverged"]
-    assert failures_text(found) == "No run collapsed."
-    sound = found.assign(value=found["value"].where(found["outcome"] != "diverged", 0))
-    assert failures_text(sound) == "No run collapsed or diverged."
-    assert [*overview_cells(data, sound)] == [*heads, "greedy-share-killed (share)"]
+    assert [*answer.cells[0]] == [*heads, "diverged"]
+    assert answer.legend[0] == "No run collapsed."
+    for seed in range(2):
+        save_collapse(store, cells["a", seed], healthy(), learning())
+    sound = summarize(study_of(store, cells))
+    assert [*sound.cells[0]] == [*heads, "greedy-share-killed (share)"]
+    assert sound.legend[0] == "No run collapsed or diverged."

@@ -42,7 +42,7 @@ def test_a_summary_as_a_thesis_prints_it(mine: list[str]) -> None:
     assert reached.splitlines()[0] == "| condition | runs | steps-to:0.1 (steps), median |"
     wide = printed("study", "summary", *mine, *asked, "--format", "markdown", "--cells", "interval")
     assert "| high | 3 | 0.400 |" in wide  # of three runs there is no interval
-    assert "--cells: goes with" in refused("study", "summary", *mine, "--cells", "sd")
+    assert "--cells requires" in refused("study", "summary", *mine, "--cells", "sd")
 
 
 def test_how_far_runs_are_as_a_table(mine: list[str]) -> None:

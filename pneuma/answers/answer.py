@@ -1,0 +1,49 @@
+"""The value that every question about a study gives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The answer to a question; the command line, notebooks and the report show its parts in their own form.
+
+    Attributes:
+        title: the question in a line.
+        about: which runs it concerns, and other facts, for programs.
+        tables: its numbers, by their names in a JSON document; the first is the main one.
+        cells: tables of text for people; the first also stands in pages and papers.
+        notes: sentences without which the numbers may mislead.
+        legend: lines that explain the cells.
+    """
+
+    title: str
+    about: Mapping[str, Any]
+    tables: Mapping[str, pd.DataFrame]
+    cells: Sequence[pd.DataFrame]
+    notes: Sequence[str] = ()
+    legend: Sequence[str] = ()
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The main table of numbers."""
+        return next(iter(self.tables.values()))
+
+    @property
+    def document(self) -> dict[str, Any]:
+        return {**self.about, **self.tables}
+
+    def __str__(self) -> str:
+        texts = [self.title, *self.notes]
+        for cells in self.cells:
+            texts.append(cells.to_string(index=False))
+        return "\n".join([*texts, *self.legend])
+
+    def _repr_html_(self) -> str:
+        return self.cells[0].to_html(index=False)

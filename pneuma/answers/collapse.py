@@ -1,0 +1,34 @@
+"""Which runs collapsed."""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from pneuma.analysis.collapse import diagnoses, incidence
+from pneuma.analysis.study_data import StudyData
+from pneuma.answers.answer import Answer
+from pneuma.answers.cells import NO_CELL
+
+
+def find_collapses(data: StudyData) -> Answer:
+    """Diagnose every run of an opened study.
+
+    Returns:
+        The table `runs` has the diagnosis of each run, `incidence` the counts and shares of each condition.
+    """
+    runs = diagnoses(data)
+    shares = incidence(data, runs)
+    collapsed = runs[runs["collapsed"].fillna(False)]
+    steps = collapsed["onset_step"].map("{:,}".format)
+    signs = collapsed[["condition", "seed", "run_id", "signs"]].rename(columns={"run_id": "run"})
+    signs.insert(3, "step", steps)
+    rows = []
+    for row in shares.to_dict("records"):
+        interval = f"{row['low']:.0%} to {row['high']:.0%}" if row["runs"] else NO_CELL
+        rows.append((row["condition"], f"{row['collapsed']} of {row['runs']}", interval, row["unknown"]))
+    counts = pd.DataFrame(
+        rows, columns=["condition", "collapsed", "95 % interval", "without a sign recorded"]
+    )
+    cells = [signs, counts] if len(signs) else [counts]
+    title = f"{data.full_title}: collapse"
+    return Answer(title, data.about, {"runs": runs, "incidence": shares}, cells)

@@ -1,0 +1,73 @@
+"""`pneuma study summary`, `compare` and `collapse`: what the runs of a study come to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated
+
+from pneuma.cli import options as opt
+from pneuma.cli.output import Result, answer_result
+from pneuma.errors import UserError
+
+PAPER_FORMATS = ("markdown", "latex")
+"""Forms of a table for pages and papers."""
+
+
+def summary(
+    name: opt.Study,
+    picked: opt.RunFilter,
+    outcome: opt.Outcomes = None,
+    all_: Annotated[bool, opt.flag("--all", "Show all statistics of the default outcomes.")] = False,
+    format: opt.Format = opt.TABLE,
+    cells: Annotated[
+        str | None, opt.choice(("sd", "interval"), "Markdown, latex: ± SD, or [low, high].")
+    ] = None,
+) -> Result:
+    """Summarize each condition: means with 95 % intervals; with --outcome, all statistics.
+
+    --format markdown and latex give the table of a thesis: a column for each outcome, mean ± SD in it.
+    """
+    if cells and format not in PAPER_FORMATS:
+        raise UserError(f"--cells requires --format {' or '.join(PAPER_FORMATS)}")
+    data = picked.open(name)
+    from pneuma.answers.summary import summarize
+
+    paper_cells = (cells or "sd") if format in PAPER_FORMATS else ""
+    return answer_result(summarize(data, outcome or (), all_, paper_cells))
+
+
+def compare(
+    name: opt.Study,
+    picked: opt.RunFilter,
+    a: Annotated[str | None, opt.argument("A", "A condition.")] = None,
+    b: Annotated[str | None, opt.argument("B", "The condition that A is compared with.")] = None,
+    with_: Annotated[
+        str | None, opt.option("STUDY", "Compare each condition with another study's.", name="--with")
+    ] = None,
+    outcome: opt.Outcomes = None,
+    format: opt.Format = opt.TABLE,
+) -> Result:
+    """Compare two conditions: the difference of their means, and how likely a run of A is better.
+
+    With --with, each condition is compared with that of the same name of another study. In a study of several
+    environments A and B are compared in each, and their scores over all.
+    """
+    from pneuma.answers import comparison
+
+    if with_ and a is None:
+        other = replace(picked, condition=None, set_=None)
+        answer = comparison.compare(picked.open(name), outcomes=outcome or (), other=other.open(with_))
+    elif a and b and not with_:
+        data = picked.open_query(comparison.narrowed(picked.query(name), a, b))
+        answer = comparison.compare(data, a, b, outcome or ())
+    else:
+        raise UserError("name two conditions, A and B, or another study by --with STUDY")
+    return answer_result(answer)
+
+
+def collapse(name: opt.Study, picked: opt.RunFilter) -> Result:
+    """Show which runs collapsed, when, by which signs, and how often in each condition."""
+    data = picked.open(name)
+    from pneuma.answers.collapse import find_collapses
+
+    return answer_result(find_collapses(data))
