@@ -156,9 +156,7 @@ _WITH_FIELDS = f"{_ACTOR_CRITIC}, {_DQN}"
 class Run(EnvConfig):
     """One training: environment, learner, budget and seed. Equal runs end with equal bits."""
 
-    env: Annotated[str, Reads(_read_env, _ENV_ALLOWED, ENVIRONMENTS)] = declare(
-        ENVIRONMENTS[0], shapes=True, paces=True
-    )
+    env: Annotated[str, Reads(_read_env, _ENV_ALLOWED, ENVIRONMENTS)] = declare(ENVIRONMENTS[0], paces=True)
     env_module: Annotated[str, matching(rf"|{MODULE}", "a module that registers environments")] = declare(
         "", read_by=OF_GYMNASIUM_ENV
     )
@@ -174,9 +172,9 @@ class Run(EnvConfig):
     """By their running mean and variance in training, as Stable-Baselines3's VecNormalize does."""
     normalize_rewards: bool = declare(False, read_by=OF_GYMNASIUM_ENV)
     """By the running deviation of the discounted return, for the learner only; likewise."""
-    engine: Annotated[str, OneOf(ENGINES)] = declare(ENGINES[0], shapes=True, paces=True)
+    engine: Annotated[str, OneOf(ENGINES)] = declare(ENGINES[0], paces=True)
     algorithm: Annotated[str, Reads(_read_algorithm, _ALGORITHM_ALLOWED, tuple(ALGORITHMS))] = declare(
-        "ppo", shapes=True, paces=True
+        "ppo", paces=True
     )
     policy: Annotated[str, matching(r"|\w+Policy", "a policy of the learner, as CnnPolicy")] = declare(
         "", read_by=OF_OPEN_LEARNER
@@ -188,14 +186,14 @@ class Run(EnvConfig):
     seed: Annotated[int, Interval(ge=0, le=2**32 - 1)] = 0
     steps: Steps = declare(50_000, arguments="n_timesteps", paces=True)
     """Budget in agent steps, summed over slots."""
-    slots: Annotated[int, Interval(ge=1, le=1024)] = declare(1, arguments="n_envs", shapes=True, paces=True)
+    slots: Annotated[int, Interval(ge=1, le=1024)] = declare(1, arguments="n_envs", paces=True)
     """Worlds that collect a rollout in parallel."""
     learners: Literal["shared", "independent"] = declare("shared", read_by="ppo")
     """Whether all players of a world learn one policy, or each a policy of its own (independent PPO)."""
 
-    actor: Layers = declare((128,), read_by=_WITH_FIELDS, shapes=True, paces=True)
-    critic: Layers = declare((256,), read_by=_ACTOR_CRITIC, shapes=True, paces=True)
-    activation: Annotated[str, OneOf(ACTIVATIONS)] = declare("tanh", read_by=_WITH_FIELDS, shapes=True)
+    actor: Layers = declare((128,), read_by=_WITH_FIELDS, paces=True)
+    critic: Layers = declare((256,), read_by=_ACTOR_CRITIC, paces=True)
+    activation: Annotated[str, OneOf(ACTIVATIONS)] = declare("tanh", read_by=_WITH_FIELDS)
     first_layer_scale: Annotated[float, Interval(gt=0, le=1e6)] = declare(1.0, read_by="ppo")
     """Factor on the initial weights of both first layers."""
 
@@ -206,15 +204,13 @@ class Run(EnvConfig):
     """With "linear" it falls from its value to 0 over the budget, as Stable-Baselines3 counts progress."""
     clip_range: Annotated[float, Interval(gt=0, le=100)] = declare(0.1, read_by="ppo")
     clip_range_schedule: Schedule = declare("constant", read_by="ppo")
-    horizon: Annotated[int, Interval(ge=2, le=10**6)] = declare(
-        256, arguments="n_steps", shapes=True, paces=True
-    )
+    horizon: Annotated[int, Interval(ge=2, le=10**6)] = declare(256, arguments="n_steps", paces=True)
     """Steps per slot in a rollout; of learners without rollouts, between two records."""
     minibatch: Annotated[int, Interval(ge=2, le=10**6)] = declare(
-        64, read_by=f"ppo, trpo, {_DQN}", arguments="batch_size", shapes=True, paces=True
+        64, read_by=f"ppo, trpo, {_DQN}", arguments="batch_size", paces=True
     )
     epochs: Annotated[int, Interval(ge=1, le=1000)] = declare(
-        10, read_by="ppo, trpo", arguments="n_epochs, n_critic_updates", shapes=True, paces=True
+        10, read_by="ppo, trpo", arguments="n_epochs, n_critic_updates", paces=True
     )
     value_coefficient: Annotated[float, Interval(ge=0, le=1e6)] = declare(
         0.5, read_by="ppo, a2c", arguments="vf_coef"
@@ -260,9 +256,7 @@ class Run(EnvConfig):
     )
     """Agent steps between copies to the target network; 1 is as good as no target network."""
 
-    optimizer: Annotated[str, OneOf(tuple(OPTIMIZERS))] = declare(
-        "adam", read_by=_WITH_FIELDS, shapes=True, paces=True
-    )
+    optimizer: Annotated[str, OneOf(tuple(OPTIMIZERS))] = declare("adam", read_by=_WITH_FIELDS, paces=True)
     betas: Annotated[tuple[Fraction, ...], Len(2, 2)] | None = declare(None, read_by=OF_OPTIMIZER)
     epsilon: Annotated[float, Interval(gt=0, le=1)] | None = declare(
         None, read_by=OF_OPTIMIZER, arguments="eps"

@@ -68,13 +68,11 @@ class About:
             `OF_GYMNASIUM_ENV`, for environments other than Pneuma's; `OF_OPEN_LEARNER`, for learners of
             Stable-Baselines3 as a script would set them up. Empty if every run reads it.
         arguments: what Stable-Baselines3's learners or torch's optimizers call it, if otherwise; PPO first.
-        shapes: whether runs that differ in it likely have compiled programs of their own.
         paces: whether it affects how long a step takes.
     """
 
     read_by: tuple[str, ...] = ()
     arguments: tuple[str, ...] = ()
-    shapes: bool = False
     paces: bool = False
 
 
@@ -83,11 +81,10 @@ def declare(
     *,
     read_by: str = "",
     arguments: str = "",
-    shapes: bool = False,
     paces: bool = False,
 ) -> Any:
     """Return the default of a dataclass's field with its `About`; several names are separated by commas."""
-    about = About(_names(read_by), _names(arguments), shapes, paces)
+    about = About(_names(read_by), _names(arguments), paces)
     return field(default=default, metadata={"about": about})
 
 

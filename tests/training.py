@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import json
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 import pytest
@@ -18,8 +18,8 @@ import pytest
 from pneuma.config import Run
 from pneuma.store.store import Store
 from pneuma.training.executors import local
-from pneuma.training.executors.base import ExecutorConfig, OnEvent
-from pneuma.training.worker import Reporter, Worker
+from pneuma.training.executors.base import ExecutorConfig, Job, OnEvent
+from pneuma.training.worker import Worker
 
 
 class _Told(io.StringIO):
@@ -34,17 +34,13 @@ class _Told(io.StringIO):
         return len(line)
 
 
-def _train_groups(
-    groups: Iterable[Mapping[str, Run]], store: Store, config: ExecutorConfig, on_event: OnEvent
-) -> None:
-    """Train groups of runs one after another."""
-    for runs in groups:
-        Worker(store, Reporter(_Told(on_event)), threading.Event(), config).train(runs)
+def _train_runs(runs: Mapping[str, Run], store: Store, config: ExecutorConfig, on_event: OnEvent) -> None:
+    Worker(_Told(on_event), threading.Event()).train(Job(runs, store, config, last_try=True))
 
 
 @contextmanager
 def training_here() -> Iterator[None]:
     """Let commands train in this process."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(local, "run_groups", _train_groups)
+        patch.setattr(local, "train_runs", _train_runs)
         yield

@@ -60,33 +60,29 @@ class EnvConfig:
         int,
         Interval(ge=1, le=MAX_PLAYERS),
         doc("1 to 8 in a world; more than one not here, but in the other interfaces"),
-    ] = declare(1, shapes=True, paces=True)
+    ] = declare(1, paces=True)
     classes: Annotated[
         tuple[str, ...],
         names_like(r"[\w-]+", "a class, or a list of one a player"),
         doc("`base`, `tank`, `mage`, `warrior`, or a list of one per player"),
     ] = declare(("base",), paces=True)
-    magic: Annotated[bool, doc("whether there are the actions flame and heal")] = declare(
-        False, shapes=True, paces=True
-    )
+    magic: Annotated[bool, doc("whether there are the actions flame and heal")] = declare(False, paces=True)
     reward: Annotated[
         tuple[str, ...],
         names_like(_REWARD, _REWARD_ALLOWED, REWARDS),
         doc("a formula, or a list of one per player"),
     ] = declare(("thesis",), paces=True)
     shared_reward: Annotated[bool, doc("whether each player gets the mean of all players' rewards")] = False
-    observation: Annotated[str, OneOf(OBSERVATIONS), doc("the layout")] = declare(
-        "thesis", shapes=True, paces=True
-    )
+    observation: Annotated[str, OneOf(OBSERVATIONS), doc("the layout")] = declare("thesis", paces=True)
     perceive: Annotated[
         str, matching(_PERCEIVE, PERCEIVE), doc("`all`, `nearest:K`, or `rays:N`, 1 to 64")
-    ] = declare("", shapes=True)
+    ] = ""
     order: Annotated[
         str, OneOf(("", *ORDERS)), doc("dead monsters are left out, or rows of zeros (HP 0 in `godot`)")
     ] = ""
     scale: Annotated[str, OneOf(("", *SCALES)), doc("of what is observed")] = ""
     observe_facing: Annotated[bool, doc("whether a player observes its facing: four numbers")] = declare(
-        False, shapes=True
+        False
     )
     start: Annotated[
         str, OneOf(("random", "first")), doc("a random start place of the level, or always the first")

@@ -1,16 +1,15 @@
 """Execute a plan: train the runs that are not stored yet.
 
-Plan → groups of runs → executor → store
+Plan → missing runs → executor → store
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pneuma.config import FIELDS, OF_GYMNASIUM, Run, env_config, is_open
+from pneuma.config import OF_GYMNASIUM, Run, env_config, is_open
 from pneuma.errors import counted
 from pneuma.store.last_queries import note_query
 from pneuma.store.store import Status, Store, run_identity
@@ -30,11 +29,6 @@ class CellResult:
 
 OnProgress = Callable[[Cell, Event], None]
 """Called with each event of a cell's run; `executors.base` lists the events."""
-
-SHAPED_BY = tuple(name for name, about in FIELDS.items() if about.shapes)
-"""Fields by which runs are grouped: those in which they agree likely share their compiled programs."""
-MOST_IN_GROUP = 8
-"""Most runs per worker process. They are locked for other commands until the process ends."""
 
 
 def prepare(
@@ -110,7 +104,7 @@ def execute(
             on_progress(cell, event)
 
     if todo:
-        load_executor(config).run_groups(groups(todo, config.workers), store, config, report)
+        load_executor(config).train_runs(todo, store, config, report)
     return cell_results(plan, store, todo, end_events)
 
 
@@ -137,25 +131,6 @@ def cell_results(
             reason = reason or store.failure(cell.run_id)
             results.append(CellResult(cell, status, trained, reason))
     return results
-
-
-def groups(todo: Mapping[str, Run], workers: int) -> list[dict[str, Run]]:
-    """Divide runs among worker processes.
-
-    Compiled runs of equal shapes share a process, so that their programs are compiled or loaded once. Groups
-    stay small enough to keep every worker busy.
-    """
-    runs_by_shape: dict[Any, list[tuple[str, Run]]] = {}
-    for name, run in todo.items():
-        shape = tuple(getattr(run, field) for field in SHAPED_BY)
-        key = name if run.engine == "sb3" else shape
-        runs_by_shape.setdefault(key, []).append((name, run))
-    size = min(MOST_IN_GROUP, math.ceil(len(todo) / workers))
-    divided = []
-    for runs in runs_by_shape.values():
-        for start in range(0, len(runs), size):
-            divided.append(dict(runs[start : start + size]))
-    return divided
 
 
 def kept_step(status: Status) -> int:

@@ -20,7 +20,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     def refuse(groups: Iterable[object], *_: object) -> None:
         assert not list(groups), "training was started"
 
-    monkeypatch.setattr(local, "run_groups", refuse)
+    monkeypatch.setattr(local, "train_runs", refuse)
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("PNEUMA_RESULTS", raising=False)
     return tmp_path

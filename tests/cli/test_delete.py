@@ -81,6 +81,6 @@ def test_a_run_is_removed_by_its_id_unless_it_trains(store: Store) -> None:
 def test_a_study_whose_runs_were_removed_while_it_trained_did_not_end_well(
     store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(local, "run_groups", lambda *_: None)
+    monkeypatch.setattr(local, "train_runs", lambda *_: None)
     code, out, _ = call("study", "run", "activation", *TINY, "--seeds", "1", "--results", store.root)
     assert code == 1 and "tanh seed 0 planned: " in out

@@ -29,7 +29,7 @@ TWO = {run_id(run): run for run in (RUN, replace(RUN, seed=1))}
 
 def train(runs: dict[str, Run], folder: Path) -> list[Event]:
     events: list[Event] = []
-    local.run_groups([runs], Store(folder / "results"), ExecutorConfig(1), events.append)
+    local.train_runs(runs, Store(folder / "results"), ExecutorConfig(1), events.append)
     return events
 
 
@@ -67,9 +67,8 @@ def test_after_a_full_disk_no_further_run_begins(tmp_path: Path, monkeypatch: py
     about = {"event": "end", "run_id": run_id(RUN), "status": "stopped", "step": 0, "trained": True}
     line = json.dumps({**about, "reason": "row.arrow: cannot be written (No space left)", "storage": True})
     no_worker(tmp_path, monkeypatch, f"echo x >> {tmp_path}/begun\necho '{line}'\nexit 1")
-    groups = [{name: run} for name, run in TWO.items()]
     with pytest.raises(StorageError, match="row.arrow: cannot be written"):
-        local.run_groups(groups, Store(tmp_path / "results"), ExecutorConfig(1), lambda event: None)
+        local.train_runs(TWO, Store(tmp_path / "results"), ExecutorConfig(1), lambda event: None)
     assert (tmp_path / "begun").read_text() == "x\n"
 
 
@@ -84,21 +83,24 @@ def test_a_worker_that_is_killed_under_a_memory_limit_says_so(
     assert reason.endswith("killed by SIGSEGV (perhaps because memory ran out: its limit is 2.0 GiB)")
 
 
-def test_runs_that_a_dying_worker_had_not_come_to_keep_their_second_try(
+def test_a_dying_worker_takes_only_its_own_run_with_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A worker of two dies in the first; then each of them dies alone, and the second once more."""
-    no_worker(tmp_path, monkeypatch, f'echo "$@" >> {tmp_path}/begun\necho why >&2\nexit 3')
+    """The run that its process trained before stays, and the next begins in a fresh one."""
+    first, second = TWO
+    about = {"event": "end", "run_id": first, "status": "done", "step": 256, "trained": True}
+    done = f"echo first; echo '{json.dumps(about)}'; read order; echo first died >&2; exit 3"
+    script = f"read order; case $order in *{first}*) {done};; esac\necho why >&2\nexit 3"
+    no_worker(tmp_path, monkeypatch, script.replace("echo first;", f"echo >> {tmp_path}/begun;"))
     events = train(TWO, tmp_path)
     notes = [event["run_id"] for event in events if event["event"] == "note" and "once more" in event["text"]]
-    assert sorted(notes) == sorted(TWO)  # of the second when it was alone
-    assert [event["status"] for event in events if event["event"] == "end"] == ["crashed", "crashed"]
-    assert len((tmp_path / "begun").read_text().splitlines()) == 4
-    error = Store(tmp_path / "results").read_file(run_id(RUN), "error.txt")
+    ends = [(event["run_id"], event["status"]) for event in events if event["event"] == "end"]
+    assert notes == [second] and ends == [(first, "done"), (second, "crashed")]
+    error = Store(tmp_path / "results").read_file(second, "error.txt")
     assert error == b"the worker process ended with code 3\nwhy\n"
 
 
-def test_a_group_is_handed_to_its_worker_without_a_file(
+def test_a_run_is_handed_to_its_worker_without_a_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The temporary folder may be emptied while a study trains, and a kill would leave files there."""

@@ -53,17 +53,17 @@ class _Engine:
 
 def _train(
     engine: _Engine, folder: Path, monkeypatch: pytest.MonkeyPatch, config: ExecutorConfig = LOCAL_CONFIG
-) -> tuple[int, Store, list[dict[str, Any]]]:
+) -> tuple[bool, Store, list[dict[str, Any]]]:
     monkeypatch.setattr(worker, "train_run", engine.train)
     store, events = Store(folder), io.StringIO()
-    trains = worker.Worker(store, worker.Reporter(events), threading.Event(), config)
-    code = trains.train({run_id(run): run for run in RUNS})
-    return code, store, [json.loads(line) for line in events.getvalue().splitlines()]
+    job = Job({run_id(run): run for run in RUNS}, store, config, last_try=True)
+    is_sound = worker.Worker(events, threading.Event()).train(job)
+    return is_sound, store, [json.loads(line) for line in events.getvalue().splitlines()]
 
 
 def test_every_run_of_a_group_is_stored_as_it_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    code, store, events = _train(_Engine(), tmp_path, monkeypatch)
-    assert code == 0
+    is_sound, store, events = _train(_Engine(), tmp_path, monkeypatch)
+    assert is_sound
     assert (store.status(FIRST), store.status(SECOND)) == (Status("done", 512), Status("diverged", 256))
     assert [event for event in events if event["event"] == "end"] == [
         {"event": "end", "run_id": FIRST, "status": "done", "step": 512, "trained": True},
@@ -89,8 +89,8 @@ def test_every_run_of_a_group_is_stored_as_it_ended(tmp_path: Path, monkeypatch:
 def test_an_engine_that_breaks_is_a_crash_of_the_run_that_it_was_training(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    code, store, events = _train(_Engine(breaks=True), tmp_path, monkeypatch)
-    assert code == 1
+    is_sound, store, events = _train(_Engine(breaks=True), tmp_path, monkeypatch)
+    assert not is_sound
     assert (store.status(FIRST).name, store.status(SECOND).name) == ("done", "crashed")
     error = store.read_file(SECOND, "error.txt").decode()
     assert error.startswith("Traceback") and error.endswith("RuntimeError: the engine broke\n")
@@ -108,9 +108,9 @@ def test_a_full_disk_stops_the_run_and_those_after_it_and_makes_none_a_crash(
 
     engine = _Engine(breaks)
     monkeypatch.setattr(os, "fsync", fail)
-    code, store, events = _train(engine, tmp_path, monkeypatch)
+    _, store, events = _train(engine, tmp_path, monkeypatch)
     ends = [event for event in events if event["event"] == "end"]
-    assert code == 1 and [event["status"] for event in ends] == ["stopped", "stopped"]
+    assert [event["status"] for event in ends] == ["stopped", "stopped"]
     assert ends[0]["storage"] and "(No space left on device)" in ends[0]["reason"]
     assert str(store.run_folder(FIRST)) in ends[0]["reason"]
     assert [store.status(name).name for name in (FIRST, SECOND)] == ["planned", "planned"]
@@ -121,15 +121,15 @@ def test_a_machine_without_tensorboard_trains_all_the_same(
 ) -> None:
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     config = ExecutorConfig(logs={FIRST: str(tmp_path / "logs")})
-    code, store, _ = _train(_Engine(), tmp_path, monkeypatch, config)
-    assert code == 0 and store.status(FIRST) == Status("done", 512)
+    is_sound, store, _ = _train(_Engine(), tmp_path, monkeypatch, config)
+    assert is_sound and store.status(FIRST) == Status("done", 512)
 
 
 def test_a_worker_leaves_within_seconds_when_its_parent_does(tmp_path: Path) -> None:
     run = make_run({"steps": 10**9})
     job = Job({run_id(run): run}, Store(tmp_path), LOCAL_CONFIG)
     process = subprocess.Popen(
-        [sys.executable, "-m", "pneuma.training.worker", "--parent", str(os.getpid())],
+        [sys.executable, "-m", "pneuma.training.worker", str(os.getpid())],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

@@ -1,13 +1,13 @@
-"""The interface of executors, which train groups of runs somewhere and store the results in one store.
+"""The interface of executors, which train runs somewhere and store the results in one store.
 
-study's plan → groups of runs → executor → workers, each with the `Job` of a group → store
+study's plan → runs → executor → workers, which get one `Job` after another → store
 
 Executors are modules, named in `EXECUTORS` and imported only when needed, as each has its own requirements:
 
     most_workers(config) how many runs train at once unless the user says otherwise; it fails within
                          ten seconds if the place cannot be reached or cannot train
-    run_groups(groups, store, config, on_event)
-                         trains all groups of runs and passes on their events: {"event": "step" | "note" |
+    train_runs(runs, store, config, on_event)
+                         trains all runs and passes on their events: {"event": "step" | "note" |
                          "status" | "end", "run_id", …}; a step has a `step`, a note and a status a `text`, an
                          end a `status`, a `step` and `trained`; one that could not be stored a `reason`
 
@@ -17,7 +17,7 @@ All of them guarantee:
   newest checkpoint is there. Files are written whole or not at all.
 - The process that trains a run holds its lock in the store. Runs that other processes hold are reported and
   left to them.
-- Every run of the groups ends with one `end` event, unless Ctrl-C came.
+- Every run ends with one `end` event, unless Ctrl-C came.
 - If the disk takes nothing more, no further run begins, and it raises StorageError once those that train
   have come to a checkpoint.
 - A run that crashes, or loses its process or node, is tried once more before it counts as failed, unless a
@@ -75,20 +75,25 @@ LOCAL_CONFIG = ExecutorConfig()
 
 @dataclass(frozen=True)
 class Job:
-    """A group of runs to train, by their ids. Workers and nodes get it as a line of JSON, never as a file."""
+    """Runs to train, by their ids. Workers and nodes get it as a line of JSON, never as a file.
+
+    With `last_try` a crash is final and stored.
+    """
 
     runs: Mapping[str, Run]
     store: Store
     config: ExecutorConfig
+    last_try: bool = False
 
     def to_json(self) -> str:
         config = asdict(self.config)
-        for key in ("logs", "until"):  # of this group's runs alone
+        for key in ("logs", "until"):  # of these runs alone
             config[key] = {name: value for name, value in config[key].items() if name in self.runs}
         job = {
             "results": str(self.store.root.resolve()),
             "config": config,
             "runs": {name: as_fields(run) for name, run in self.runs.items()},
+            "last_try": self.last_try,
         }
         return json.dumps(job)
 
@@ -96,7 +101,7 @@ class Job:
     def from_json(cls, text: str) -> Job:
         job = json.loads(text)
         runs = {name: make_run(fields) for name, fields in job["runs"].items()}
-        return cls(runs, Store(job["results"]), ExecutorConfig(**job["config"]))
+        return cls(runs, Store(job["results"]), ExecutorConfig(**job["config"]), job["last_try"])
 
 
 def end_event(name: str, status: Status) -> Event:

@@ -1,12 +1,13 @@
-"""The local executor: one fresh process for each group of runs, a few at a time, until every run has ended.
+"""The local executor: a few worker processes, each of which gets one run after another.
 
-    groups of runs → `Supervisor` → processes of `pneuma.training.worker` → store
-                                  ← their events
+    runs → `Supervisor` → processes of `pneuma.training.worker` → store
+                        ← their events
 
-Each worker is a process, which can be killed alone and shares no state with others. It uses one thread, so
-that workers do not compete for cores and results do not depend on their number. Runs that crash are tried
-once more, runs that another process trains are waited for, and after Ctrl-C every run goes on to a
-checkpoint. The other executors use the same `Supervisor` on the nodes of a cluster.
+Each worker is a process, which can be killed alone: only the run that it trains is affected, and the next one
+begins in a fresh process. It uses one thread, so that workers do not compete for cores and results do not
+depend on their number. Runs that crash are tried once more, runs that another process trains are waited for,
+and after Ctrl-C every run goes on to a checkpoint. The other executors use the same `Supervisor` on the nodes
+of a cluster.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from typing import Any
 from pneuma.config import Run
 from pneuma.errors import StorageError, UserError, print_aside
 from pneuma.files import parse_json
-from pneuma.store.locks import is_held
+from pneuma.store.locks import LOCK_FILE, is_held
 from pneuma.store.provenance import SOURCE, available_cores, machine
 from pneuma.store.store import Status, Store
 from pneuma.training.executors.base import Event, ExecutorConfig, Job, OnEvent, end_event
@@ -67,12 +68,10 @@ def most_workers(config: ExecutorConfig) -> int:
     return available_cores()
 
 
-def run_groups(
-    groups: Iterable[Mapping[str, Run]], store: Store, config: ExecutorConfig, on_event: OnEvent
-) -> None:
-    """Train each group of runs in a process of its own; see `base`."""
+def train_runs(runs: Mapping[str, Run], store: Store, config: ExecutorConfig, on_event: OnEvent) -> None:
+    """Train runs in processes of this machine; see `base`."""
     with Interrupts() as interrupts:
-        Supervisor(groups, store, config, on_event, interrupts).work()
+        Supervisor(runs, store, config, on_event, interrupts).work()
         if interrupts.count:
             raise KeyboardInterrupt
 
@@ -127,34 +126,31 @@ def say_stopping() -> None:
 # --- Supervision ----------------------------------------------------------------------------------
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Task:
-    """Runs of a group, by id, the number of the attempt, and whether another process has them."""
+    """A run to train, the number of the attempt, and whether another process trains it."""
 
-    group: Mapping[str, Run]
+    name: str
+    run: Run
     tries: int = 1
-    busy: bool = False
-
-    def of_run(self, name: str) -> _Task:
-        """Return a task of one of the runs alone, so that it affects no other."""
-        return _Task({name: self.group[name]}, self.tries)
+    is_busy: bool = False
 
 
 class Supervisor:
-    """Keeps `config.workers` workers busy until all runs of some groups have ended.
+    """Keeps `config.workers` workers busy until all runs have ended.
 
     After the first of `interrupts` every run goes on to a checkpoint; after the second all end at once.
     """
 
     def __init__(
         self,
-        groups: Iterable[Mapping[str, Run]],
+        runs: Mapping[str, Run],
         store: Store,
         config: ExecutorConfig,
         on_event: OnEvent,
         interrupts: Interrupts,
     ) -> None:
-        self._tasks = [_Task(group) for group in groups]
+        self._tasks = [_Task(name, run) for name, run in runs.items()]
         self._store, self._config, self._on_event = store, config, on_event
         self._interrupts, self._heeded_level = interrupts, 0
         self._storage_problem = ""
@@ -168,7 +164,7 @@ class Supervisor:
         """
         try:
             while self._tasks or self._workers():
-                self._start_pending()
+                self._hand_out_tasks()
                 for key, _ in self._selector.select(LOOK_SECONDS):
                     self._read(key.data)
                 self._heed_interrupts()
@@ -201,96 +197,96 @@ class Supervisor:
             if level > 1:
                 worker.kill()
             else:
-                worker.tell("stop")
+                worker.send("stop")
 
-    def _start_pending(self) -> None:
+    def _hand_out_tasks(self) -> None:
+        """Give waiting runs to idle workers, of which some may have to start; end those without work."""
+        workers = self._workers()
+        idle_workers = [worker for worker in workers if worker.task is None]
+        free_places = self._config.workers - len(workers)
         for task in list(self._tasks):
-            if len(self._workers()) >= self._config.workers:
-                return
-            first_run = next(iter(task.group))
-            if task.busy and is_held(self._store.run_folder(first_run)):
-                continue  # a worker would cost half a second to find that out
+            if task.is_busy and is_held(self._store.run_folder(task.name)):
+                continue
+            if not idle_workers:
+                if free_places <= 0:
+                    return
+                free_places -= 1
+                worker = _Worker()
+                self._selector.register(worker.events, selectors.EVENT_READ, worker)
+                idle_workers.append(worker)
             self._tasks.remove(task)
-            worker = _Worker(task)
-            self._selector.register(worker.events, selectors.EVENT_READ, worker)
-            worker.tell(Job(task.group, self._store, self._config).to_json())
+            job = Job({task.name: task.run}, self._store, self._config, last_try=task.tries == TRIES)
+            idle_workers.pop().begin(task, job)
+        if not self._tasks:
+            for worker in idle_workers:
+                worker.orders.close()
 
     def _read(self, worker: _Worker) -> None:
         """Read one event line of a worker, or notice that it has ended."""
-        line = worker.events.readline()
+        line, task = worker.events.readline(), worker.task
         if not line:
             self._selector.unregister(worker.events)
             self._reap(worker)
             return
         try:
             event = parse_json(line)
-            name, kind = event["run_id"], event["event"]
-            worker.task.group[name]
-        except (ValueError, KeyError, TypeError):
+            kind = event["event"]
+            if task is None or event["run_id"] != task.name:
+                raise ValueError
+        except (ValueError, KeyError):
             worker.kill()  # it sends invalid events; reading on finds its end
             return
-        if kind in ("busy", "end"):
-            worker.last_events[name] = event
         if event.get("storage"):
             self._storage_problem = str(event["reason"])
-        if kind == "busy" and not worker.task.busy:
-            lock = self._store.run_folder(name) / ".lock"
-            self._note(name, f"another process trains this run; waiting for it to let go of {lock}")
-        elif kind != "busy" and event.get("status") != "crashed":  # that is judged when its lock is released
+        if event.get("status") == "crashed":
+            worker.crash = event  # it ends now
+            return
+        if kind == "busy":
+            if not task.is_busy:
+                lock = self._store.run_folder(task.name) / LOCK_FILE
+                self._note(task, f"another process trains this run; waiting for it to let go of {lock}")
+            if self._stop_level() == 0:
+                self._tasks.append(replace(task, is_busy=True))
+        else:
             self._on_event(event)
+        if kind in ("busy", "end"):
+            worker.task = None
 
     def _reap(self, worker: _Worker) -> None:
-        """Reap a worker, and handle its runs that were busy, crashed, or lost with it."""
+        """Reap a worker, and try the run that crashed or was lost with it once more, or store its end."""
         code, output = worker.wait_and_read_stderr()
-        task, is_stopping = worker.task, self._stop_level() > 0
-        silent = [name for name in task.group if name not in worker.last_events]
-        for name, run in task.group.items():
-            event = worker.last_events.get(name)
-            if event is not None:
-                self._handle_last_event(event, task, is_stopping)
-            elif is_stopping:
-                self._on_event(end_event(name, Status("stopped")))
-            elif name != silent[0]:  # groups are trained in order: it had not begun
-                self._tasks.append(task.of_run(name))
-            elif task.tries < TRIES:
-                self._try_again(name, task, _reason(code))
-            else:
-                self._end_lost(name, run, code, output)
+        task, crash, is_stopping = worker.task, worker.crash, self._stop_level() > 0
+        if task is None:
+            return
+        if crash and (is_stopping or task.tries == TRIES or crash.get("final")):
+            self._on_event(crash)
+        elif is_stopping:
+            self._on_event(end_event(task.name, Status("stopped")))
+        elif task.tries < TRIES:
+            reason = f"crashed ({crash['reason']})" if crash else _reason(code)
+            self._tasks.append(replace(task, tries=task.tries + 1))
+            self._note(task, f"{reason}; tried once more")
+        else:
+            self._end_lost(task, code, output)
 
-    def _handle_last_event(self, event: Event, task: _Task, is_stopping: bool) -> None:
-        """Train a run that was busy or has crashed once more, unless it is not to be."""
-        name = event["run_id"]
-        if event["event"] == "busy":
-            if not is_stopping:
-                self._tasks.append(replace(task.of_run(name), busy=True))
-        elif event["status"] == "crashed":  # others were passed on when they were read
-            if is_stopping or task.tries >= TRIES or event.get("final"):
-                self._on_event(event)
-            else:
-                self._try_again(name, task, f"crashed ({event['reason']})")
-
-    def _try_again(self, name: str, task: _Task, why: str) -> None:
-        self._tasks.append(replace(task.of_run(name), tries=task.tries + 1))
-        self._note(name, f"{why}; tried once more")
-
-    def _end_lost(self, name: str, run: Run, code: int, output: bytes) -> None:
+    def _end_lost(self, task: _Task, code: int, output: bytes) -> None:
         """Store and report the end of a run whose worker died, unless another process trains it now."""
-        status = "killed" if code < 0 else "crashed"
+        status, texts = "crashed", [_reason(code), output.decode(errors="replace")]
+        if code < 0:
+            status = "killed"
+            texts.reverse()  # what explains most comes last
         try:
-            with self._store.lock(name) as is_mine:
-                if is_mine:
-                    why = _reason(code) + "\n" + output.decode(errors="replace")
-                    if code < 0:  # what explains most comes last
-                        why = output.decode(errors="replace") + "\n" + _reason(code)
-                    self._store.save_failure(name, run, status, why)
+            with self._store.lock(task.name) as is_free:
+                if is_free:
+                    self._store.save_failure(task.name, task.run, status, "\n".join(texts))
         except StorageError as error:
             self._storage_problem = str(error)
         except UserError as error:
-            self._note(name, str(error))
-        self._on_event(end_event(name, Status(status)))
+            self._note(task, str(error))
+        self._on_event(end_event(task.name, Status(status)))
 
-    def _note(self, name: str, text: str) -> None:
-        self._on_event({"event": "note", "run_id": name, "text": text})
+    def _note(self, task: _Task, text: str) -> None:
+        self._on_event({"event": "note", "run_id": task.name, "text": text})
 
 
 def _reason(code: int) -> str:
@@ -313,24 +309,23 @@ class _Worker(subprocess.Popen[bytes]):
     """A worker process. It has its own session, so that Ctrl-C reaches only its parent.
 
     Attributes:
-        task: the group of runs that it trains.
-        last_events: of each run that has ended, or that another process trains.
+        task: what it trains; None while it has nothing to do.
+        crash: the event of its run's crash, after which it ends.
+        orders: its standard input.
         events: its lines.
     """
 
-    def __init__(self, task: _Task) -> None:
-        self.task = task
-        self.last_events: dict[str, Event] = {}
+    def __init__(self) -> None:
+        self.task: _Task | None = None
+        self.crash: Event | None = None
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the process is buried)
-        command = [sys.executable, "-P", "-m", "pneuma.training.worker", "--parent", str(os.getpid())]
-        if task.tries == TRIES:
-            command.append("--last-try")
+        self._errors_start = 0
         # Inherited by the worker: a shutdown or a queue sends SIGTERM to all processes, and workers learn of
         # it from their parent.
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
         try:
             super().__init__(
-                command,
+                [sys.executable, "-P", "-m", "pneuma.training.worker", str(os.getpid())],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._errors,
@@ -341,19 +336,26 @@ class _Worker(subprocess.Popen[bytes]):
         finally:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
         assert self.stdin is not None and self.stdout is not None
-        self._orders, self.events = self.stdin, self.stdout
+        self.orders, self.events = self.stdin, self.stdout
 
-    def tell(self, line: str) -> None:
+    def begin(self, task: _Task, job: Job) -> None:
+        self.task = task
+        self._errors_start = os.fstat(self._errors.fileno()).st_size
+        self.send(job.to_json())
+
+    def send(self, line: str) -> None:
         data = line.encode() + b"\n"
-        with suppress(BrokenPipeError):  # it has ended; reading from it will show that
+        # it has ended, which reading from it will show, or has nothing to do
+        with suppress(BrokenPipeError, ValueError):
             while data:  # a signal may come in between
-                data = data[self._orders.write(data) :]
+                data = data[self.orders.write(data) :]
 
     def wait_and_read_stderr(self) -> tuple[int, bytes]:
+        """Wait for its end; return its exit code, and what it wrote since its run began."""
         code = self.wait()
-        self._orders.close()
+        self.orders.close()
         self.events.close()
-        self._errors.seek(0)
+        self._errors.seek(self._errors_start)
         with self._errors:
             return code, self._errors.read()
 

@@ -9,6 +9,7 @@ in the same versions. Without an address, a cluster is started on this machine f
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import socket
@@ -28,6 +29,8 @@ from pneuma.training.executors.base import Event, ExecutorConfig, Job, OnEvent, 
 from pneuma.training.executors.local import Interrupts, Supervisor, prepare_node, say_stopping
 from pneuma.training.worker import die_with
 
+MOST_IN_TASK = 8
+"""Most runs per task of the cluster, which trains them one after another in one process."""
 JOIN_SECONDS = 5.0
 LOOK_SECONDS = 1.0
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
@@ -48,20 +51,20 @@ def most_workers(config: ExecutorConfig) -> int:
     return cpus
 
 
-def run_groups(
-    groups: Iterable[Mapping[str, Run]], store: Store, config: ExecutorConfig, on_event: OnEvent
-) -> None:
-    """Train each group of runs on a node; see `base`. Raises UserError if one cannot train them."""
+def train_runs(runs: Mapping[str, Run], store: Store, config: ExecutorConfig, on_event: OnEvent) -> None:
+    """Train runs on the nodes of a cluster; see `base`. Raises UserError if one cannot train them."""
     store.root.mkdir(parents=True, exist_ok=True)
-    groups = list(groups)
-    names = {name for group in groups for name in group}
+    names, count = list(runs), min(MOST_IN_TASK, math.ceil(len(runs) / config.workers))
+    groups = []
+    for start in range(0, len(names), count):
+        groups.append({name: runs[name] for name in names[start : start + count]})
     with Interrupts() as interrupts:
         join(config.address)  # within `Interrupts`: Ctrl-C would break the start of Ray
         if interrupts.count:
             raise KeyboardInterrupt
         tasks = _Tasks(groups, store, config, interrupts)
         try:
-            _watch(names, store, on_event, tasks.advance, config.until)
+            _watch(runs, store, on_event, tasks.advance, config.until)
         finally:
             tasks.cancel()
 
@@ -288,7 +291,7 @@ def train_here(text: str, required: Mapping[str, str], folder: str) -> None:
         os.chdir(folder)
     prepare_node()
     with Interrupts([signal.SIGINT]) as interrupts:  # as `ray.cancel` does
-        Supervisor([job.runs], job.store, job.config, lambda event: None, interrupts).work()
+        Supervisor(job.runs, job.store, job.config, lambda event: None, interrupts).work()
 
 
 def versions() -> dict[str, str]:
