@@ -13,7 +13,7 @@ from pneuma.env.compiling import cached, entry, typed_pointer
 from pneuma.env.observe import observe_player
 from pneuma.env.reward import share_reward, write_reward
 from pneuma.env.rules import RUNNING, begin_episode, record_step, step_world
-from pneuma.env.state import HANDLE, Array, array_at, open_state
+from pneuma.env.state import HANDLE, Array, array_at, open_state, world_of
 
 GO_ON = -2
 """In place of a start place in `begins`: this world is not reset."""
@@ -59,28 +59,28 @@ def _run_worlds(handle: Any, actions: Any, work: int) -> int:
     step_actions = array_at(actions, (state.players.shape[0], players))
     ended = 0
     for world_index in range(state.worlds.shape[0]):
-        world = state.worlds[world_index]
-        if work & STEP:
-            for player_index in range(players):
-                state.events[world_index, player_index] = state.no_events[0]
-                state.slots[world_index, player_index].ending = RUNNING
-            if world.ending != RUNNING:
-                continue
-            ended += step_world(state, world_index, step_actions)
-        elif work == RESET and state.begins[world_index] != GO_ON:
+        if work == RESET and state.begins[world_index] != GO_ON:
             begin_episode(state, world_index, state.begins[world_index])
-        if work != RECORD:
-            notes_distance = work & STEP or world.ending == RUNNING
-            for player_index in range(players):
-                observe_player(state, world_index, player_index, notes_distance)
+        world = world_of(state, world_index)
+        world_actions = step_actions[world_index]
         if work & STEP:
             for player_index in range(players):
-                event = state.events[world_index, player_index]
+                world.events[player_index] = state.no_events[0]
+                world.slots[player_index].ending = RUNNING
+            if world.episode.ending != RUNNING:
+                continue
+            ended += step_world(world, world_actions)
+        if work != RECORD:
+            notes_distance = work & STEP or world.episode.ending == RUNNING
+            for player_index in range(players):
+                observe_player(world, player_index, notes_distance)
+        if work & STEP:
+            for player_index in range(players):
+                event = world.events[player_index]
                 if event.present > 0:
-                    player = state.players[world_index, player_index]
-                    write_reward(player, state.player_stats[player_index], event)
-            if state.settings[0].shared_reward:
-                share_reward(state.events[world_index])
+                    write_reward(world.players[player_index], world.player_stats[player_index], event)
+            if world.settings.shared_reward:
+                share_reward(world.events)
         if work & RECORD:
-            record_step(state, world_index, step_actions)
+            record_step(world, world_actions)
     return ended

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.env.compiling import inlined, inlined_early, kernel
-from pneuma.env.state import Array, State
+from pneuma.env.state import Array, State, World
 
 DOWN, LEFT, UP, RIGHT, ATTACK, FLAME, HEAL = 0, 1, 2, 3, 4, 5, 6
 BLADE, BURNING, HEALING = 1, 2, 3
@@ -36,22 +36,22 @@ CONTACT_EPS = 2.0**-10
 
 
 @inlined
-def _draw(world: Array) -> Any:
+def _draw(episode: Array) -> Any:
     """Return the next 64 random bits of a world: splitmix64 at (key, counter).
 
     Steele, Lea and Flood (2014), "Fast splittable pseudorandom number generators".
     """
-    world.draws += np.uint64(1)
-    mixed = world.key + world.draws * np.uint64(0x9E3779B97F4A7C15)
+    episode.draws += np.uint64(1)
+    mixed = episode.key + episode.draws * np.uint64(0x9E3779B97F4A7C15)
     mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return mixed ^ (mixed >> np.uint64(31))
 
 
 @inlined
-def _draw_below(world: Array, bound: int) -> Any:
+def _draw_below(episode: Array, bound: int) -> Any:
     """Return a random integer in [0, bound), for bounds far below 2**32."""
-    high = _draw(world) >> np.uint64(32)
+    high = _draw(episode) >> np.uint64(32)
     return np.int64((high * np.uint64(bound)) >> np.uint64(32))
 
 
@@ -61,32 +61,32 @@ def _draw_below(world: Array, bound: int) -> Any:
 @inlined
 def begin_episode(state: State, world_index: int, start_index: int) -> None:
     """Start an episode in one world, at a start place; below zero asks for one at random."""
-    world = state.worlds[world_index]
-    world.steps = 0
-    world.ending = RUNNING
-    world.monsters_left = state.monsters.shape[1]
-    world.players_left = state.players.shape[1]
-    world.level = 0
+    episode = state.worlds[world_index]
+    episode.steps = 0
+    episode.ending = RUNNING
+    episode.monsters_left = state.monsters.shape[1]
+    episode.players_left = state.players.shape[1]
+    episode.level = 0
     if state.starts.shape[0] > 1:
-        world.level = _draw_below(world, state.starts.shape[0])
-    world.start = start_index
+        episode.level = _draw_below(episode, state.starts.shape[0])
+    episode.start = start_index
     if start_index < 0:
-        world.start = _draw_below(world, state.starts.shape[1])
+        episode.start = _draw_below(episode, state.starts.shape[1])
     for player_index in range(state.players.shape[1]):
         player = state.players[world_index, player_index]
         kept_xp = player.xp
         state.players[world_index, player_index] = state.first_players[player_index]
         if state.settings[0].keep_xp:
             player.xp = kept_xp
-        player_start = (world.start + player_index) % state.starts.shape[1]
-        player.x = state.starts[world.level, player_start, 0]
-        player.y = state.starts[world.level, player_start, 1]
+        player_start = (episode.start + player_index) % state.starts.shape[1]
+        player.x = state.starts[episode.level, player_start, 0]
+        player.y = state.starts[episode.level, player_start, 1]
         slot = state.slots[world_index, player_index]
         slot.returns = 0.0
         slot.lengths = 0
         slot.idle = False
     for monster_index in range(state.monsters.shape[1]):
-        state.monsters[world_index, monster_index] = state.first_monsters[world.level, monster_index]
+        state.monsters[world_index, monster_index] = state.first_monsters[episode.level, monster_index]
     tally = state.tallies[world_index]
     tally.returns = 0.0
     tally.hp_lost = 0.0
@@ -99,43 +99,45 @@ def begin_episode(state: State, world_index: int, start_index: int) -> None:
 
 
 @inlined_early
-def step_world(state: State, world_index: int, actions: Array) -> bool:
-    """Advance one running world by one agent step; return whether its episode ended."""
-    world = state.worlds[world_index]
-    settings = state.settings[0]
-    active = _gather_active(state, world_index)
-    _gather_near(state, world_index, active)
+def step_world(world: World, actions: Array) -> bool:
+    """Advance a running world by one agent step; return whether its episode ended."""
+    episode = world.episode
+    settings = world.settings
+    active = _gather_active(world)
+    _gather_near(world, active)
     for _ in range(settings.ticks):
-        for player_index in range(state.players.shape[1]):
-            _begin_tick(state, world_index, player_index, actions[world_index, player_index])
+        for player_index in range(len(world.players)):
+            _begin_tick(world, player_index, actions[player_index])
         for active_index in range(active):
-            monster_index = np.int64(state.scratch[active_index].order)
-            if state.monsters[world_index, monster_index].hp > 0.0:
-                _tick_monster(state, world_index, monster_index)
-        for player_index in range(state.players.shape[1]):
-            if state.tick[player_index].there:
-                _end_tick(state, world_index, player_index)
-    world.players_left = 0
-    for player_index in range(state.players.shape[1]):
-        world.players_left += state.players[world_index, player_index].hp > 0.0
-    world.steps += 1
-    if world.players_left == 0:
-        world.ending = KILLED
-    elif world.monsters_left == 0 and settings.end_on_clear:
-        world.ending = CLEARED
-    elif world.steps >= settings.episode_steps:
-        world.ending = TIME_LIMIT
-    if world.ending == CLEARED or world.ending == TIME_LIMIT:
-        for player_index in range(state.players.shape[1]):
-            player = state.players[world_index, player_index]
-            if player.hp > 0.0:
-                _charge(player, state.events[world_index, player_index], settings.ending_cost)
-    return world.ending != RUNNING
+            monster_index = np.int64(world.scratch[active_index].order)
+            if world.monsters[monster_index].hp > 0.0:
+                _tick_monster(world, monster_index)
+        for player_index in range(len(world.players)):
+            if world.tick[player_index].there:
+                _end_tick(world, player_index)
+    episode.players_left = 0
+    for player_index in range(len(world.players)):
+        episode.players_left += world.players[player_index].hp > 0.0
+    episode.steps += 1
+    if episode.players_left == 0:
+        episode.ending = KILLED
+    elif episode.monsters_left == 0 and settings.end_on_clear:
+        episode.ending = CLEARED
+    elif episode.steps >= settings.episode_steps:
+        episode.ending = TIME_LIMIT
+    if episode.ending == CLEARED or episode.ending == TIME_LIMIT:
+        for player_index in range(len(world.players)):
+            if world.players[player_index].hp > 0.0:
+                _charge(world, player_index)
+    return episode.ending != RUNNING
 
 
 @inlined
-def _charge(player: Array, event: Array, cost: float) -> None:
+def _charge(world: World, player_index: int) -> None:
     """Subtract the XP that an ending costs; in the published code the reward is then set to the XP."""
+    player = world.players[player_index]
+    event = world.events[player_index]
+    cost = world.settings.ending_cost
     if cost != 0.0:
         player.xp -= cost
         event.xp_gained -= cost
@@ -143,65 +145,67 @@ def _charge(player: Array, event: Array, cost: float) -> None:
 
 
 @inlined
-def _gather_active(state: State, world_index: int) -> int:
+def _gather_active(world: World) -> int:
     """List in `scratch` the monsters to which anything can happen in the next step; return their number.
 
     The others stand still and only block those that move. Leaving them out changes no bit and saves most of
     the time.
     """
     active = 0
-    for monster_index in range(state.monsters.shape[1]):
-        monster = state.monsters[world_index, monster_index]
-        if monster.hp > 0.0 and _may_stir(state, world_index, monster_index):
-            state.scratch[active].order = monster_index
+    for monster_index in range(len(world.monsters)):
+        monster = world.monsters[monster_index]
+        if monster.hp > 0.0 and _may_stir(world, monster_index):
+            world.scratch[active].order = monster_index
             active += 1
     return active
 
 
 @inlined
-def _gather_near(state: State, world_index: int, active: int) -> None:
+def _gather_near(world: World, active: int) -> None:
     """List in `near` which bodies each player and the first `active` of `scratch` may meet in this step."""
-    monsters = state.monsters.shape[1]
-    bodies = monsters + state.players.shape[1]
-    for body_index in range(bodies):
-        _pack(state, world_index, body_index)
+    for body_index in range(len(world.boxes)):
+        _pack(world, body_index)
     for active_index in range(active):
-        _list_neighbours(state, world_index, np.int64(state.scratch[active_index].order))
-    for body_index in range(monsters, bodies):
-        _list_neighbours(state, world_index, body_index)
+        _list_neighbours(world, np.int64(world.scratch[active_index].order))
+    for body_index in range(len(world.monsters), len(world.boxes)):
+        _list_neighbours(world, body_index)
 
 
 @inlined
-def _list_neighbours(state: State, world_index: int, body_index: int) -> None:
-    x, y, _ = body(state, world_index, body_index)
-    neighbours = state.near[body_index]
+def _list_neighbours(world: World, body_index: int) -> None:
+    """List the living bodies that are near enough to stop another one in this step."""
+    reach = world.settings.body_reach
+    mover = world.boxes[body_index]
+    neighbours = world.near[body_index]
     neighbours[0] = 0
-    for other_index in range(state.monsters.shape[1] + state.players.shape[1]):
-        if other_index != body_index and _is_near(state, world_index, other_index, x, y):
+    for other_index in range(len(world.boxes)):
+        other = world.boxes[other_index]
+        is_near = abs(other[0] - mover[0]) < reach and abs(other[1] - mover[1]) < reach
+        if other_index != body_index and is_near and other[2] > 0.0:
             neighbours[0] += 1
             neighbours[neighbours[0]] = other_index
 
 
 @inlined
-def _pack(state: State, world_index: int, body_index: int) -> None:
+def _pack(world: World, body_index: int) -> None:
     """Write a body's box to `boxes`, where moving bodies look for obstacles; what is dead stops nobody."""
-    packed_box = state.boxes[body_index]
-    packed_box[0], packed_box[1], packed_box[2], packed_box[3] = box(state, world_index, body_index)
-    if not is_alive(state, world_index, body_index):
+    packed_box = world.boxes[body_index]
+    packed_box[0], packed_box[1], packed_box[2], packed_box[3] = box(world, body_index)
+    if not is_alive(world, body_index):
         packed_box[2] = packed_box[3] = -math.inf
 
 
 @inlined
-def _may_stir(state: State, world_index: int, monster_index: int) -> bool:
-    monster = state.monsters[world_index, monster_index]
-    monster_stats = state.monster_stats[state.worlds[world_index].level, monster_index]
+def _may_stir(world: World, monster_index: int) -> bool:
+    monster = world.monsters[monster_index]
+    monster_stats = world.monster_stats[monster_index]
     if monster.knocked > 0 or monster.safe > 0 or monster.noticed or monster.inside:
         return True
-    for player_index in range(state.players.shape[1]):
+    for player_index in range(len(world.players)):
         if monster.bite[player_index] > 0:
             return True
-        player = state.players[world_index, player_index]
-        squared_gap = _squared_gap(monster.x, monster.y, player, state.player_stats[player_index])
+        player = world.players[player_index]
+        squared_gap = _squared_gap(monster.x, monster.y, player, world.player_stats[player_index])
         if player.hp > 0.0 and squared_gap <= monster_stats.reach_squared:
             return True
     return False
@@ -219,11 +223,11 @@ def _squared_gap(point_x: float, point_y: float, player: Array, player_stats: Ar
 
 
 @inlined
-def _begin_tick(state: State, world_index: int, player_index: int, action: int) -> None:
+def _begin_tick(world: World, player_index: int, action: int) -> None:
     """Let a living player act, and record what it strikes."""
-    player = state.players[world_index, player_index]
-    player_stats = state.player_stats[player_index]
-    tick = state.tick[player_index]
+    player = world.players[player_index]
+    player_stats = world.player_stats[player_index]
+    tick = world.tick[player_index]
     tick.there = player.hp > 0.0
     tick.strikes = 0
     if not tick.there:
@@ -231,20 +235,20 @@ def _begin_tick(state: State, world_index: int, player_index: int, action: int) 
     tick.xp = tick.healed = tick.bitten = 0.0
     tick.notices = tick.contacts = tick.paid = 0
     if player.busy == 0:
-        _act(state, world_index, player_index, action)
+        _act(world, player_index, action)
     if player.busy > 0:
         player.busy -= 1
         if player.action_kind == BLADE:
             tick.strikes = BLADE
     player.energy = min(player.energy + player_stats.energy_gain, player_stats.energy)
-    state.events[world_index, player_index].present += 1
+    world.events[player_index].present += 1
 
 
 @inlined
-def _act(state: State, world_index: int, player_index: int, action: int) -> None:
+def _act(world: World, player_index: int, action: int) -> None:
     """Let an idle player walk for a tick, or start an attack, or a spell that it can pay for."""
-    player = state.players[world_index, player_index]
-    player_stats = state.player_stats[player_index]
+    player = world.players[player_index]
+    player_stats = world.player_stats[player_index]
     if action == ATTACK:
         player.busy = player_stats.swing
         player.action_kind = BLADE
@@ -255,20 +259,20 @@ def _act(state: State, world_index: int, player_index: int, action: int) -> None
             player.busy = player_stats.flame_ticks
             player.action_kind = BURNING
             player.attack += 1
-            state.tick[player_index].strikes = BURNING  # in this tick only
+            world.tick[player_index].strikes = BURNING  # in this tick only
     elif action == HEAL:
         if player.energy >= player_stats.heal_cost:
             player.energy -= player_stats.heal_cost
             player.busy = player_stats.heal_ticks
             player.action_kind = HEALING
-            for patient_index in range(state.players.shape[1]):
-                patient = state.players[world_index, patient_index]
+            for patient_index in range(len(world.players)):
+                patient = world.players[patient_index]
                 if patient_index == player_index or _within_heal(patient, player, player_stats.heal_reach):
-                    event = state.events[world_index, patient_index]
-                    _heal(patient, state.player_stats[patient_index], event, player_stats.heal)
+                    event = world.events[patient_index]
+                    _heal(patient, world.player_stats[patient_index], event, player_stats.heal)
     else:
         player.facing = action
-        _walk(state, world_index, player_index)
+        _walk(world, player_index)
 
 
 @inlined
@@ -286,17 +290,17 @@ def _heal(player: Array, player_stats: Array, event: Array, healing: float) -> N
 
 
 @kernel
-def _walk(state: State, world_index: int, player_index: int) -> None:
-    player = state.players[world_index, player_index]
-    player.x, player.y = ahead(state, world_index, player_index, True)
-    _pack(state, world_index, state.monsters.shape[1] + player_index)
+def _walk(world: World, player_index: int) -> None:
+    player = world.players[player_index]
+    player.x, player.y = ahead(world, player_index, True)
+    _pack(world, len(world.monsters) + player_index)
 
 
 @inlined
-def ahead(state: State, world_index: int, player_index: int, among_bodies: bool) -> tuple[float, float]:
+def ahead(world: World, player_index: int, among_bodies: bool) -> tuple[float, float]:
     """Return where a player is after walking for one tick in the direction it faces."""
-    facing = state.players[world_index, player_index].facing
-    speed = state.player_stats[player_index].speed
+    facing = world.players[player_index].facing
+    speed = world.player_stats[player_index].speed
     step_x = 0.0
     step_y = 0.0
     if facing == RIGHT:
@@ -307,28 +311,28 @@ def ahead(state: State, world_index: int, player_index: int, among_bodies: bool)
         step_y = speed
     else:
         step_y = -speed
-    body_index = state.monsters.shape[1] + player_index
-    return moved(state, world_index, body_index, step_x, step_y, state.settings[0].player_stops, among_bodies)
+    body_index = len(world.monsters) + player_index
+    return moved(world, body_index, step_x, step_y, world.settings.player_stops, among_bodies)
 
 
 # --- A tick: monsters are struck, sense, bite and move -------------------------------------------
 
 
 @inlined
-def _tick_monster(state: State, world_index: int, monster_index: int) -> None:
-    monster = state.monsters[world_index, monster_index]
-    monster_stats = state.monster_stats[state.worlds[world_index].level, monster_index]
+def _tick_monster(world: World, monster_index: int) -> None:
+    monster = world.monsters[monster_index]
+    monster_stats = world.monster_stats[monster_index]
     if monster.safe > 0:
         monster.safe -= 1
-    for player_index in range(state.players.shape[1]):
-        _suffer(state, world_index, monster_index, player_index)
+    for player_index in range(len(world.players)):
+        _suffer(world, monster_index, player_index)
     if monster.hp <= 0.0:
         return
     target = -1
     nearest = math.inf
-    for player_index in range(state.players.shape[1]):
-        if state.tick[player_index].there:
-            squared_gap = _sense(state, world_index, monster_index, player_index)
+    for player_index in range(len(world.players)):
+        if world.tick[player_index].there:
+            squared_gap = _sense(world, monster_index, player_index)
             if squared_gap <= monster_stats.notice_squared and squared_gap < nearest:
                 nearest = squared_gap
                 target = player_index
@@ -339,32 +343,32 @@ def _tick_monster(state: State, world_index: int, monster_index: int) -> None:
         step_x = monster.knock_x
         step_y = monster.knock_y
     elif target >= 0:
-        player = state.players[world_index, target]
+        player = world.players[target]
         step_x = _approach(player.x - monster.x, monster_stats.stand_off, monster_stats.speed)
         step_y = _approach(player.y - monster.y, monster_stats.stand_off, monster_stats.speed)
     if step_x != 0.0 or step_y != 0.0:
-        stops = state.settings[0].monster_stops
-        monster.x, monster.y = moved(state, world_index, monster_index, step_x, step_y, stops, True)
-        _pack(state, world_index, monster_index)
+        stops = world.settings.monster_stops
+        monster.x, monster.y = moved(world, monster_index, step_x, step_y, stops, True)
+        _pack(world, monster_index)
 
 
 @inlined
-def _suffer(state: State, world_index: int, monster_index: int, player_index: int) -> None:
+def _suffer(world: World, monster_index: int, player_index: int) -> None:
     """Let a player's strike hit a monster: once an attack, or each time that it enters the sword's box."""
-    monster = state.monsters[world_index, monster_index]
-    tick = state.tick[player_index]
+    monster = world.monsters[monster_index]
+    tick = world.tick[player_index]
     bit = np.uint8(1 << player_index)
-    struck = tick.there and tick.strikes and _is_struck(state, world_index, monster_index, player_index)
-    on_entry = state.settings[0].blow_on_entry
-    entered = on_entry and state.players[world_index, player_index].action_kind == BLADE
+    struck = tick.there and tick.strikes and _is_struck(world, monster_index, player_index)
+    on_entry = world.settings.blow_on_entry
+    entered = on_entry and world.players[player_index].action_kind == BLADE
     if not tick.there:
         monster.noticed &= ~bit
         monster.bite[player_index] = 0
     elif struck and not entered:
-        _apply_hit(state, world_index, monster_index, player_index)
+        _apply_hit(world, monster_index, player_index)
     elif struck and not monster.inside & bit:
         monster.struck_by[player_index] = 0  # one that comes back is hit again by the same attack
-        _apply_hit(state, world_index, monster_index, player_index)
+        _apply_hit(world, monster_index, player_index)
     if on_entry:
         if struck and entered:
             monster.inside |= bit
@@ -373,21 +377,21 @@ def _suffer(state: State, world_index: int, monster_index: int, player_index: in
 
 
 @inlined
-def _strike(state: State, player_index: int) -> Array:
+def _strike(world: World, player_index: int) -> Array:
     """Return what a player strikes with."""
-    player_stats = state.player_stats[player_index]
-    if state.tick[player_index].strikes == BURNING:
+    player_stats = world.player_stats[player_index]
+    if world.tick[player_index].strikes == BURNING:
         return player_stats.flame
     return player_stats.sword
 
 
 @inlined
-def _is_struck(state: State, world_index: int, monster_index: int, player_index: int) -> bool:
+def _is_struck(world: World, monster_index: int, player_index: int) -> bool:
     """Return whether the box of a player's strike overlaps a monster's body."""
-    monster = state.monsters[world_index, monster_index]
-    monster_stats = state.monster_stats[state.worlds[world_index].level, monster_index]
-    player = state.players[world_index, player_index]
-    strike = _strike(state, player_index)
+    monster = world.monsters[monster_index]
+    monster_stats = world.monster_stats[monster_index]
+    player = world.players[player_index]
+    strike = _strike(world, player_index)
     x = player.x + strike.x[player.facing]
     y = player.y + strike.y[player.facing]
     width = strike.half_width[player.facing] + monster_stats.half_width
@@ -397,21 +401,21 @@ def _is_struck(state: State, world_index: int, monster_index: int, player_index:
 
 
 @inlined
-def _apply_hit(state: State, world_index: int, monster_index: int, player_index: int) -> None:
+def _apply_hit(world: World, monster_index: int, player_index: int) -> None:
     """Apply a player's blow, unless this attack has hit the monster already or the monster is safe."""
-    monster = state.monsters[world_index, monster_index]
-    player = state.players[world_index, player_index]
+    monster = world.monsters[monster_index]
+    player = world.players[player_index]
     if monster.struck_by[player_index] == player.attack or monster.safe > 0 or monster.hp <= 0.0:
         return
-    monster_stats = state.monster_stats[state.worlds[world_index].level, monster_index]
-    strike = _strike(state, player_index)
+    monster_stats = world.monster_stats[monster_index]
+    strike = _strike(world, player_index)
     monster.struck_by[player_index] = player.attack
     monster.safe = monster_stats.safe
     monster.hp = max(monster.hp - strike.damage, 0.0)
-    state.events[world_index, player_index].hits += 1
+    world.events[player_index].hits += 1
     if monster.hp <= 0.0:
-        _pack(state, world_index, monster_index)
-        _credit_kill(state, world_index, monster_index, player_index)
+        _pack(world, monster_index)
+        _credit_kill(world, monster_index, player_index)
     elif strike.knock_ticks >= 0 and monster.knocked == 0:
         _knock_back(monster, monster_stats, player, strike)
 
@@ -436,18 +440,18 @@ def _knock_back(monster: Array, monster_stats: Array, player: Array, strike: Arr
 
 
 @inlined
-def _credit_kill(state: State, world_index: int, monster_index: int, striker: int) -> None:
+def _credit_kill(world: World, monster_index: int, striker: int) -> None:
     """Credit a kill to the player who struck, or to all players within the attack circle."""
-    monster = state.monsters[world_index, monster_index]
-    monster_stats = state.monster_stats[state.worlds[world_index].level, monster_index]
-    state.worlds[world_index].monsters_left -= 1
-    state.players[world_index, striker].kills += 1
-    state.events[world_index, striker].kills += 1
-    for player_index in range(state.players.shape[1]):
+    monster = world.monsters[monster_index]
+    monster_stats = world.monster_stats[monster_index]
+    world.episode.monsters_left -= 1
+    world.players[striker].kills += 1
+    world.events[striker].kills += 1
+    for player_index in range(len(world.players)):
         earns = player_index == striker
-        if state.settings[0].credit_near:
+        if world.settings.credit_near:
             earns = monster.bite[player_index] > 0
-        tick = state.tick[player_index]
+        tick = world.tick[player_index]
         if tick.there and earns:
             tick.paid = 1
             tick.xp += monster_stats.xp
@@ -455,13 +459,13 @@ def _credit_kill(state: State, world_index: int, monster_index: int, striker: in
 
 
 @inlined
-def _sense(state: State, world_index: int, monster_index: int, player_index: int) -> float:
+def _sense(world: World, monster_index: int, player_index: int) -> float:
     """Notice a player, and bite it if it is near enough; return the squared distance to it."""
-    monster = state.monsters[world_index, monster_index]
-    monster_stats = state.monster_stats[state.worlds[world_index].level, monster_index]
-    player = state.players[world_index, player_index]
-    player_stats = state.player_stats[player_index]
-    tick = state.tick[player_index]
+    monster = world.monsters[monster_index]
+    monster_stats = world.monster_stats[monster_index]
+    player = world.players[player_index]
+    player_stats = world.player_stats[player_index]
+    tick = world.tick[player_index]
     bit = np.uint8(1 << player_index)
     notice_x = monster.x + monster_stats.notice_x
     notice_y = monster.y + monster_stats.notice_y
@@ -502,12 +506,12 @@ def _approach(offset: float, stand_off: float, speed: float) -> float:
 
 
 @inlined
-def _end_tick(state: State, world_index: int, player_index: int) -> None:
+def _end_tick(world: World, player_index: int) -> None:
     """Apply the tick's results to a player: first healing, then bites."""
-    player = state.players[world_index, player_index]
-    player_stats = state.player_stats[player_index]
-    event = state.events[world_index, player_index]
-    tick = state.tick[player_index]
+    player = world.players[player_index]
+    player_stats = world.player_stats[player_index]
+    event = world.events[player_index]
+    tick = world.tick[player_index]
     player.safe = max(player.safe - 1, 0)
     hp = player.hp + tick.healed
     event.hp_gained += hp - player.hp
@@ -528,44 +532,44 @@ def _end_tick(state: State, world_index: int, player_index: int) -> None:
         player.busy = 0
         player.action_kind = 0
         event.died = 1
-        _pack(state, world_index, state.monsters.shape[1] + player_index)
-        _charge(player, event, state.settings[0].ending_cost)
+        _pack(world, len(world.monsters) + player_index)
+        _charge(world, player_index)
 
 
 # --- The book of episodes ------------------------------------------------------------------------
 
 
 @inlined
-def record_step(state: State, world_index: int, actions: Array) -> None:
-    """Add a step, with its rewards, to a world's `slots`, `tallies` and `taken`.
+def record_step(world: World, actions: Array) -> None:
+    """Add a step, with its rewards, to a world's `slots`, `tally` and `taken`.
 
     A player's episode ends with its death, or with its world. From the next step until the world ends its
     slot is idle.
     """
-    world = state.worlds[world_index]
+    episode = world.episode
     rewards = hp_lost = 0.0
-    for player_index in range(state.players.shape[1]):
-        slot = state.slots[world_index, player_index]
-        event = state.events[world_index, player_index]
-        has_died = state.players[world_index, player_index].hp <= 0.0
+    for player_index in range(len(world.players)):
+        slot = world.slots[player_index]
+        event = world.events[player_index]
+        has_died = world.players[player_index].hp <= 0.0
         present = event.present > 0
         if present:
             slot.returns += event.reward
             slot.lengths += 1
-            slot.ending = world.ending
+            slot.ending = episode.ending
             if has_died:
                 slot.ending = KILLED
             slot.episodes += slot.ending != RUNNING
-            state.taken[world_index, actions[world_index, player_index]] += 1
+            world.taken[actions[player_index]] += 1
         slot.begins = slot.ending != RUNNING
         slot.idle = has_died and not present
         rewards += event.reward
         hp_lost += event.hp_lost
-    tally = state.tallies[world_index]
-    tally.returns += rewards / state.players.shape[1]
-    tally.hp_lost += hp_lost / state.players.shape[1]
-    if world.monsters_left == 0 and tally.cleared == 0:
-        tally.cleared = world.steps
+    tally = world.tally
+    tally.returns += rewards / len(world.players)
+    tally.hp_lost += hp_lost / len(world.players)
+    if episode.monsters_left == 0 and tally.cleared == 0:
+        tally.cleared = episode.steps
 
 
 # --- Moving --------------------------------------------------------------------------------------
@@ -573,8 +577,7 @@ def record_step(state: State, world_index: int, actions: Array) -> None:
 
 @kernel
 def moved(
-    state: State,
-    world_index: int,
+    world: World,
     body_index: int,
     step_x: float,
     step_y: float,
@@ -585,17 +588,17 @@ def moved(
 
     Players come after monsters in `body_index`; `stops` has a bit for each code of terrain that stops it.
     """
-    x, y, shape = body(state, world_index, body_index)
+    x, y, shape = body(world, body_index)
     if step_x != 0.0:
-        x = _moved_along(state, world_index, body_index, True, x, y, shape, step_x, stops, among_bodies)
+        x = _moved_along(world, body_index, True, x, y, shape, step_x, stops, among_bodies)
     if step_y != 0.0:
-        y = _moved_along(state, world_index, body_index, False, x, y, shape, step_y, stops, among_bodies)
+        y = _moved_along(world, body_index, False, x, y, shape, step_y, stops, among_bodies)
     return x, y
 
 
 @inlined
 def _moved_along(
-    state: State, world_index: int, body_index: int, along_x: bool, x: float, y: float,
+    world: World, body_index: int, along_x: bool, x: float, y: float,
     shape: tuple[float, float, float, float], distance: float, stops: int, among_bodies: bool,
 ) -> float:  # fmt: skip
     """Return x, or y, after a move along it, stopped flush at the first obstacle."""
@@ -607,10 +610,10 @@ def _moved_along(
     if distance > 0.0:
         direction = 1.0
     end = middle + distance
-    limit = _stop_at_tiles(state, world_index, along_x, direction, end, half, middle_aside, half_aside, stops)
+    limit = _stop_at_tiles(world, along_x, direction, end, half, middle_aside, half_aside, stops)
     if among_bodies:
         contact = _stop_at_bodies(
-            state, body_index, along_x, direction, middle, half, middle_aside, half_aside
+            world, body_index, along_x, direction, middle, half, middle_aside, half_aside
         )
         limit = min(limit, contact)
     if direction * end <= limit:
@@ -630,11 +633,11 @@ def _turned(along_x: bool, x: Any, y: Any) -> tuple[Any, Any]:
 
 @inlined
 def _stop_at_tiles(
-    state: State, world_index: int, along_x: bool, direction: float, end: float, half: float,
+    world: World, along_x: bool, direction: float, end: float, half: float,
     middle_aside: float, half_aside: float, stops: int,
 ) -> float:  # fmt: skip
     """Return where a box's centre, times `direction`, is flush with tiles its leading edge would enter."""
-    settings = state.settings[0]
+    settings = world.settings
     tile = settings.tile
     grid_start, grid_start_aside = _turned(along_x, settings.left, settings.top)
     first = math.floor((middle_aside - half_aside - grid_start_aside) / tile)
@@ -647,21 +650,21 @@ def _stop_at_tiles(
         flush = grid_start + (tile_line + 1) * tile + half
     for tile_line_aside in range(first, last + 1):
         column, row = _turned(along_x, tile_line, tile_line_aside)
-        if blocked(state.terrain, state.worlds[world_index].level, column, row, stops):
+        if blocked(world.terrain, column, row, stops):
             return direction * flush
     return math.inf
 
 
 @inlined
 def _stop_at_bodies(
-    state: State, body_index: int, along_x: bool, direction: float, middle: float, half: float,
+    world: World, body_index: int, along_x: bool, direction: float, middle: float, half: float,
     middle_aside: float, half_aside: float,
 ) -> float:  # fmt: skip
     """Return where a box's centre, times `direction`, touches the first body ahead; it may overlap others."""
     limit = math.inf
-    neighbours = state.near[body_index]
+    neighbours = world.near[body_index]
     for neighbour in range(neighbours[0]):
-        obstacle = state.boxes[neighbours[neighbour + 1]]
+        obstacle = world.boxes[neighbours[neighbour + 1]]
         obstacle_middle, obstacle_aside = _turned(along_x, obstacle[0], obstacle[1])
         obstacle_half, obstacle_half_aside = _turned(along_x, obstacle[2], obstacle[3])
         reach = half + obstacle_half
@@ -672,45 +675,34 @@ def _stop_at_bodies(
 
 
 @inlined
-def _is_near(state: State, world_index: int, body_index: int, mover_x: float, mover_y: float) -> bool:
-    """Return whether a living body may stop one that is at a point, in this step."""
-    reach = state.settings[0].body_reach
-    body_x, body_y, _ = body(state, world_index, body_index)
-    within_reach = abs(body_x - mover_x) < reach and abs(body_y - mover_y) < reach
-    return within_reach and is_alive(state, world_index, body_index)
+def is_alive(world: World, body_index: int) -> bool:
+    if body_index < len(world.monsters):
+        return world.monsters[body_index].hp > 0.0
+    return world.players[body_index - len(world.monsters)].hp > 0.0
 
 
 @inlined
-def is_alive(state: State, world_index: int, body_index: int) -> bool:
-    if body_index < state.monsters.shape[1]:
-        return state.monsters[world_index, body_index].hp > 0.0
-    return state.players[world_index, body_index - state.monsters.shape[1]].hp > 0.0
-
-
-@inlined
-def body(
-    state: State, world_index: int, body_index: int
-) -> tuple[float, float, tuple[float, float, float, float]]:
+def body(world: World, body_index: int) -> tuple[float, float, tuple[float, float, float, float]]:
     """Return a body's position, and its shape: the centre from there, and half sides; monsters come first."""
-    if body_index < state.monsters.shape[1]:
-        monster = state.monsters[world_index, body_index]
-        stats = state.monster_stats[state.worlds[world_index].level, body_index]
+    if body_index < len(world.monsters):
+        monster = world.monsters[body_index]
+        stats = world.monster_stats[body_index]
         return monster.x, monster.y, (stats.body_x, stats.body_y, stats.half_width, stats.half_height)
-    player = state.players[world_index, body_index - state.monsters.shape[1]]
-    stats = state.player_stats[body_index - state.monsters.shape[1]]
+    player = world.players[body_index - len(world.monsters)]
+    stats = world.player_stats[body_index - len(world.monsters)]
     return player.x, player.y, (stats.body_x, stats.body_y, stats.half_width, stats.half_height)
 
 
 @inlined
-def box(state: State, world_index: int, body_index: int) -> tuple[float, float, float, float]:
+def box(world: World, body_index: int) -> tuple[float, float, float, float]:
     """Return the centre and half sides of a body."""
-    x, y, shape = body(state, world_index, body_index)
+    x, y, shape = body(world, body_index)
     return x + shape[0], y + shape[1], shape[2], shape[3]
 
 
 @inlined
-def blocked(terrain: Array, level: int, column: int, row: int, stops: int) -> bool:
+def blocked(terrain: Array, column: int, row: int, stops: int) -> bool:
     """Return whether a tile stops a body; tiles off the grid do."""
-    if column < 0 or row < 0 or row >= terrain.shape[1] or column >= terrain.shape[2]:
+    if column < 0 or row < 0 or row >= terrain.shape[0] or column >= terrain.shape[1]:
         return True
-    return (stops >> terrain[level, row, column]) & 1 != 0
+    return (stops >> terrain[row, column]) & 1 != 0

@@ -14,7 +14,15 @@ import numpy as np
 from llvmlite import ir
 from numba import from_dtype, types
 
-from pneuma.env.compiling import DIGEST, array_from, typed_arrays, typed_codegen, typed_intrinsic, typed_tuple
+from pneuma.env.compiling import (
+    DIGEST,
+    array_from,
+    inlined_early,
+    typed_arrays,
+    typed_codegen,
+    typed_intrinsic,
+    typed_tuple,
+)
 
 MAX_PLAYERS = 8
 MAX_RAYS = 64
@@ -301,6 +309,28 @@ def as_bytes(array: np.ndarray) -> np.ndarray:
     return array.reshape(-1).view(np.uint8)
 
 
+class World(NamedTuple):
+    """What of a `State` concerns one world, at the level that it plays: without the axes N and L."""
+
+    episode: Array  # its row of `worlds`
+    settings: Array
+    players: Array
+    monsters: Array
+    player_stats: Array
+    monster_stats: Array
+    terrain: Array
+    events: Array
+    observations: Array
+    masks: Array
+    slots: Array
+    tally: Array
+    taken: Array
+    tick: Array
+    scratch: Array
+    near: Array
+    boxes: Array
+
+
 # --- In compiled functions --------------------------------------------------------------------------
 
 
@@ -327,6 +357,31 @@ def open_state(context: Any, handle: Any) -> Any:
         return codegen.make_tuple(builder, state_type, arrays)
 
     return state_type(handle), generate
+
+
+@inlined_early
+def world_of(state: State, world_index: int) -> World:
+    """Return the part of a state that belongs to one world."""
+    episode = state.worlds[world_index]
+    return World(
+        episode,
+        state.settings[0],
+        state.players[world_index],
+        state.monsters[world_index],
+        state.player_stats,
+        state.monster_stats[episode.level],
+        state.terrain[episode.level],
+        state.events[world_index],
+        state.observations[world_index],
+        state.masks[world_index],
+        state.slots[world_index],
+        state.tallies[world_index],
+        state.taken[world_index],
+        state.tick,
+        state.scratch,
+        state.near,
+        state.boxes,
+    )
 
 
 @typed_intrinsic
