@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import operator
 from typing import Any
 
@@ -10,14 +9,14 @@ import gymnasium
 import numpy as np
 from gymnasium.error import ResetNeeded
 
-from pneuma.env.fields import ENVIRONMENTS, arguments_table, make_env_config
-from pneuma.env.slots import WithSpec, ending_info, read_options, read_starts
-from pneuma.env.watch import Rendering, keys_to_action
+from pneuma.env.fields import ENVIRONMENTS, make_env_config
+from pneuma.env.slots import ending_info, read_options, read_starts
+from pneuma.env.watch import Face, keys_to_action
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 
-class PneumaEnv(WithSpec, Rendering, gymnasium.Env[np.ndarray, np.int64]):
+class PneumaEnv(Face, gymnasium.Env[np.ndarray, np.int64]):
     """PneumaRL: one player against the monsters of a level.
 
     A top-down island of snow, field and desert (thesis chapter 5). Monsters notice a player within 300
@@ -97,7 +96,33 @@ class PneumaEnv(WithSpec, Rendering, gymnasium.Env[np.ndarray, np.int64]):
 
     Three defaults are those of Pneuma-v0, PneumaGodot-v0 and PneumaArena-v0.
 
-    (The table of `pneuma.env.fields.EnvConfig`.)
+    | argument | default | meaning |
+    | --- | --- | --- |
+    | `level` | thesis | a shipped level, a folder of tables, `random:train:N` or `random:test:N` |
+    | `random_levels` | 1 | so many random levels from number N on; each episode draws one |
+    | `monsters` | bamboo | on random levels: `bamboo` alone; or `mixed`: 8, and 2 of each other |
+    | `characters` | none | a file that overrides and extends the shipped ones; or `pygame` |
+    | `players` | 1 | 1 to 8 in a world; more than one not here, but in the other interfaces |
+    | `classes` | base | `base`, `tank`, `mage`, `warrior`, or a list of one per player |
+    | `magic` | false | whether there are the actions flame and heal |
+    | `reward` | thesis, godot, kills | a formula, or a list of one per player |
+    | `shared_reward` | false | whether each player gets the mean of all players' rewards |
+    | `observation` | thesis, godot, thesis | the layout |
+    | `perceive` | all | `all`, `nearest:K`, or `rays:N`, 1 to 64 |
+    | `order` | nearest, fixed, nearest | dead monsters are left out, or rows of zeros (HP 0 in `godot`) |
+    | `scale` | unit, raw, unit | of what is observed |
+    | `observe_facing` | false, false, true | whether a player observes its facing: four numbers |
+    | `start` | random, first, random | a random start place of the level, or always the first |
+    | `trees` | wall, pass, wall | whether trees and other obstacles stop bodies |
+    | `terrain_stops` | all, players, all | whom trees and coast stop |
+    | `attack_ticks` | 0 | that every attack lasts; 0: the weapon's, 24 for `blade` |
+    | `blow` | attack | a sword hits a monster once an attack; or on each `entry` into its box |
+    | `kill_credit` | striker, near, striker | who gains: who struck, or all within the attack circle |
+    | `xp_scope` | episode, forever, episode | `forever`: XP is kept until `reset(seed=...)` |
+    | `ending_cost` | 0, 1, 0 | XP lost by death, clearing the level and the time limit |
+    | `episode_steps` | 1000, 7500, 1000 | the world's time limit |
+    | `time_limit` | truncate, terminate, truncate | whether it truncates or terminates |
+    | `end_on_clear` | false, true, false | whether the last kill ends the episode |
     | `render_mode` | none | `rgb_array` |
     | `camera` | map | `follow` shows the player's surroundings |
 
@@ -123,7 +148,7 @@ class PneumaEnv(WithSpec, Rendering, gymnasium.Env[np.ndarray, np.int64]):
         self.state = Worlds(1, config)
         self.observation_space = self.state.space
         self.action_space = self.state.action_space
-        self._set_up_rendering(self.state, env_id, render_mode, camera)
+        self._set_up(self.state, env_id, render_mode, camera)
         self._actions = np.zeros((1, 1), np.int64)
         self._has_begun = False
 
@@ -133,8 +158,6 @@ class PneumaEnv(WithSpec, Rendering, gymnasium.Env[np.ndarray, np.int64]):
         """Start an episode; see `gymnasium.Env.reset`. The same seed starts the same world."""
         starts = read_starts(self.state, read_options(options, "start").get("start"))
         super().reset(seed=seed)
-        if seed is None and not self._has_begun:
-            seed = int(self.np_random.integers(2**63))
         if seed is not None:
             self.state.seed([seed])
         self._has_begun = True
@@ -167,8 +190,3 @@ class PneumaEnv(WithSpec, Rendering, gymnasium.Env[np.ndarray, np.int64]):
     def get_keys_to_action(self) -> dict[tuple[int, ...], int]:
         """Return the keys that `gymnasium.utils.play.play` asks for; see `pneuma.env.watch.KEYS`."""
         return keys_to_action(self.state.action_names)
-
-
-PneumaEnv.__doc__ = inspect.cleandoc(PneumaEnv.__doc__ or "").replace(
-    "(The table of `pneuma.env.fields.EnvConfig`.)", arguments_table()
-)

@@ -6,7 +6,6 @@ It gives the same bits as `gym.py` for the same seeds and actions. A slot of sev
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,11 +15,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.slots import WithSpec, ending_info, make_slots, read_options, read_starts
-from pneuma.env.watch import Rendering
+from pneuma.env.slots import ending_info, make_slots, read_options, read_starts
+from pneuma.env.watch import Face
 
 
-class PneumaVectorEnv(WithSpec, Rendering, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+class PneumaVectorEnv(Face, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """N worlds as one environment; see `pneuma.env.gym.PneumaEnv` for each.
 
     World i of a batch reset with seed s is the single world reset with seed s + i, bit for bit. With several
@@ -53,7 +52,7 @@ class PneumaVectorEnv(WithSpec, Rendering, VectorEnv[np.ndarray, np.ndarray, np.
         self.state, self.num_envs = self.slots.worlds, num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
-        self._set_up_rendering(self.state, env_id, render_mode, camera)
+        self._set_up(self.state, env_id, render_mode, camera)
         self.single_observation_space = self.state.slot_space
         self.single_action_space = self.state.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -77,13 +76,7 @@ class PneumaVectorEnv(WithSpec, Rendering, VectorEnv[np.ndarray, np.ndarray, np.
         if not self.slots.begun and not mask.all():
             raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
         super().reset(seed=seeds[0])
-        if not self.slots.begun and None in seeds:
-            first = int(self.np_random.integers(2**62))
-            for world_index, world_seed in enumerate(seeds):
-                if world_seed is None:
-                    seeds[world_index] = first + world_index
-        seeded = np.array([world_seed is not None for world_seed in seeds])
-        self.state.seed([world_seed or 0 for world_seed in seeds], mask & seeded)
+        self.state.seed(seeds, mask)
         self.slots.begun = True
         self.state.reset(mask, starts)
         return self.slots.observations, self._infos()
@@ -94,16 +87,10 @@ class PneumaVectorEnv(WithSpec, Rendering, VectorEnv[np.ndarray, np.ndarray, np.
         if seed is None:
             return [None] * count
         if isinstance(seed, int | np.integer):
-            return [int(seed) + world_index for world_index in range(count)]
+            return list(range(int(seed), int(seed) + count))
         if len(seed) != count:
             raise ValueError(f"{len(seed)} seeds for {count} worlds")
-        seeds: list[int | None] = []
-        for world_seed in seed:
-            if world_seed is None:
-                seeds.append(None)
-            else:
-                seeds.append(operator.index(world_seed))
-        return seeds
+        return list(seed)
 
     def _reset_mask(self, mask: object) -> np.ndarray:
         if mask is None:
@@ -133,7 +120,7 @@ class PneumaVectorEnv(WithSpec, Rendering, VectorEnv[np.ndarray, np.ndarray, np.
         """Return a frame for each slot, if there is a render mode."""
         if self.render_mode is None:
             return None
-        return self._frames()
+        return self.get_images()
 
     def _infos(self) -> dict[str, Any]:
         return {"action_mask": self.slots.masks, "_action_mask": np.ones(self.num_envs, np.bool_)}

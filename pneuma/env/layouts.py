@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from pneuma.env.fields import OBSERVATIONS, EnvConfig
-from pneuma.env.level import RANDOM, Level, Rectangle
+from pneuma.env.fields import OBSERVATIONS, RANDOM, EnvConfig
+from pneuma.env.level import Level, Rectangle
 
 LAYOUT_THESIS, LAYOUT_PYGAME, LAYOUT_GODOT = range(len(OBSERVATIONS))
 MOST_XP = 1e9

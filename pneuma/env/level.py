@@ -20,7 +20,6 @@ from pneuma.env import rules
 from pneuma.env.fields import EnvConfig
 from pneuma.errors import UserError
 
-RANDOM = "random:"
 START_CODE = 400
 EMPTY, WATER, SNOW, GRASS, SAND, BRIDGE = range(-1, 5)
 """Codes of the ground in shipped and random levels; a user's own level may have others."""
@@ -113,26 +112,27 @@ def refuse_bad_places(
     living = []
     for index, (monster, stats) in enumerate(zip(level.monsters, monster_stats, strict=True)):
         living.append(_Body(f"monster {index} ({monster.name})", monster.x, monster.y, stats))
-    stopped_monsters = []
-    if config.terrain_stops == "all":
-        stopped_monsters = living
     closed = level.terrain == rules.COAST
     if config.trees == "wall":
         closed |= level.terrain == rules.SOLID
-    for body in starting + living:
-        _refuse_beyond(level, body)
+    closed_to_monsters = closed
+    if config.terrain_stops == "players":
+        closed_to_monsters = np.zeros_like(closed)
+    _refuse_terrain(level, starting, closed)
+    _refuse_terrain(level, living, closed_to_monsters)
     longer_side = 2 * float(max(player_stats["half_width"].max(), player_stats["half_height"].max()))
-    cut_off = first_cut_off(level, ~closed, longer_side, len(stopped_monsters))
+    reached = len(living)
+    if config.terrain_stops == "players":
+        reached = 0
+    cut_off = first_cut_off(level, ~closed, longer_side, reached)
     if cut_off is not None:
         body = (starting[:: len(shapes)] + living)[cut_off]
         problem = f"{body.name} is walled in or off the land, for a body of {longer_side:g} px"
         raise UserError(f"level {level.name}: {problem}")
-    for body in starting + stopped_monsters:
-        _refuse_terrain(level, body, closed)
+    movers = living
     if config.players > 1:
-        _refuse_overlaps(level, starting + living, starting + living)
-    else:
-        _refuse_overlaps(level, living, starting + living)
+        movers = starting + living
+    _refuse_overlaps(level, movers, starting + living)
 
 
 class _Body:
@@ -145,27 +145,21 @@ class _Body:
         self.low = middle - half
         self.high = middle + half
 
-    def refusal(self, level: Level, problem: str) -> UserError:
-        width, height = self.high - self.low
-        size = f"{width:g} x {height:g} px"
-        return UserError(f"level {level.name}: {self.name} has a body of {size}, which {problem}")
 
-
-def _refuse_beyond(level: Level, body: _Body) -> None:
-    grid = level.grid
-    if (body.low < (grid.left, grid.top)).any() or (body.high > (grid.right, grid.bottom)).any():
-        raise body.refusal(level, "reaches beyond the grid")
-
-
-def _refuse_terrain(level: Level, body: _Body, closed: np.ndarray) -> None:
-    corner = (level.left, level.top)
-    first_column, first_row = np.floor((body.low - corner) / level.tile).astype(int)
-    end_column, end_row = np.ceil((body.high - corner) / level.tile).astype(int)
-    under_body = closed[first_row:end_row, first_column:end_column]
-    if under_body.any():
-        tile_row, tile_column = np.argwhere(under_body)[0]
-        tile = f"the tile in row {first_row + tile_row + 1}, column {first_column + tile_column + 1}"
-        raise body.refusal(level, f"overlaps {tile}: it would be stuck there")
+def _refuse_terrain(level: Level, bodies: Sequence[_Body], closed: np.ndarray) -> None:
+    """Refuse bodies on closed tiles, or beyond the grid, around which all is closed."""
+    framed = np.pad(closed, 1, constant_values=True)
+    corner = (level.left - level.tile, level.top - level.tile)
+    last = np.array(framed.T.shape) - 1
+    for body in bodies:
+        first = np.clip(np.floor((body.low - corner) / level.tile), 0, last).astype(int)
+        end = np.clip(np.ceil((body.high - corner) / level.tile), 1, last + 1).astype(int)
+        stuck = np.argwhere(framed[first[1] : end[1], first[0] : end[0]])
+        if len(stuck):
+            row, column = stuck[0] + first[::-1]
+            width, height = body.high - body.low
+            problem = f"has a body of {width:g} x {height:g} px, stuck in row {row}, column {column}"
+            raise UserError(f"level {level.name}: {body.name} {problem}")
 
 
 def _refuse_overlaps(level: Level, bodies: Sequence[_Body], obstacles: Sequence[_Body]) -> None:
@@ -196,11 +190,10 @@ def first_cut_off(level: Level, free: np.ndarray, side: float, monsters: int) ->
     """
     abreast = math.ceil(side / level.tile)
     regions = walkable_regions(free, abreast)
-    regions_by_place = []
-    for x, y in level.starts:
-        regions_by_place.append(_regions_at(regions, abreast, level, x, y))
+    places = level.starts.tolist()
     for monster in level.monsters[:monsters]:
-        regions_by_place.append(_regions_at(regions, abreast, level, monster.x, monster.y))
+        places.append((monster.x, monster.y))
+    regions_by_place = [_regions_at(regions, abreast, level, x, y) for x, y in places]
     places_by_region = Counter(region for place_regions in regions_by_place for region in place_regions)
     sizes = np.bincount(regions.ravel())
     home = max(places_by_region, key=lambda region: (places_by_region[region], sizes[region]), default=0)

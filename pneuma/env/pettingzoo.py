@@ -7,16 +7,15 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
-from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
 from pneuma.env.slots import Slots, ending_info, read_options, read_starts
-from pneuma.env.watch import Rendering
+from pneuma.env.watch import Face
 from pneuma.env.worlds import Worlds
 
 
-class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
+class PneumaParallelEnv(Face, ParallelEnv[str, np.ndarray, np.int64]):
     """One world of 1 to 8 players, named `player_0` and so on; see `PneumaEnv` for the world.
 
     A player leaves `agents` when it dies. The episode ends for all when no player is alive, at the time
@@ -45,10 +44,7 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         self._actions = np.zeros(self.slots.players, np.int64)
         action_count = int(self.worlds.action_space.n)
         self._action_spaces = {agent: spaces.Discrete(action_count) for agent in self.possible_agents}
-        low = np.concatenate([space.low for space in self.worlds.spaces])
-        high = np.concatenate([space.high for space in self.worlds.spaces])
-        self.state_space = spaces.Box(low, high, dtype=np.float32)  # the space of `state`
-        self._set_up_rendering(self.worlds, env_id, render_mode, camera)
+        self._set_up(self.worlds, env_id, render_mode, camera)
 
     def observation_space(self, agent: str) -> spaces.Box:
         return self.worlds.spaces[self._index_by_agent[agent]]
@@ -67,9 +63,6 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
         own_options = dict(options or {})
         own_options.pop("options", None)  # which PettingZoo's checker passes to every environment
         starts = read_starts(self.worlds, read_options(own_options, "start").get("start"))
-        if seed is None and not self.slots.begun:
-            generator, _ = seeding.np_random()
-            seed = int(generator.integers(2**63))
         if seed is not None:
             self.worlds.seed([seed])
         self.worlds.reset(starts=starts)
@@ -104,10 +97,6 @@ class PneumaParallelEnv(Rendering, ParallelEnv[str, np.ndarray, np.int64]):
             else:
                 self.agents.append(agent)
         return self._observations(acting), rewards, terminations, truncations, infos
-
-    def state(self) -> np.ndarray:
-        """Return the observations of all players, one after the other."""
-        return self.worlds.observations[0].ravel().copy()
 
     def _by_agent(self, agents: list[str], values: np.ndarray) -> dict[str, Any]:
         return {agent: values[self._index_by_agent[agent]].item() for agent in agents}

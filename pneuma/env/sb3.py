@@ -8,13 +8,12 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.utils import seeding
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.slots import WithSpec, ending_info, make_slots, read_options, read_starts
+from pneuma.env.slots import ending_info, make_slots, read_options, read_starts
 from pneuma.env.state import LAYOUT_DIGEST, as_bytes
-from pneuma.env.watch import Rendering
+from pneuma.env.watch import Face
 from pneuma.errors import UserError
 
 
@@ -40,7 +39,7 @@ class WholeVecEnv(VecEnv):
         return [False for _ in self._get_indices(indices)]
 
 
-class PneumaVecEnv(WithSpec, Rendering, WholeVecEnv):
+class PneumaVecEnv(Face, WholeVecEnv):
     """A vector environment of slots that resets ended worlds at once.
 
     Slot i is player i % players of world i // players. `infos` of a step that ends a slot's episode hold
@@ -72,31 +71,23 @@ class PneumaVecEnv(WithSpec, Rendering, WholeVecEnv):
         config = make_env_config(settings, env_id)
         if isinstance(seeds, int | np.integer):
             self.slots = make_slots(int(seeds), config)
-            if seed is None:
-                seed = _random_seed(2**62)
-            seeds = range(int(seed), int(seed) + len(self.slots.worlds))
+            if seed is not None:
+                self.slots.worlds.seed(range(seed, seed + len(self.slots.worlds)))
         elif seed is None:
             self.slots = make_slots(len(seeds) * config.players, config)
+            self.slots.worlds.seed(seeds)
         else:
             raise UserError(f"seeds = {seeds}, seed = {seed}: give seeds, or a number of slots and a seed")
         self.state = self.slots.worlds
-        self.state.seed(seeds)
+        self._set_up(self.state, env_id, render_mode, camera)
         self.spec = replace(gymnasium.spec(env_id), kwargs={"env_id": env_id, **settings})
-        self._set_up_rendering(self.state, env_id, render_mode, camera)
         VecEnv.__init__(self, self.slots.count, self.state.slot_space, self.state.action_space)
-        self.metadata = {**Rendering.metadata, **self.metadata}  # type: ignore[misc]
+        self.metadata = {**Face.metadata, **self.metadata}  # type: ignore[misc]
         self.keep_finished = False
         self.finished: list[dict[str, Any]] = []
         """With `keep_finished`, every episode that has ended since someone last emptied the list."""
         self._steps_taken = np.zeros(1, np.int64)
         self._actions = np.zeros(self.num_envs)
-
-    def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed world i with seed + i at the next reset; return each slot's seed."""
-        if seed is None:
-            seed = _random_seed(2**32)
-        self._seeds = [seed + slot // self.slots.players for slot in range(self.num_envs)]
-        return self._seeds
 
     def reset(self) -> np.ndarray:
         """Start an episode in each world, with the seeds and options set before.
@@ -104,10 +95,11 @@ class PneumaVecEnv(WithSpec, Rendering, WholeVecEnv):
         `set_options({"start": i})` chooses the start place. In a list with one entry per slot, those of the
         first player of each world count.
         """
-        first_players = slice(None, None, self.slots.players)
-        starts = [read_options(options, "start").get("start") for options in self._options[first_players]]
-        if self._seeds[0] is not None:
-            self.state.seed([int(seed) for seed in self._seeds[first_players] if seed is not None])
+        by_world = self._options[:: self.slots.players]
+        starts = [read_options(options, "start").get("start") for options in by_world]
+        first_seed = self._seeds[0]
+        if first_seed is not None:
+            self.state.seed(range(first_seed, first_seed + len(self.state)))
         self._reset_seeds()
         self._reset_options()
         self.state.reset(starts=read_starts(self.state, starts))
@@ -187,12 +179,3 @@ class PneumaVecEnv(WithSpec, Rendering, WholeVecEnv):
 
     def close(self) -> None:
         """Do nothing: there is nothing to close."""
-
-    def get_images(self) -> Sequence[np.ndarray]:
-        """Return a picture for each slot, of its world with its player in view."""
-        return self._frames()
-
-
-def _random_seed(bound: int) -> int:
-    generator, _ = seeding.np_random()
-    return int(generator.integers(bound))

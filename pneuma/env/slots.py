@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 
 from pneuma.env import rules
@@ -85,28 +83,6 @@ class Slots:
         return masks
 
 
-class WithSpec:
-    """A mixin for environments whose `spec` gives the world's time limit as `max_episode_steps`.
-
-    It is not registered with Gymnasium, because `gymnasium.make` would then put a second limit around the
-    world, which does not know of `episode_steps`.
-    """
-
-    state: Worlds
-    _spec: EnvSpec | None = None
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """How Gymnasium makes the environment."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        if spec is not None:
-            spec = replace(spec, max_episode_steps=self.state.config.episode_steps)
-        self._spec = spec
-
-
 def make_slots(count: int, config: EnvConfig) -> Slots:
     """Return the slots of so many worlds that they have this number of players."""
     if count < 1 or count % config.players:
@@ -135,13 +111,11 @@ def read_options(options: Mapping[str, Any] | None, *allowed: str) -> dict[str, 
     return checked
 
 
-def read_starts(worlds: Worlds, start: Any) -> np.ndarray | None:
-    """Return the start places that `reset` is asked for, shape (N,), or None for the default ones.
+def read_starts(worlds: Worlds, start: Any) -> np.ndarray:
+    """Return the start places that `reset` is asked for, shape (N,).
 
-    `start` is None, the index of a start place, or a list with one of these for each world.
+    `start` is the index of a start place, None for the default one, or one of these for each world.
     """
-    if start is None:
-        return None
     starts = worlds.usual_starts.copy()
     try:
         for world, index in enumerate(np.broadcast_to(np.array(start, object), len(worlds))):

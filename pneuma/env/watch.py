@@ -1,4 +1,4 @@
-"""Showing a world: what all interfaces render, episodes in smooth motion, GIFs, and keys to play with.
+"""Showing a world: what all interfaces share, episodes in smooth motion, GIFs, and keys to play with.
 
 Environments give one frame per step. Episodes show the 8 ticks of a step in two frames, so that motion is
 smooth.
@@ -7,11 +7,13 @@ smooth.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from io import BytesIO
 from itertools import combinations, pairwise
 from typing import Any, ClassVar
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from PIL import Image
 
 from pneuma.env.characters import TICKS_PER_SECOND, TICKS_PER_STEP
@@ -20,7 +22,6 @@ from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError, unknown_name
 
 STEPS_PER_SECOND = TICKS_PER_SECOND / TICKS_PER_STEP
-RENDER_MODES = ("rgb_array",)
 
 FRAMES_PER_STEP = 2
 FRAME_RATE = FRAMES_PER_STEP * STEPS_PER_SECOND
@@ -51,46 +52,72 @@ def keys_to_action(action_names: Sequence[str]) -> dict[tuple[int, ...], int]:
     return actions
 
 
-class Rendering:
-    """The rendering that all interfaces share; frames are drawn only when they are asked for."""
+class StepLimit(int):
+    """The number of steps after which a world ends by itself.
+
+    `gymnasium.make(env.spec)` puts a `TimeLimit` of this length around the world. It truncates as soon as
+    this number is at most the steps taken, in the step that the world ends by itself, perhaps as terminated.
+    So the number is only less than, never equal to, the steps taken.
+    """
+
+    def __le__(self, steps: int) -> bool:
+        return self < steps
+
+
+class Face:
+    """What all interfaces share: rendering, and a `spec` with the world's time limit.
+
+    Frames are drawn only when they are asked for. The environments are not registered with a limit, because
+    `gymnasium.make` would put it around the world whatever `episode_steps` is.
+    """
 
     metadata: ClassVar[dict[str, Any]] = {
         "name": "pneuma",
-        "render_modes": list(RENDER_MODES),
+        "render_modes": ["rgb_array"],
         "render_fps": round(STEPS_PER_SECOND),
         "is_parallelizable": True,
     }
     render_mode: str | None = None
-    camera: str = "map"
-    """`CAMERAS`: the whole map, or a view that follows a player."""
-    _drawn: Worlds
+    _worlds: Worlds
+    _camera: str
     _env_id: str
     _renderer: Renderer | None = None
+    _spec: EnvSpec | None = None
 
-    def _set_up_rendering(self, worlds: Worlds, env_id: str, render_mode: str | None, camera: str) -> None:
-        if render_mode is not None and render_mode not in RENDER_MODES:
+    def _set_up(self, worlds: Worlds, env_id: str, render_mode: str | None, camera: str) -> None:
+        if render_mode not in (None, "rgb_array"):
             allowed = "rgb_array, or none; for a window there is gymnasium.wrappers.HumanRendering"
             raise UserError(f"render_mode = {render_mode!r} is not allowed: {allowed}")
         if camera not in CAMERAS:
             raise unknown_name("camera", camera, CAMERAS)
-        self._drawn, self._env_id = worlds, env_id
-        self.render_mode, self.camera = render_mode, camera
+        self._worlds, self._env_id = worlds, env_id
+        self.render_mode, self._camera = render_mode, camera
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How Gymnasium makes the environment."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            spec = replace(spec, max_episode_steps=StepLimit(self._worlds.config.episode_steps))
+        self._spec = spec
 
     def render(self) -> Any:
         """Return the frame of the first world, (height, width, 3) uint8, if there is a render mode."""
         if self.render_mode is None:
             return None
-        return self._frame(0)
+        return self._frame(0, 0)
 
-    def _frame(self, world_index: int, player_index: int = 0) -> np.ndarray:
-        if self._renderer is None:
-            self._renderer = Renderer(self._drawn, self.camera, env_id=self._env_id)
-        return self._renderer.frame(world_index, player_index)
-
-    def _frames(self) -> tuple[np.ndarray, ...]:
+    def get_images(self) -> tuple[np.ndarray, ...]:
         """Return a frame for each slot, of its world with its player in view."""
-        slots = np.ndindex(*self._drawn.players.shape)
-        return tuple(self._frame(world_index, player_index) for world_index, player_index in slots)
+        return tuple(self._frame(*slot) for slot in np.ndindex(*self._worlds.players.shape))
+
+    def _frame(self, world_index: int, player_index: int) -> np.ndarray:
+        if self._renderer is None:
+            self._renderer = Renderer(self._worlds, self._camera, env_id=self._env_id)
+        return self._renderer.frame(world_index, player_index)
 
 
 # --- Episodes to watch ---------------------------------------------------------------------------

@@ -6,6 +6,7 @@ give the same bits for the same seeds and actions.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -57,7 +58,9 @@ class Worlds:
         self.player_stats = characters.player_stats(cast, _by_player(config.classes, config))
         if config.attack_ticks:
             self.player_stats["swing"] = config.attack_ticks
-        self.action_names = fields.action_names(config)
+        self.action_names = fields.ACTION_NAMES
+        if config.magic:
+            self.action_names += fields.SPELL_NAMES
         self.levels = load_levels(config, characters.monster_codes(cast))
         self._choose_rewards(_by_player(config.reward, config))
         self.monster_stats = characters.monster_stats(cast, self.levels, self.player_stats, config.magic)
@@ -210,18 +213,20 @@ class Worlds:
                 largest = max(largest, float(reach.max(initial=0.0)))
         return largest
 
-    def seed(self, seeds: Sequence[int], mask: np.ndarray | None = None) -> None:
-        """Seed the random stream of all worlds, or of those in `mask`.
+    def seed(self, seeds: Sequence[int | None], mask: np.ndarray | None = None) -> None:
+        """Seed the random stream of all worlds, or of those in `mask`; with None it goes on.
 
         Equal seeds make equal worlds; XP that outlives episodes starts again from 0.
         """
         if mask is None:
             mask = self._all_worlds
-        for world in np.flatnonzero(mask):
-            generator, _ = seeding.np_random(int(seeds[int(world)]))
-            self.worlds["key"][world] = generator.integers(2**64, dtype=np.uint64)
-            self.worlds["draws"][world] = 0
-        self.players["xp"][mask] = 0.0
+        for world in np.flatnonzero(mask).tolist():
+            world_seed = seeds[world]
+            if world_seed is not None:
+                generator, _ = seeding.np_random(operator.index(world_seed))
+                self.worlds["key"][world] = generator.integers(2**64, dtype=np.uint64)
+                self.worlds["draws"][world] = 0
+                self.players["xp"][world] = 0.0
 
     def reset(self, mask: np.ndarray | None = None, starts: np.ndarray | None = None) -> None:
         """Start an episode in all worlds, or in those of `mask`, and observe all.

@@ -101,13 +101,13 @@ def _toml(value: Any) -> str:
 
 # --- Configurations ----------------------------------------------------------------------------------
 
-_HINTS = get_type_hints(EnvConfig, include_extras=True)
-CHOICES: dict[str, Sequence[object]] = {
-    name: (False, True) if hint.__origin__ is bool else of.names
-    for name, hint in _HINTS.items()
-    for of in hint.__metadata__[:1]
-    if name != "monsters" and (hint.__origin__ is bool or isinstance(of, OneOf))
-}
+CHOICES: dict[str, Sequence[object]] = {}
+for _name, _hint in get_type_hints(EnvConfig, include_extras=True).items():
+    if _hint is bool:
+        CHOICES[_name] = (False, True)
+    for _limit in getattr(_hint, "__metadata__", ()):
+        if isinstance(_limit, OneOf) and _name != "monsters":
+            CHOICES[_name] = _limit.names
 """What each field may be that is a choice; `monsters` is of random levels alone."""
 
 
