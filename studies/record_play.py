@@ -1,4 +1,4 @@
-"""Print what a run's agent plays at its beginning and at its end, for docs/gallery.md.
+"""Print what a run's agent plays at its beginning and at its end, for docs/environment.md.
 
     pneuma study run tuned --condition tuned --seeds 300..300 --steps 4096       # one update
     pneuma study run tuned --condition tuned --seeds 300..300 --steps 1_000_000

@@ -1,4 +1,4 @@
-"""The intervals of `recompute_verdicts.py`, by SciPy, or written from what docs/evidence.md says."""
+"""The intervals of `recompute_verdicts.py`, by SciPy, or written from what docs/claims.md says."""
 
 from __future__ import annotations
 

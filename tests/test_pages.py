@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 from pathlib import Path
+from textwrap import dedent
 from typing import Any
 
 import pytest
@@ -114,14 +115,28 @@ def test_a_block_without_an_end_takes_nothing_with_it(tmp_path: Path) -> None:
     assert "prose" in page.read_text()
 
 
-def test_the_readmes_study_of_your_own_can_be_run(tmp_path: Path) -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"Save this as `horizon.toml`:\n\n((?: {4}.*\n)+)", text)
-    path = tmp_path / "horizon.toml"
-    path.write_text(re.sub("^ {4}", "", block, flags=re.MULTILINE))
+@pytest.mark.parametrize(
+    ("page", "horizons", "seeds"),
+    [
+        ("README.md", {"short": 128, "long": 1024}, 3),
+        ("docs/tutorial.md", {"short": 256, "long": 2048}, 5),
+    ],
+)
+def test_the_study_to_save_from_a_page_can_be_run(
+    tmp_path: Path, page: str, horizons: dict[str, int], seeds: int
+) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    ((name, block),) = re.findall(r"Save this as `(\w+\.toml)`:\n\n((?: {4}.*\n|\n(?= {4}))+)", text)
+    path = tmp_path / name
+    path.write_text(dedent(block), encoding="utf-8")
     cells = make_plan(load_study(str(path)), Query()).cells
-    assert {(cell.condition, cell.run.horizon) for cell in cells} == {("short", 128), ("long", 1024)}
-    assert {cell.seed for cell in cells} == {0, 1, 2}
+    assert {cell.condition: cell.run.horizon for cell in cells} == horizons
+    assert {cell.seed for cell in cells} == set(range(seeds))
+
+
+def test_the_readme_names_the_pinned_torch() -> None:
+    (version,) = re.findall(r" torch==(\S+)", (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert f"torch=={version}" in (ROOT / "constraints.txt").read_text(encoding="utf-8").split()
 
 
 def test_every_picture_and_table_is_shown_by_a_page_and_no_link_to_one_is_broken() -> None:

@@ -1,4 +1,4 @@
-"""The pictures of docs/gallery.md: worlds, classes, spells, islands, and an agent before and after training.
+"""The pictures of the gallery: worlds, classes, spells, islands, and an agent before and after training.
 
 The agent's episodes are a recording (`studies/record_play.py`), so that nothing is trained here.
 """

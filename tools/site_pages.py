@@ -32,8 +32,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Let links to pictures lead into the site."""
-    return markdown.replace(f"](../{PICTURES}/", f"]({PICTURES}/")
+    """Let links to pictures, and to the front page, lead into the site."""
+    return markdown.replace(f"](../{PICTURES}/", f"]({PICTURES}/").replace("](../README.md", "](index.md")
 
 
 def _front_page() -> str:

@@ -277,7 +277,7 @@ class Band(NamedTuple):
         label: its words in a legend.
         least_runs: with fewer, there is no band.
         enough_runs: with fewer, the runs are drawn too, because a band that estimates the mean covers it less
-            often than 90 % for some of the distributions in docs/evidence.md. 0 for bands that show how far
+            often than 90 % for some of the distributions in docs/claims.md. 0 for bands that show how far
             runs lie apart.
     """
 

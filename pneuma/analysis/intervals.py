@@ -4,7 +4,7 @@ The unit is the seed. Estimates and intervals take finite values of at least one
 report all others.
 
 Every interval names its method. With too few runs, or equal ones, its ends are NaN and its method is "none".
-docs/evidence.md has the coverage of each.
+docs/claims.md has the coverage of each.
 """
 
 from __future__ import annotations
@@ -228,7 +228,7 @@ def bootstrap_interval(
 ) -> Interval:
     """Return the 95 % BCa bootstrap interval of a statistic over runs (Efron 1987).
 
-    With few runs its coverage is smaller (docs/evidence.md). There is none for fewer than
+    With few runs its coverage is smaller (docs/claims.md). There is none for fewer than
     `LEAST_RUNS`, or if both ends are equal, as for the median of mostly equal runs. `statistic` works along
     the last axis, as `mean` and `median` do.
     """

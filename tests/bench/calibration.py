@@ -2,7 +2,7 @@
 
 Lists of claims whose truth is known are simulated and judged by the code that judges claims. The arms of a
 claim are equal, or differ by half the margin (which counts as no difference), by exactly the margin (where a
-false verdict of equivalence is most likely), or by much more. docs/evidence.md has the results.
+false verdict of equivalence is most likely), or by much more. docs/claims.md has the results.
 
     python -m tests.bench.calibration [LISTS]           # all tables: about an hour with 400 lists
     python -m tests.bench.calibration limits            # those of what a verdict rests on: some minutes

@@ -1,4 +1,4 @@
-"""The pictures of docs/gallery.md, and the episodes that they show."""
+"""The pictures of docs/environment.md, and the episodes that they show."""
 
 from __future__ import annotations
 

@@ -156,7 +156,7 @@ def test_a_mistake_is_told_with_line_and_what_to_mend(name: str, tmp_path: Path)
 
 
 def test_godots_world_is_the_published_code(tmp_path: Path) -> None:
-    """docs/rules.md and the published code: four slots, clip range 0.2, actor [256], and its environment."""
+    """By tests/env/rules.md: four slots, clip range 0.2, actor [256], and its environment."""
     text = STUDY.replace("[run]", '[run]\nenv = "pneuma/Pneuma-v0"')
     run = make_run(_load(tmp_path, text, "godot").fields("tanh"))
     assert (run.env, run.slots, run.clip_range, run.actor) == ("pneuma/PneumaGodot-v0", 4, 0.2, (256,))

@@ -3,7 +3,7 @@
     values of named arms → `compare_arms` → Contrast; `verdicts.py` compares its interval with the margin
 
 An arm in which nothing varies has no interval, because so few runs cannot show how rare other values are.
-docs/evidence.md explains the intervals and what they assume.
+docs/claims.md explains the intervals and what they assume.
 """
 
 from __future__ import annotations
