@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from scipy.ndimage import binary_dilation
 
 from pneuma.env.characters import FACINGS
 
@@ -22,11 +21,13 @@ TILE = 16
 POSES = ("stand", "stride", "strike")
 SWINGS = 3
 """Moments of a sword's swing."""
+FLICKERS = 4
+"""Moments of a flame."""
 OBSTACLES = ("pine", "tree", "rock", "cactus", "grave")
 LETTERS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ/-:.+"
 
 WHITE, RED, GOLD, BLUE, PLATE, OUTLINE = "fffaf0", "e8503f", "ffcf3f", "58a8ff", "2a1b33", "33203a"
-EMBER, FIRE, LEAF, STEEL = "d8432a", "f7952f", "7be07f", "e8f4ff"
+STEEL = "e8f4ff"
 
 _QUARTER_TURNS = {"up": 0, "left": 1, "down": 2, "right": 3}
 
@@ -88,11 +89,6 @@ def shadow_picture(width: int) -> np.ndarray:
 
 # --- What passes within a second ------------------------------------------------------------------
 
-_FLAME = (1, 2, 3, 4, 5, 6, 7, 7, 7, 6, 5)
-"""Half the width of a flame in each of its rows, in half art pixels, from the tip down."""
-_FLICKER = ((0, 1, 1, 0, 0), (1, 0, -1, -1, 0), (-1, -1, 0, 1, 0), (0, 0, 1, 0, 0))
-"""How far a flame leans in its rows, the tip first, in each of its moments."""
-
 
 @cache
 def slash_picture(width: int, height: int, facing: str, moment: int) -> np.ndarray:
@@ -120,33 +116,14 @@ def slash_picture(width: int, height: int, facing: str, moment: int) -> np.ndarr
 @cache
 def flame_picture(moment: int, height: int) -> np.ndarray:
     """Return a flame, flickering by moments; of its 13 rows only the lowest show as it goes out."""
-    lean_by_row = _FLICKER[moment % len(_FLICKER)]
-    picture = np.zeros((len(_FLAME), 13, 4), np.uint8)
-    x = 2 * np.arange(13) - 12
-    for picture_row, half_width in enumerate(_FLAME):
-        lean = lean_by_row[min(picture_row // 2, len(lean_by_row) - 1)]
-        distance = abs(x - 2 * lean)
-        for colour, inset in ((EMBER, 0), (FIRE, 2), (GOLD, 5)):
-            picture[picture_row, distance <= half_width - inset] = _opaque(colour)
-    flame = outlined(picture)
-    return flame[len(flame) - height :]
+    flames = np.split(read_art("flame.png"), FLICKERS, axis=1)
+    return flames[moment % FLICKERS][-height:]
 
 
 @cache
 def plus_picture() -> np.ndarray:
     """Return the sign of healing."""
-    picture = np.zeros((5, 5, 4), np.uint8)
-    picture[2, :] = _opaque(LEAF)
-    picture[:, 2] = _opaque(LEAF)
-    return outlined(picture)
-
-
-def outlined(picture: np.ndarray) -> np.ndarray:
-    """Return a picture with an outline around it, two art pixels wider and higher."""
-    framed = np.pad(picture, ((1, 1), (1, 1), (0, 0)))
-    inside = framed[..., 3] > 0
-    framed[binary_dilation(inside) & ~inside] = _opaque(OUTLINE)
-    return framed
+    return read_art("plus.png")
 
 
 # --- Bars and text -------------------------------------------------------------------------------
@@ -201,15 +178,13 @@ def blend(canvas: Image.Image, picture: np.ndarray, left: int, top: int) -> None
     canvas.paste(image, (left, top), image)
 
 
-def rgb(colour: str) -> tuple[int, int, int]:
-    red, green, blue = bytes.fromhex(colour)
-    return red, green, blue
+def rgb(colour: str) -> list[int]:
+    return list(bytes.fromhex(colour))
 
 
-def _opaque(colour: str, opacity: int = 255) -> tuple[int, int, int, int]:
+def _opaque(colour: str, opacity: int = 255) -> list[int]:
     """Return a colour with its opacity."""
-    red, green, blue = rgb(colour)
-    return red, green, blue, opacity
+    return [*rgb(colour), opacity]
 
 
 def _flashed(picture: np.ndarray, colour: str) -> np.ndarray:

@@ -67,11 +67,8 @@ class Worlds:
         for level, level_stats in zip(self.levels, self.monster_stats, strict=True):
             refuse_bad_places(level, self.player_stats, level_stats, config)
         self.settings = self._settings(config)
-        fill_scales(self.settings[0], self.player_stats, self.monster_stats, config, self.levels)
-        self.spaces = [
-            observation_space(self.settings[0], stats, self.monster_stats, config, self.levels)
-            for stats in self.player_stats
-        ]
+        fill_scales(self)
+        self.spaces = [observation_space(self, stats) for stats in self.player_stats]
         self._actions = len(self.action_names)
         self.action_space = spaces.Discrete(self._actions)
         self._allocate(count)
