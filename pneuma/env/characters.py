@@ -249,8 +249,7 @@ def _ticks(seconds: float) -> int:
 def _fill_body(stats: Any, body: _Body) -> None:
     stats["hp"] = body.hp
     stats["speed"] = body.speed / TICKS_PER_SECOND
-    stats["half_width"] = body.body[0] / 2
-    stats["half_height"] = body.body[1] / 2
+    stats["half_width"], stats["half_height"] = np.divide(body.body, 2)
     stats["body_x"], stats["body_y"] = body.body_at
     stats["safe"] = _ticks(body.invulnerable)
 
@@ -260,17 +259,16 @@ def _fill_player(stats: Any, player: Player, weapon: Weapon, spells: Spells) -> 
     stats["energy"] = player.energy
     stats["energy_gain"] = player.energy_recovery * player.magic / TICKS_PER_SECOND
     stats["swing"] = _ticks(weapon.swing)
-    stats["flame_ticks"] = _ticks(spells.flame.cast)
-    stats["flame_cost"] = spells.flame.cost
-    stats["heal_ticks"] = _ticks(spells.heal.cast)
-    stats["heal_cost"] = spells.heal.cost
+    for name, spell in (("flame", spells.flame), ("heal", spells.heal)):
+        stats[f"{name}_ticks"] = _ticks(spell.cast)
+        stats[f"{name}_cost"] = spell.cost
     stats["heal"] = spells.heal.strength
     stats["heal_reach"] = spells.heal.reach
-    _fill_strike(stats["sword"], weapon.box, weapon.reach, weapon.damage + player.attack)
-    hilt = weapon.hilt or weapon.reach
-    stats["sword"]["hilt_x"], stats["sword"]["hilt_y"] = np.transpose(hilt.places())
-    stats["sword"]["knock_speed"] = weapon.knock_back / TICKS_PER_SECOND
-    stats["sword"]["knock_ticks"] = _ticks(weapon.knock_back_time)
+    sword = stats["sword"]
+    _fill_strike(sword, weapon.box, weapon.reach, weapon.damage + player.attack)
+    sword["hilt_x"], sword["hilt_y"] = np.transpose((weapon.hilt or weapon.reach).places())
+    sword["knock_speed"] = weapon.knock_back / TICKS_PER_SECOND
+    sword["knock_ticks"] = _ticks(weapon.knock_back_time)
     flame_box = (spells.flame.length, spells.flame.width)
     flame_reach = Reach(**dict.fromkeys(FACINGS, spells.flame.length / 2))
     _fill_strike(stats["flame"], flame_box, flame_reach, spells.flame.strength + player.magic)
@@ -287,15 +285,12 @@ def _fill_strike(strike: Any, box: tuple[float, ...], reach: Reach, damage: floa
 
 def _fill_monster(stats: Any, monster: Monster) -> None:
     _fill_body(stats, monster)
-    stats["notice_squared"] = monster.notice**2
-    stats["notice_x"], stats["notice_y"] = monster.notice_at
-    stats["attack_squared"] = monster.attack**2
-    stats["attack_x"], stats["attack_y"] = monster.attack_at
-    stats["stand_off"] = monster.stand_off
-    stats["damage"] = monster.damage
+    for name in ("stand_off", "damage", "xp", "heal"):
+        stats[name] = getattr(monster, name)
+    for circle in ("notice", "attack"):
+        stats[f"{circle}_squared"] = getattr(monster, circle) ** 2
+        stats[f"{circle}_x"], stats[f"{circle}_y"] = getattr(monster, f"{circle}_at")
     stats["bite_ticks"] = _ticks(monster.bite_time)
-    stats["xp"] = monster.xp
-    stats["heal"] = monster.heal
     stats["knock_ticks"] = -1
     if monster.knock_back is not None and monster.knock_back_time is not None:
         stats["knock_speed"] = monster.knock_back / TICKS_PER_SECOND

@@ -30,68 +30,52 @@ SIGMOID_MIDDLE, SIGMOID_WIDTH = 150.0, 50.0  # pixels
 RewardFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], Any]
 
 
-def load_reward(reward_name: str) -> RewardFunction:
-    module_name, _, function_name = reward_name.partition(":")
-    try:
-        module = load_module(module_name)
-    except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
-        raise UserError(f"reward {reward_name!r}: {type(error).__name__}: {error}") from None
-    function = getattr(module, function_name, None)
-    if not callable(function):
-        raise UserError(f"reward {reward_name!r}: module {module_name} has no function {function_name}")
-    return function
+class OwnReward:
+    """A user's own reward, and the players that it pays."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.players: list[int] = []
+        module_name, _, function_name = name.partition(":")
+        try:
+            module = load_module(module_name)
+        except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
+            raise UserError(f"reward {name!r}: {type(error).__name__}: {error}") from None
+        self.function: RewardFunction = getattr(module, function_name, None)
+        if not callable(self.function):
+            raise UserError(f"reward {name!r}: module {module_name} has no function {function_name}")
+
+    def pay(self, events: np.ndarray, players: np.ndarray, player_stats: np.ndarray) -> np.ndarray:
+        """Call the function and check its result: (N, P) numbers, finite for living players."""
+        try:
+            rewards = np.asarray(self.function(events, players, player_stats), np.float64)
+        except (Exception, SystemExit) as error:  # whatever a user's function does
+            description = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
+            raise OwnCodeError(f"reward {self.name!r}: {_raised_at(error)}{description}") from error
+        if rewards.shape != events.shape:
+            raise self._refusal(f"returned shape {rewards.shape}, where {events.shape} was asked for")
+        was_present = events["present"] > 0
+        rewards = np.where(was_present, rewards, 0.0)
+        if not np.isfinite(rewards).all():
+            problem = "returned a number that is not finite"
+            if np.isinf(events["distance"][was_present]).any():
+                problem += "; events['distance'] is infinite where no monster lives"
+            raise self._refusal(problem)
+        return rewards
+
+    def _refusal(self, problem: str) -> UserError:
+        code = getattr(self.function, "__code__", None)
+        if code:
+            problem = f"{code.co_filename}, line {code.co_firstlineno}: {problem}"
+        return UserError(f"reward {self.name!r}: {problem}")
 
 
-def present(events: np.ndarray) -> np.ndarray:
-    """Return which players were alive when the step began, for (N, P) events."""
-    return np.asarray(events["present"] > 0)
-
-
-def custom_rewards(
-    function: RewardFunction,
-    reward_name: str,
-    events: np.ndarray,
-    players: np.ndarray,
-    player_stats: np.ndarray,
-) -> np.ndarray:
-    """Call a user's reward and check its result: (N, P) numbers, finite for living players."""
-    try:
-        rewards = np.asarray(function(events, players, player_stats), np.float64)
-    except (Exception, SystemExit) as error:  # whatever a user's function does
-        raise OwnCodeError(f"reward {reward_name!r}: {_place(error)}{_description(error)}") from error
-    if rewards.shape != events.shape:
-        problem = f"returned shape {rewards.shape}, where {events.shape} was asked for"
-        raise _refusal(function, reward_name, problem)
-    rewards = np.where(present(events), rewards, 0.0)
-    if not np.isfinite(rewards).all():
-        problem = "returned a number that is not finite"
-        if np.isinf(events["distance"][present(events)]).any():
-            problem += "; events['distance'] is infinite where no monster lives"
-        raise _refusal(function, reward_name, problem)
-    return rewards
-
-
-def _description(error: BaseException) -> str:
-    """Return the kind of an error and its message, if it has one, in one line."""
-    message = " ".join(str(error).split())
-    if message:
-        return f"{type(error).__name__}: {message}"
-    return type(error).__name__
-
-
-def _place(error: BaseException) -> str:
+def _raised_at(error: BaseException) -> str:
     """Return file and line of the user's function in which an error was raised; empty if it is compiled."""
     frames = traceback.extract_tb(error.__traceback__)
     if len(frames) < 2:
         return ""
     return f"{frames[1].filename}, line {frames[1].lineno}: "
-
-
-def _refusal(function: RewardFunction, reward_name: str, problem: str) -> UserError:
-    code = getattr(function, "__code__", None)
-    if code is None:
-        return UserError(f"reward {reward_name!r}: {problem}")
-    return UserError(f"reward {reward_name!r}: {code.co_filename}, line {code.co_firstlineno}: {problem}")
 
 
 # --- The named formulas (compiled) -----------------------------------------------------------------
@@ -109,7 +93,6 @@ def write_reward(player: Array, player_stats: Array, event: Array) -> None:
         event.reward = event.xp_gained - event.hp_lost / player_stats.hp
     elif formula == SIGMOID:
         event.reward = event.xp_gained + _closeness(event.distance)
-    # Godot's has been kept event by event by the rules; a user's own is computed outside.
     # Godot's has been kept event by event by the rules; a user's own is computed outside.
 
 

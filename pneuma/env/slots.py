@@ -32,7 +32,7 @@ class Slots:
         self.worlds = worlds
         self.players = worlds.players.shape[1]
         self.count = worlds.players.size
-        self._cuts = worlds.config.time_limit == "truncate"
+        self._truncates = worlds.config.time_limit == "truncate"
         self.begun = False
         self.terminated = self.truncated = np.zeros(self.count, np.bool_)
 
@@ -47,7 +47,7 @@ class Slots:
             raise ResetNeeded("no episode has begun: call reset first")
         self.worlds.step(actions)
         ending = self.book["ending"]
-        self.truncated = (ending == rules.TIME_LIMIT) & self._cuts
+        self.truncated = (ending == rules.TIME_LIMIT) & self._truncates
         self.terminated = (ending != rules.RUNNING) & ~self.truncated
         return self.terminated | self.truncated
 

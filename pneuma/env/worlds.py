@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -19,19 +19,11 @@ from pneuma.env.fields import EnvConfig, make_env_config
 from pneuma.env.layouts import fill_scales, observation_space
 from pneuma.env.level import Level, refuse_bad_places
 from pneuma.env.load_level import load_levels
-from pneuma.env.reward import RewardFunction, custom_rewards, load_reward, present
+from pneuma.env.reward import OwnReward
 from pneuma.errors import UserError
 
 ENDINGS = ("running", "killed", "cleared", "time-limit")
 """Names of `rules.RUNNING`, `KILLED`, `CLEARED` and `TIME_LIMIT`."""
-
-
-class _OwnReward(NamedTuple):
-    """A user's own reward, and the players that it pays."""
-
-    name: str
-    function: RewardFunction
-    players: list[int]
 
 
 class Worlds:
@@ -76,16 +68,16 @@ class Worlds:
 
     def _choose_rewards(self, rewards: tuple[str, ...]) -> None:
         """Note the formula of each player, and a user's own functions with the players that they pay."""
-        players_by_function: dict[str, list[int]] = {}
+        own_rewards: dict[str, OwnReward] = {}
         for player_index, reward in enumerate(rewards):
             if reward in fields.REWARDS:
                 self.player_stats["reward"][player_index] = fields.REWARDS.index(reward)
-            else:
-                self.player_stats["reward"][player_index] = -1
-                players_by_function.setdefault(reward, []).append(player_index)
-        self._own_rewards = []
-        for reward, players in players_by_function.items():
-            self._own_rewards.append(_OwnReward(reward, load_reward(reward), players))
+                continue
+            self.player_stats["reward"][player_index] = -1
+            if reward not in own_rewards:
+                own_rewards[reward] = OwnReward(reward)
+            own_rewards[reward].players.append(player_index)
+        self._own_rewards = list(own_rewards.values())
 
     def _allocate(self, count: int) -> None:
         """Make the arrays of all worlds, in which no episode has begun."""
@@ -126,6 +118,7 @@ class Worlds:
         self.slots, self.tallies, self.taken = arrays.slots, arrays.tallies, arrays.taken
         entropy = np.random.SeedSequence()
         self.worlds["key"] = entropy.generate_state(count, np.uint64)  # until they are seeded
+        self.players[:] = first_players
         self.players["x"], self.players["y"] = self.level.starts[0]  # on the grid, also before a reset
         self.events[:] = no_events
         self.slots["begins"] = 1.0
@@ -272,7 +265,7 @@ class Worlds:
             return int(kernel.call_rules(self._address, actions, kernel.STEP | kernel.RECORD))
         ended = int(kernel.call_rules(self._address, actions, kernel.STEP))
         for own_reward in self._own_rewards:
-            rewards = custom_rewards(own_reward.function, own_reward.name, *self._read_only)
+            rewards = own_reward.pay(*self._read_only)
             self.events["reward"][:, own_reward.players] = rewards[:, own_reward.players]
         if self.config.shared_reward:
             mean = self.events["reward"].sum(axis=1) / self.players.shape[1]
@@ -293,28 +286,22 @@ class Worlds:
         kernel.call_rules(self._address, self._no_actions, kernel.RESET)
 
     def _try_rewards(self) -> None:
-        """Call each user's reward once, as after a reset, with no events."""
+        """Call each user's reward once, as after a step in which nothing happened."""
         events = self.events.copy()
         events["present"] = self.settings["ticks"][0]
-        players = np.tile(self._arrays.first_players, (len(self), 1))
-        starts = np.arange(players.shape[1]) % len(self.level.starts)
-        players["x"], players["y"] = self.level.starts[starts].T
         for own_reward in self._own_rewards:
-            arrays = (state.read_only(events), state.read_only(players), state.read_only(self.player_stats))
-            custom_rewards(own_reward.function, own_reward.name, *arrays)
+            own_reward.pay(state.read_only(events), *self._read_only[1:])
 
     @property
     def present(self) -> np.ndarray:
         """Which players were alive before the last step, (N, P)."""
-        return present(self.events)
+        return np.asarray(self.events["present"] > 0)
 
     @property
     def truncated(self) -> np.ndarray:
         """Which worlds ended by a time limit that truncates, (N,)."""
-        at_limit = self.worlds["ending"] == rules.TIME_LIMIT
-        if self.config.time_limit == "truncate":
-            return at_limit
-        return np.zeros_like(at_limit)
+        truncates = self.config.time_limit == "truncate"
+        return np.asarray((self.worlds["ending"] == rules.TIME_LIMIT) & truncates)
 
     def ending(self, world: int) -> str:
         """Return how a world's episode ended, or 'running'."""
