@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -15,14 +15,15 @@ from pneuma.env.fields import are_own_characters, is_own_level, own_rewards, rea
 from pneuma.own_modules import in_package
 
 _MODULE_FILES = ("pneuma.own_modules", "module_files")
-_FILES = {
+_USER_FILES = {
     "level": ("pneuma.env.load_level", "level_files"),
     "characters": ("pneuma.env.characters", "character_files"),
     **dict.fromkeys(("reward", "env_module", "wrappers", "algorithm"), _MODULE_FILES),
 }
 """By field: the function that returns the user's files to hash. None imports them."""
 CLASSES = ("reward", "wrappers", "algorithm")
-_SAID = {"env_module": "module", "wrappers": "wrapper"}
+"""Fields that name something in a module."""
+_NOUNS = {"env_module": "module", "wrappers": "wrapper"}
 
 
 def run_id(run: Run) -> str:
@@ -41,15 +42,20 @@ def config_id(run: Run) -> str:
 
 
 def _digest(run: Run, without: Sequence[str] = ()) -> str:
-    usual, fields = as_fields(Run()), as_fields(run)
-    hashed = {key: value for key, value in fields.items() if value != usual[key] and key not in without}
-    hashed |= dict.fromkeys(own_names(fields).keys() - {*CLASSES}, "of the user's own")
+    defaults, fields = as_fields(Run()), as_fields(run)
+    hashed = {}
+    for name, value in fields.items():
+        if value != defaults[name] and name not in without:
+            hashed[name] = value
+    for name in own_names(fields):
+        if name not in CLASSES:
+            hashed[name] = "of the user's own"
     if "wrappers" in hashed:
-        hashed["wrappers"] = [_by_file(name) for name in fields["wrappers"]]
+        hashed["wrappers"] = [_by_file(wrapper) for wrapper in fields["wrappers"]]
     if "algorithm" in hashed:
         hashed["algorithm"] = _by_file(fields["algorithm"])
     if "reward" in hashed:
-        hashed["reward"] = [_by_module(name) for name in fields["reward"]]
+        hashed["reward"] = [_by_module(reward) for reward in fields["reward"]]
     identity = {
         "run": hashed,
         "contents": user_files_digest(fields),
@@ -61,8 +67,8 @@ def _digest(run: Run, without: Sequence[str] = ()) -> str:
 
 def _by_file(name: str) -> str:
     """Return a class with its arguments, by the name of its module's file where it is given by its path."""
-    kind, brace, arguments = name.partition("{")
-    return Path(kind).name + brace + arguments
+    class_name, brace, arguments = name.partition("{")
+    return Path(class_name).name + brace + arguments
 
 
 def _by_module(reward: str) -> str:
@@ -82,34 +88,40 @@ def user_files_digest(fields: Mapping[str, Any]) -> str:
         UserError, OSError: for a file that cannot be read.
     """
     paths = user_files(fields)
+    if not paths:
+        return ""
     digest = hashlib.sha256()
     for path in paths:
         data = path.read_bytes()
         digest.update(f"{path.name}\0{len(data)}\0".encode() + data)
-    return digest.hexdigest() if paths else ""
+    return digest.hexdigest()
 
 
 def user_files(fields: Mapping[str, Any]) -> list[Path]:
     """Return the user's own files in a run's fields: level, characters, and modules."""
-    return [path for _, paths in _own_files(fields) for path in paths]
-
-
-def _own_files(fields: Mapping[str, Any]) -> Iterator[tuple[str, list[Path]]]:
-    """Yield a user's own level, characters and modules, each with its files."""
+    paths: list[Path] = []
     for key, names in own_names(fields).items():
-        module, function = _FILES[key]
+        module, function = _USER_FILES[key]
         for name in names:
-            file = name.partition("{")[0].rpartition(":")[0] if key in CLASSES else name
-            yield file, getattr(import_module(module), function)(file)
+            if key in CLASSES:
+                name = name.partition("{")[0].rpartition(":")[0]
+            paths += getattr(import_module(module), function)(name)
+    return paths
 
 
 def own_names(fields: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     """Return the names of a user's own level, characters or modules, by field."""
     tests = {"level": is_own_level, "characters": are_own_characters, "algorithm": is_own_algorithm}
-    named = {key: fields[key] for key, is_own in tests.items() if key in fields and is_own(fields[key])}
-    named |= {key: fields.get(key) for key in ("env_module", "wrappers")}
-    named["reward"] = own_rewards(fields.get("reward", ()))
-    return {key: (own,) if isinstance(own, str) else tuple(own) for key, own in named.items() if own}
+    names: dict[str, Any] = {}
+    for key, is_own in tests.items():
+        if key in fields and is_own(fields[key]):
+            names[key] = fields[key]
+    for key in ("env_module", "wrappers"):
+        names[key] = fields.get(key)
+    names["reward"] = own_rewards(fields.get("reward", ()))
+    return {
+        key: (value,) if isinstance(value, str) else tuple(value) for key, value in names.items() if value
+    }
 
 
 def files_beside(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -117,21 +129,24 @@ def files_beside(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
 
     What is not there is looked for when it is used: here, and modules among those that are installed.
     """
-    over: dict[str, Any] = {}
-    for key, own in own_names(fields).items():
-        beside = {name: _beside(path.parent, key, name) for name in own}
+    found = dict(fields)
+    for key, names in own_names(fields).items():
+        paths = {name: _beside(path.parent, key, name) for name in names}
         value = fields[key]
-        over[key] = beside[value] if isinstance(value, str) else tuple(beside.get(one, one) for one in value)
-    return {**fields, **over}
+        if isinstance(value, str):
+            found[key] = paths[value]
+        else:
+            found[key] = tuple(paths.get(name, name) for name in value)
+    return found
 
 
 def _beside(folder: Path, key: str, name: str) -> str:
-    file, colon, inside = name.partition(":") if key in CLASSES else (name, "", "")
+    file, colon, class_name = name.partition(":") if key in CLASSES else (name, "", "")
     module = file.replace(".", "/")
-    is_there = Path.is_dir if key == "level" else Path.is_file
-    for each in (file, f"{module}.py", f"{module}/__init__.py"):
-        if is_there(beside := (folder / each).resolve()):
-            return f"{beside}{colon}{inside}"
+    for candidate in (file, f"{module}.py", f"{module}/__init__.py"):
+        path = (folder / candidate).resolve()
+        if path.is_dir() if key == "level" else path.is_file():
+            return f"{path}{colon}{class_name}"
     return name
 
 
@@ -141,12 +156,15 @@ def describe_user_code(fields: Mapping[str, object]) -> dict[str, str]:
     They may name files, code, and arguments of an environment, which may start programs. Nothing is imported
     or opened.
     """
-    keys = (key for key in _FILES if fields.get(key) is not None)
-    named = own_names({key: read_field(Run, key, fields[key]) for key in keys})
-    described = {
-        key: f"{'run' if _FILES[key] is _MODULE_FILES else 'read'} the {_SAID.get(key, key)} {', '.join(own)}"
-        for key, own in named.items()
-    }
-    if arguments := fields.get("env_kwargs"):
+    read = {}
+    for key in _USER_FILES:
+        if fields.get(key) is not None:
+            read[key] = read_field(Run, key, fields[key])
+    described = {}
+    for key, names in own_names(read).items():
+        verb = "run" if _USER_FILES[key] is _MODULE_FILES else "read"
+        described[key] = f"{verb} the {_NOUNS.get(key, key)} {', '.join(names)}"
+    arguments = fields.get("env_kwargs")
+    if arguments:
         described["env_kwargs"] = f"make {fields.get('env')} with {arguments}"
     return described

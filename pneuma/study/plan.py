@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import product
@@ -81,8 +81,8 @@ class Query:
 
     def named(self, name: str) -> Query:
         """Return the query with the study that a name means, and the preset of `STUDY@PRESET`."""
-        study, at, preset = name.rpartition("@")
-        if not at:
+        study, separator, preset = name.rpartition("@")
+        if not separator:
             return replace(self, study=name)
         if self.preset and self.preset != preset:
             raise UserError(f"{name}: names the preset {preset}; leave out the preset {self.preset}")
@@ -146,23 +146,25 @@ def make_plan(study: Study, query: Query, engine: Callable[[Run], str] | None = 
     for name in query.conditions:
         if name in study.conditions and name not in amounts:
             raise UserError(f"condition {name}: the preset {preset} has no runs of it")
-    asked = configure(study, query.settings, query.conditions or tuple(amounts), engine or _able_engines())
+    names = query.conditions or tuple(amounts)
+    configurations = configure(study, query.settings, names, engine or _first_capable_engine())
     runs: dict[str, Run] = {}
-    seeds: dict[str, tuple[int, ...]] = {}
-    notes: list[str] = []
-    for name, origin in asked.origins.items():
-        amount = amounts[origin]
-        seeds[name] = query.seeds or amount.seeds
-        runs[name] = replace(asked.runs[name], steps=round_up(asked.runs[name], query.steps or amount.steps))
-    if query.steps:
-        notes += rounding_notes((query.steps, run) for run in runs.values())
+    seeds_by_condition: dict[str, tuple[int, ...]] = {}
+    seeds: dict[int, None] = {}
+    for name, origin in configurations.origins.items():
+        run, amount = configurations.runs[name], amounts[origin]
+        runs[name] = replace(run, steps=round_up(run, query.steps or amount.steps))
+        seeds_by_condition[name] = query.seeds or amount.seeds
+        seeds |= dict.fromkeys(seeds_by_condition[name])
     cells: list[Cell] = []
-    for seed in dict.fromkeys(seed for of_condition in seeds.values() for seed in of_condition):
+    for seed in seeds:
         for name, run in runs.items():
-            if seed in seeds[name]:
+            if seed in seeds_by_condition[name]:
                 cells.append(Cell(name, seed, replace(run, seed=seed)))
-    notes += _notes(asked.study, runs)
-    return Plan(asked.study, tuple(cells), preset, query, tuple(notes))
+    notes = _notes(configurations.study, runs)
+    if query.steps:
+        notes = [*rounding_notes((query.steps, run) for run in runs.values()), *notes]
+    return Plan(configurations.study, tuple(cells), preset, query, tuple(notes))
 
 
 def query_words(plan: Plan) -> list[str]:
@@ -179,12 +181,12 @@ def query_words(plan: Plan) -> list[str]:
     return words
 
 
-def _able_engines() -> Callable[[Run], str]:
+def _first_capable_engine() -> Callable[[Run], str]:
     """Return a function that finds an engine for a run, and makes each environment once."""
-    from pneuma.engines.environment import able_engine
+    from pneuma.engines.environment import able_engine  # gymnasium: not for Pneuma's own worlds
 
-    able = cache(able_engine)
-    return lambda run: able(Run(**{key: getattr(run, key) for key in ("env", *OF_GYMNASIUM)}))
+    cached_engine = cache(able_engine)
+    return lambda run: cached_engine(Run(**{key: getattr(run, key) for key in ("env", *OF_GYMNASIUM)}))
 
 
 @dataclass(frozen=True)
@@ -205,52 +207,49 @@ class Configurations:
 def configure(
     study: Study,
     settings: Mapping[str, Any],
-    wanted: Sequence[str] = (),
+    selection: Sequence[str] = (),
     engine: Callable[[Run], str] = lambda run: run.engine,
 ) -> Configurations:
-    """Return the configurations of a study's conditions (default: all) with changed fields.
+    """Return the configurations of a study's conditions with changed fields.
 
-    A condition is named as in the file, or with fields that it changes: `tanh, engine=sb3`. So are those of
-    swept fields called. `engine` chooses the engine where it is left open and the run's fields alone do not
-    decide: in environments of others.
+    A condition is named as in the file, or with fields that it changes: `tanh, engine=sb3`. The conditions of
+    swept fields are named likewise.
+
+    Args:
+        study: in its world.
+        settings: fields that override those of every condition; of several values, a sweep.
+        selection: names of conditions; all if empty.
+        engine: chooses the engine where it is left open and the run's fields alone do not decide: in
+            environments of others.
     """
     settings = own_fields(settings)
-    for key, option in _SET_ELSEWHERE.items():
-        if key in settings:
-            raise UserError(f"{key} cannot be set by --set: use {option}")
     for key in settings:
+        if key in ("seed", "steps"):
+            option = "--seeds" if key == "seed" else "--steps"
+            raise UserError(f"{key} cannot be set by --set: use {option}")
         if study.levels and any(key in fields for fields in study.conditions.values()):
             raise UserError(
                 f"--set {key}: conditions of study {study.name} set it; choose them by --condition"
             )
-    over, swept = _read_settings(study, settings)
+    overrides, swept = _read_settings(study, settings)
     variants = _sweep(study, swept)
-    for name in wanted:
+    for name in selection:
         if name not in variants and name not in study.conditions:
-            if (changed := _with_changes(study, name)) is None:
-                raise unknown_name(f"condition of study {study.name}", name, variants)
-            variants[name] = changed
-    levels = {
-        name: {**(study.levels.get(each.origin) or {CONDITION: each.origin}), **each.levels}
-        for name, each in variants.items()
-        if study.levels or swept
-    }
-    crossed = study.model_copy(
-        update={
-            "conditions": {
-                name: {**study.conditions[each.origin], **each.fields} for name, each in variants.items()
-            },
-            "levels": levels,
-            "baseline": next(name for name, each in variants.items() if each.origin == study.baseline),
-            "settings": dict(settings),
-        }
-    )
-    origins = {
-        name: each.origin
-        for name, each in variants.items()
-        if not wanted or name in wanted or (swept and each.origin in wanted)
-    }
-    runs = {name: make_run(crossed.fields(name, {"steps": 1, **over})) for name in origins}
+            variants[name] = _with_changes(study, name, variants)
+    conditions: dict[str, Mapping[str, Any]] = {}
+    levels: dict[str, Mapping[str, str]] = {}
+    origins: dict[str, str] = {}
+    for name, variant in variants.items():
+        origin = variant.origin
+        conditions[name] = {**study.conditions[origin], **variant.fields}
+        if study.levels or swept:
+            levels[name] = {**(study.levels.get(origin) or {CONDITION: origin}), **variant.levels}
+        if not selection or name in selection or (swept and origin in selection):
+            origins[name] = origin
+    baseline = next(name for name, variant in variants.items() if variant.origin == study.baseline)
+    changes = {"conditions": conditions, "levels": levels, "baseline": baseline, "settings": dict(settings)}
+    crossed = study.model_copy(update=changes)
+    runs = {name: make_run(crossed.fields(name, {"steps": 1, **overrides})) for name in origins}
     for key in unread_fields(runs.values(), settings):
         raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
     for name, run in runs.items():
@@ -271,58 +270,65 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
     """
 
     def read(key: str, value: Any) -> Any:
-        one = {key: read_field(Run, key, value)}
-        return (files_beside(study.path, one) if study.path else one)[key]
+        fields = {key: read_field(Run, key, value)}
+        if study.path:
+            fields = files_beside(study.path, fields)
+        return fields[key]
 
-    players = [study.fields(name, settings).get("players", 1) for name in study.conditions]
+    has_one_player = all(study.fields(name, settings).get("players", 1) == 1 for name in study.conditions)
     single, swept = {}, {}
     for key, value in settings.items():
-        values = [read_value(part) for part in split_list(value)] if isinstance(value, str) else value
-        several = isinstance(values, list | tuple) and len(values) > 1
+        values = value
+        if isinstance(value, str):
+            values = [read_value(part) for part in split_list(value)]
+        is_list = isinstance(values, list | tuple) and len(values) > 1
         try:
             single[key] = read(key, value)
         except UserError:
-            if not several or key not in Run.__dataclass_fields__:
+            if not is_list or key not in Run.__dataclass_fields__:
                 raise
-        if several and (key not in single or (key in OF_PLAYERS and {*players} == {1})):
-            swept[key] = {short(one): read(key, one) for one in values}
+        if is_list and (key not in single or (key in OF_PLAYERS and has_one_player)):
+            swept[key] = {short(item): read(key, item) for item in values}
             single.pop(key, None)
     return single, swept
 
 
 def _sweep(study: Study, swept: Swept) -> dict[str, _Variant]:
+    """Cross the conditions of a study with the values of swept fields."""
     count = math.prod(map(len, [study.conditions, *swept.values()]))
     if swept and count > MOST_CONDITIONS:
         raise UserError(f"--set: {count:,} conditions are too many: at most {MOST_CONDITIONS:,}")
     variants = {}
-    for *chosen, origin in product(*swept.values(), study.conditions):
-        levels = dict(zip(swept, chosen, strict=True))
-        name = ", ".join([origin, *(f"{key}={said}" for key, said in levels.items())])
-        fields = {key: swept[key][said] for key, said in levels.items()}
+    for *texts, origin in product(*swept.values(), study.conditions):
+        name, fields, levels = origin, {}, {}
+        for key, text in zip(swept, texts, strict=True):
+            name += f", {key}={text}"
+            fields[key], levels[key] = swept[key][text], text
         variants[name] = _Variant(origin, fields, levels)
     return variants
 
 
-def _with_changes(study: Study, name: str) -> _Variant | None:
-    """Read the name of a condition with changed fields; None if it is not one."""
+def _with_changes(study: Study, name: str, known: Iterable[str]) -> _Variant:
+    """Read the name of a condition with changed fields."""
     for origin in sorted(study.conditions, key=len, reverse=True):
-        parts = re.split(r", (?=\w+=)", name.removeprefix(origin))
-        if name.startswith(f"{origin}, ") and not parts[0]:
-            levels = dict(part.split("=", 1) for part in parts[1:])
-            settings = own_fields({key: read_value(value) for key, value in levels.items()})
+        first, *changes = re.split(r", (?=\w+=)", name.removeprefix(origin))
+        if name.startswith(f"{origin}, ") and not first:
+            levels = dict(change.split("=", 1) for change in changes)
+            settings = own_fields({key: read_value(text) for key, text in levels.items()})
             return _Variant(origin, _read_settings(study, settings)[0], levels)
-    return None
+    raise unknown_name(f"condition of study {study.name}", name, known)
 
 
 def differing_fields(conditions: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """Return the fields in which conditions differ: for each, its value in every condition."""
-    keys = dict.fromkeys(key for fields in conditions.values() for key in fields if key != "seed")
-    values = {key: {name: fields.get(key) for name, fields in conditions.items()} for key in keys}
-    return {
-        key: of_key
-        for key, of_key in values.items()
-        if any(value != next(iter(of_key.values())) for value in of_key.values())
-    }
+    names = dict.fromkeys(name for fields in conditions.values() for name in fields if name != "seed")
+    differing = {}
+    for name in names:
+        values = {condition: fields.get(name) for condition, fields in conditions.items()}
+        first_value = next(iter(values.values()))
+        if any(value != first_value for value in values.values()):
+            differing[name] = values
+    return differing
 
 
 def default_preset(study: Study) -> str:
@@ -337,26 +343,27 @@ def find_preset(study: Study, name: str) -> Preset:
     return study.presets[name]
 
 
-_SET_ELSEWHERE = {"seed": "--seeds", "steps": "--steps"}
-
-
-def _notes(study: Study, runs: Mapping[str, Run]) -> Iterator[str]:
-    """Yield notes on conditions of the same runs, and on those that need a slower engine."""
+def _notes(study: Study, runs: Mapping[str, Run]) -> list[str]:
+    """Return notes on conditions of the same runs, and on those that need a slower engine."""
+    notes: list[str] = []
     names_by_configuration: dict[str, list[str]] = {}
     for name, run in runs.items():
         names_by_configuration.setdefault(config_id(run), []).append(name)
     for names in names_by_configuration.values():
         if len(names) > 1:
-            yield f"{', '.join(names)} have identical settings: a comparison shows noise"
+            notes.append(f"{', '.join(names)} have identical settings: a comparison shows noise")
     for name, run in runs.items():
         if run.engine != ENGINES[0] and _leaves_engine_open(study, name):
             reason = beyond_engine(run) or "such actions"
-            yield f"{name}: trained by {run.engine}, because the engine batched cannot train {reason}"
+            notes.append(f"{name}: trained by {run.engine}, because the engine batched cannot train {reason}")
+    return notes
 
 
-def rounding_notes(budgets: Iterable[tuple[int, Run]]) -> Iterator[str]:
-    """Yield notes on runs of more steps than were asked for."""
-    numbers = [(requested, run.steps, run.steps_per_update) for requested, run in budgets]
-    for requested, planned, update in dict.fromkeys(numbers):
-        if requested != planned:
-            yield f"{requested:,} steps are rounded up to {planned:,}, whole updates of {update:,}"
+def rounding_notes(budgets: Iterable[tuple[int, Run]]) -> list[str]:
+    """Return notes on runs of more steps than were asked for."""
+    notes: dict[str, None] = {}
+    for steps, run in budgets:
+        if steps != run.steps:
+            update = run.steps_per_update
+            notes[f"{steps:,} steps are rounded up to {run.steps:,}, whole updates of {update:,}"] = None
+    return list(notes)

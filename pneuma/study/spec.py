@@ -20,6 +20,7 @@ import shlex
 from collections.abc import Iterable, Mapping
 from itertools import product
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any
 
 from annotated_types import MinLen
@@ -66,18 +67,19 @@ def _named_values(factors: Any) -> Any:
     """Name the values of a factor that is a field of the run, as those of other factors are."""
     if not isinstance(factors, Mapping):
         return factors
-    named = {}
+    tables = {}
     for factor, values in factors.items():
-        refused = f"{factor} = {shown(values)} is not allowed: "
         if factor == CONDITION:
             raise wrong(f"{factor} is what [conditions] are; name it otherwise", factor)
+        refusal = f"{factor} = {shown(values)} is not allowed: a list of"
         if not isinstance(values, tuple | Mapping) or len(values) < 2:
-            raise wrong(f"{refused}a list of two values or more, or a table of named ones", factor)
-        if isinstance(values, tuple) and any(value in values[:place] for place, value in enumerate(values)):
-            raise wrong(f"{refused}a list of different values", factor)
-        table = isinstance(values, Mapping)
-        named[factor] = values if table else {f"{factor}={short(value)}": {factor: value} for value in values}
-    return named
+            raise wrong(f"{refusal} two values or more, or a table of named ones", factor)
+        tables[factor] = values
+        if not isinstance(values, Mapping):
+            tables[factor] = {f"{factor}={short(value)}": {factor: value} for value in values}
+            if len(tables[factor]) < len(values):
+                raise wrong(f"{refusal} different values", factor)
+    return tables
 
 
 def _read_fields(table: Any) -> Any:
@@ -88,7 +90,7 @@ def _read_fields(table: Any) -> Any:
         fields, keys = fields_and_keys(table)
     except UserError as error:
         raise wrong(str(error), str(error).split()[0].strip(":")) from None
-    read: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     mistakes: dict[str, str] = {}
     for name, value in fields.items():
         try:
@@ -97,13 +99,13 @@ def _read_fields(table: Any) -> Any:
             if name not in Run.__dataclass_fields__:
                 hint = "an argument of a learner stands in algorithm_kwargs"
                 raise UserError(f"{unknown_name('key', name, Run.__dataclass_fields__)}; {hint}")
-            read[name] = read_field(Run, name, value)
+            values[name] = read_field(Run, name, value)
         except UserError as error:
             key = keys[name]
             mistakes[key] = str(error) if key in str(error) else f"{key}: {error}"
     if mistakes:
         raise all_wrong(mistakes)
-    return read
+    return values
 
 
 Name = Annotated[str, matching(r"(?!_)(?s:.*\S.*)", "a name that can be read and begins otherwise than _")]
@@ -231,15 +233,18 @@ class Study(Table):
     @classmethod
     def without_file(cls, name: str, title: str, conditions: Iterable[str], **more: Any) -> Study:
         """Return a study whose runs are listed; the first condition is the baseline."""
-        named: dict[str, dict[str, Any]] = {condition: {} for condition in conditions}
-        usual = {"baseline": next(iter(named)), "figure": name, "presets": {}, "worlds": tuple(WORLDS)}
-        return cls.model_construct(name=name, title=title, conditions=named, **{**usual, **more})
+        empty: dict[str, dict[str, Any]] = {condition: {} for condition in conditions}
+        fields = {"baseline": next(iter(empty)), "figure": name, "presets": {}, "worlds": tuple(WORLDS)}
+        fields.update(more)
+        return cls.model_construct(name=name, title=title, conditions=empty, **fields)
 
-    def fields(self, condition: str, over: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """Return all fields that a condition sets, including base and shared ones; `over` overrides them."""
-        set_by_itself = {*self.run, *(key for fields in self.conditions.values() for key in fields)}
-        shared = {**self.run, **world_fields(self.world, set_by_itself)}
-        return join_fields(self.base, {**shared, **self.conditions[condition], **(over or {})})
+    def fields(self, condition: str, overrides: Mapping[str, Any] = MappingProxyType({})) -> dict[str, Any]:
+        """Return all fields that a condition sets, including base and shared ones, with others on top."""
+        names = set(self.run)
+        for fields in self.conditions.values():
+            names.update(fields)
+        shared = {**self.run, **world_fields(self.world, names)}
+        return join_fields(self.base, {**shared, **self.conditions[condition], **overrides})
 
     def in_world(self, world: str) -> Study:
         """Return the study as it runs in one of its worlds.
@@ -247,8 +252,8 @@ class Study(Table):
         All conditions get the world's environment, and its other fields unless the study sets them itself.
         """
         if world not in self.worlds:
-            known = ", ".join(self.worlds)
-            raise UserError(f"study {self.name} is not run in the world {world}; it is in {known}")
+            worlds = ", ".join(self.worlds)
+            raise UserError(f"study {self.name} is not run in the world {world}; it is in {worlds}")
         return self.model_copy(update={"world": world})
 
     @property
@@ -271,9 +276,11 @@ class Study(Table):
 
 def join_fields(base: str, fields: Mapping[str, Any]) -> dict[str, Any]:
     """Combine fields with a base, if there is one, and with the defaults of the environment they choose."""
-    env = fields.get("env")
-    slots = {"slots": ENVIRONMENT_SLOTS[env]} if env in ENVIRONMENT_SLOTS else {}
-    return {**BASES.get(base, {}), **slots, **fields}
+    joined = dict(BASES.get(base, {}))
+    if fields.get("env") in ENVIRONMENT_SLOTS:
+        joined["slots"] = ENVIRONMENT_SLOTS[fields["env"]]
+    joined.update(fields)
+    return joined
 
 
 # --- Reading ---------------------------------------------------------------------------------------
@@ -300,32 +307,37 @@ def _read_study(path: Path) -> Study:
     baseline = study.baseline or next(iter(conditions))
     mentioned: list[tuple[Where, str, str]] = [((), "baseline", baseline)]
     parts = {name for values in study.factors.values() for name in values}
-    parts |= {levels.get(CONDITION, "") for levels in study.levels.values()}
+    for levels in study.levels.values():
+        parts.add(levels.get(CONDITION, ""))
     for key in ("labels", "colors"):
-        mentioned += [((key,), name, name) for name in getattr(study, key) if name not in parts]
+        for name in getattr(study, key):
+            if name not in parts:
+                mentioned.append(((key,), name, name))
     for preset, amounts in study.presets.items():
         mentioned += _mentioned_conditions(("presets", preset), amounts)
         for world in WORLDS:
             in_world = getattr(amounts, world)
-            if in_world and world not in study.worlds and study.worlds:
+            if not in_world:
+                continue
+            if study.worlds and world not in study.worlds:
                 raise file.mistake(("presets", preset), f"{world}: not one of the study's worlds", world)
-            if in_world:
-                mentioned += _mentioned_conditions(("presets", preset, world), in_world)
+            mentioned += _mentioned_conditions(("presets", preset, world), in_world)
     for where, key, name in mentioned:
         if name not in conditions:
-            said = f"{key}: " if key in ("baseline", "only") else ""
-            raise file.mistake(where, f"{said}{unknown_name('condition', name, conditions)}", key)
-    study = study.model_copy(
-        update={
-            "name": path.stem,
-            "path": path,
-            "figure": _figure(path, study.figure),
-            "baseline": baseline,
-            "run": files_beside(path, study.run),
-            "conditions": {name: files_beside(path, fields) for name, fields in conditions.items()},
-            "worlds": tuple(dict.fromkeys(study.worlds)) or _worlds(study),
-        }
-    )
+            message = str(unknown_name("condition", name, conditions))
+            if key in ("baseline", "only"):
+                message = f"{key}: {message}"
+            raise file.mistake(where, message, key)
+    changes = {
+        "name": path.stem,
+        "path": path,
+        "figure": _figure(path, study.figure),
+        "baseline": baseline,
+        "run": files_beside(path, study.run),
+        "conditions": {name: files_beside(path, fields) for name, fields in conditions.items()},
+        "worlds": tuple(dict.fromkeys(study.worlds)) or _worlds(study),
+    }
+    study = study.model_copy(update=changes)
     for world in study.worlds:
         _check_runs(file, study.in_world(world))
     return study
@@ -333,66 +345,72 @@ def _read_study(path: Path) -> Study:
 
 def _mentioned_conditions(where: Where, amounts: Amounts) -> list[tuple[Where, str, str]]:
     """Return the places, keys and names of the conditions that a preset mentions."""
-    mentioned: list[tuple[Where, str, str]] = [
-        ((*where, "conditions"), name, name) for name in amounts.conditions
-    ]
-    mentioned += [(where, "only", name) for name in amounts.only]
+    mentioned: list[tuple[Where, str, str]] = []
+    for name in amounts.conditions:
+        mentioned.append(((*where, "conditions"), name, name))
+    for name in amounts.only:
+        mentioned.append((where, "only", name))
     return mentioned
 
 
-def _figure(path: Path, named: str) -> str:
+def _figure(path: Path, name: str) -> str:
     """Return a figure's name, which in a copy of a shipped study is not the shipped one's."""
-    own = path.resolve().parent != studies_folder().resolve()
-    if own and named in studies_by_figure():
-        return f"study-{path.stem}"
-    return named or f"study-{path.stem}"
+    default = f"study-{path.stem}"
+    is_shipped = path.resolve().parent == studies_folder().resolve()
+    if not is_shipped and name in studies_by_figure():
+        return default
+    return name or default
 
 
 def _worlds(study: Study) -> tuple[str, ...]:
-    """Return all worlds, or where a study sets its environment itself, the one that is alike."""
+    """Return all worlds, or where a study sets its environment itself, the ones that are alike."""
     env = study.run.get("env", ENVIRONMENTS[0])
-    if env == ENVIRONMENTS[0] and not any("env" in fields for fields in study.conditions.values()):
+    is_set_by_condition = any("env" in fields for fields in study.conditions.values())
+    if env == ENVIRONMENTS[0] and not is_set_by_condition:
         return tuple(WORLDS)
-    alike = [name for name, world in WORLDS.items() if world.env == env and not world.overrides]
-    return tuple(alike) or (TEXT,)
+    names = [name for name, world in WORLDS.items() if world.env == env and not world.overrides]
+    return tuple(names) or (TEXT,)
 
 
 def _crossed(file: TomlFile, study: Study) -> Study:
-    factors = {**study.factors, **({CONDITION: study.conditions} if study.conditions else {})}
+    """Cross a study's conditions with its factors, if it has some."""
     if not study.factors:
         return study
-    if (count := math.prod(map(len, factors.values()))) > MOST_CONDITIONS:
+    factors = dict(study.factors)
+    if study.conditions:
+        factors[CONDITION] = study.conditions
+    count = math.prod(map(len, factors.values()))
+    if count > MOST_CONDITIONS:
         message = f"{count:,} conditions are too many: at most {MOST_CONDITIONS:,}"
         raise file.mistake((), message, "factors")
-    crossed: dict[str, dict[str, Any]] = {}
+    conditions: dict[str, dict[str, Any]] = {}
     levels: dict[str, dict[str, str]] = {}
     labels, colors = dict(study.labels), dict(study.colors)
     baseline = study.baseline
     for names in product(*factors.values()):
         joined = ", ".join(names)
-        if joined in crossed:
+        if joined in conditions:
             message = f"two combinations are both called {joined}; name their values otherwise"
             raise file.mistake(("factors",), message)
-        crossed[joined], levels[joined] = {}, {}
+        fields = conditions[joined] = {}
+        levels[joined] = {}
         for factor, name in zip(factors, names, strict=True):
-            if twice := crossed[joined].keys() & factors[factor][name].keys():
-                message = f"{factor}: {name} sets {min(twice)}, which another factor or condition sets too"
+            set_twice = fields.keys() & factors[factor][name].keys()
+            if set_twice:
+                message = (
+                    f"{factor}: {name} sets {min(set_twice)}, which another factor or condition sets too"
+                )
                 raise file.mistake(("factors",), message, factor)
-            crossed[joined] |= factors[factor][name]
+            fields.update(factors[factor][name])
             levels[joined][factor] = name.removeprefix(f"{factor}=")
             if name in study.labels:
-                labels[joined] = study.labels.get(joined, ", ".join(labels.get(part, part) for part in names))
-            if name in study.colors:
-                colors[joined] = study.colors.get(joined, study.colors[name])
-        baseline = joined if baseline in names else baseline
-    changed = {
-        "conditions": crossed,
-        "levels": levels,
-        "labels": labels,
-        "colors": colors,
-        "baseline": baseline,
-    }
-    return study.model_copy(update=changed)
+                labels.setdefault(joined, ", ".join(study.labels.get(part, part) for part in names))
+            if name in study.colors and joined not in study.colors:
+                colors[joined] = study.colors[name]
+        if baseline in names:
+            baseline = joined
+    changes = {"conditions": conditions, "levels": levels, "labels": labels, "colors": colors}
+    return study.model_copy(update={**changes, "baseline": baseline})
 
 
 def _check_runs(file: TomlFile, study: Study) -> None:
@@ -400,18 +418,22 @@ def _check_runs(file: TomlFile, study: Study) -> None:
     runs: list[Run] = []
     for name, fields in study.conditions.items():
         try:
-            runs.append(make_run(study.fields(name)))
-            for key in unread_fields(runs[-1:], fields):
-                raise UserError(does_nothing(key, runs[-1:]))
+            run = make_run(study.fields(name))
+            for key in unread_fields([run], fields):
+                raise UserError(does_nothing(key, [run]))
         except UserError as error:
             raise _mistake_in(file, study, name, str(error)) from None
-    if unread := unread_fields(runs, study.run):
+        runs.append(run)
+    unread = unread_fields(runs, study.run)
+    if unread:
         raise file.mistakes((("run",), key, does_nothing(key, runs)) for key in unread)
 
 
 def _mistake_in(file: TomlFile, study: Study, name: str, message: str) -> UserError:
     """Return an error that points at the field it begins with, or else at the condition."""
-    key = next((key for key in study.fields(name) if message.startswith(f"{key} ")), "")
+    key = message.split()[0]
+    if key not in study.fields(name):
+        key = ""
     if key in study.run and key not in study.conditions[name]:
         return file.mistake(("run",), message, key)
     if study.levels:
@@ -420,21 +442,25 @@ def _mistake_in(file: TomlFile, study: Study, name: str, message: str) -> UserEr
 
 
 def unread_fields(runs: Iterable[Run], keys: Iterable[str]) -> list[str]:
-    read = {key for run in runs for key in reads(run)}
-    return [key for key in keys if key not in read]
+    """Return those fields that none of the runs reads."""
+    effective: set[str] = set()
+    for run in runs:
+        effective |= reads(run)
+    return [key for key in keys if key not in effective]
 
 
 def does_nothing(key: str, runs: Iterable[Run]) -> str:
     """Return the message for a field that neither the runs' environments nor their learners read."""
-    runs = tuple(runs)
     names: dict[str, None] = {}
+    algorithms: dict[str, None] = {}
     for run in runs:
         names |= dict.fromkeys((run.env, run.algorithm))
+        algorithms[run.algorithm] = None
         if "optimizer" in reads(run):
             names[run.optimizer] = None
     hint = ""
-    if all(run.algorithm != "ppo" for run in runs):
-        hint = f"; an argument of {runs[0].algorithm} stands in algorithm_kwargs, by the library's name"
+    if "ppo" not in algorithms:
+        hint = f"; an argument of {next(iter(algorithms))} stands in algorithm_kwargs, by the library's name"
     return f"{key} does nothing: it is read by none of {', '.join(names)} as they are set{hint}"
 
 
