@@ -50,7 +50,7 @@ def encode_published(
         use_byte_stream_split=[f"{name}.list.element" for name in kept_curves],
     )
     data = sink.getvalue()
-    return data.replace(_NO_CHECKSUM.encode(), f"sha256:{checksum(data)}".encode())
+    return data.replace(_NO_CHECKSUM, f"sha256:{checksum(data)}".encode())
 
 
 _FOLDERS = re.compile(r'(?<=")/(?:[^"/]*/)*(?=[^"/]*")')
@@ -73,7 +73,7 @@ def _as_parquet(column: pa.Field) -> pa.Field:
 
 
 SCHEMA = 3
-_NO_CHECKSUM = "sha256:" + "0" * 64
+_NO_CHECKSUM = b"sha256:" + b"0" * 64
 """Placeholder for the checksum over all other bytes of a published table."""
 _CHECKSUM = re.compile(rb"sha256:([0-9a-f]{64})")
 
@@ -97,8 +97,11 @@ class Published:
         self.path = path
         self._data = data
         with stored_file(path):
-            without_checksum = _CHECKSUM.sub(_NO_CHECKSUM.encode(), data)
-            if _CHECKSUM.findall(data) != [checksum(without_checksum).encode()]:
+            digests = _CHECKSUM.findall(data)
+            if len(digests) != 1:
+                raise ValueError("damaged")
+            without_checksum = data.replace(b"sha256:" + digests[0], _NO_CHECKSUM)
+            if digests[0] != checksum(without_checksum).encode():
                 raise ValueError("damaged")
             index = from_parquet(data, INDEX_COLUMNS).select(INDEX_COLUMNS)
             self.about = parse_json(index.schema.metadata[b"pneuma"])

@@ -181,7 +181,7 @@ class Store:
     def run_folder(self, run_id: str) -> Path:
         if not _RUN_ID.fullmatch(run_id):
             raise UserError(f"{run_id!r} is not a run id: 16 hexadecimal digits")
-        return self.root / "runs" / run_id
+        return Path(self.root, "runs", run_id)
 
     def lock(self, run_id: str) -> AbstractContextManager[bool]:
         """Return the lock that a process must hold to train the run."""
@@ -196,27 +196,26 @@ class Store:
     def status(self, run_id: str, quick: bool = False) -> Status:
         """Return a run's status, judged by the checksums of its files; with `quick`, by their existence."""
         folder, manifest = self.run_folder(run_id), self._manifest(run_id)
-        status, checksums = Status("planned"), {}
+        status = Status("planned")
         if manifest:
-            status, checksums = _manifest_status(manifest), manifest["files"]
-        for name, expected in checksums.items():
-            if name == ROW_FILE:
-                continue  # it is made again where it is missing
-            path = folder / name
-            is_sound = path.is_file() if quick else read_sound(folder, name, expected) is not None
-            if not is_sound:
-                return replace(status, name="damaged", step=0, detail=name)
+            status = _manifest_status(manifest)
+            present = names_in(folder) if quick else []
+            for name, expected in manifest["files"].items():
+                if name == ROW_FILE:
+                    continue  # it is made again where it is missing
+                is_sound = name in present if quick else read_sound(folder, name, expected) is not None
+                if not is_sound:
+                    return replace(status, name="damaged", step=0, detail=name)
         if status.finished:
             return status
+        steps = [0, status.step]  # a crash stores no step
         try:
-            checkpoint_names = names_in(folder / CHECKPOINTS)
+            for name in names_in(folder / CHECKPOINTS):
+                checkpoint = read_checkpoint_name(name)
+                if checkpoint:
+                    steps.append(checkpoint[0])
         except UserError as error:
             return replace(status, name="damaged", step=0, detail=str(error))
-        steps = [0, status.step]  # a crash stores no step
-        for name in checkpoint_names:
-            checkpoint = read_checkpoint_name(name)
-            if checkpoint:
-                steps.append(checkpoint[0])
         status = replace(status, step=max(steps))
         if is_held(folder):
             return replace(status, name="running")
@@ -299,30 +298,26 @@ class Store:
     def checksums(self, run_id: str) -> dict[str, str]:
         """Return the checksum of each file of a run; none if nothing is stored of it."""
         manifest = self._manifest(run_id)
-        checksums: dict[str, str] = manifest["files"] if manifest else {}
-        return checksums
+        return dict(manifest["files"]) if manifest else {}
 
-    def _manifest(self, run_id: str) -> dict[str, Any] | None:
-        document = load_checksummed(self.run_folder(run_id) / "status.json")
-        manifest: dict[str, Any] | None = _checked(document, _Manifest)
-        return manifest
+    def _manifest(self, run_id: str) -> Any:
+        return _checked(load_checksummed(self.run_folder(run_id) / "status.json"), _Manifest)
 
     # --- Studies without a file, and published tables ------------------------------------------
-
-    def save_listing(self, study: str, listing: Mapping[str, Any]) -> None:
-        self.write(self.listing_path(study), dump_checksummed({"study": study, **listing}))
-
-    def listing(self, study: str) -> dict[str, Any] | None:
-        """Return the runs of a study without a file; None if there is none, or its record is damaged."""
-        listing: dict[str, Any] | None = checked_listing(load_checksummed(self.listing_path(study)), study)
-        return listing
-
-    def listing_path(self, study: str) -> Path:
-        return self.studies / f"{study}.json"
 
     @property
     def studies(self) -> Path:
         return self.root / "studies"
+
+    def listing_path(self, study: str) -> Path:
+        return self.studies / f"{study}.json"
+
+    def save_listing(self, study: str, listing: Mapping[str, Any]) -> None:
+        self.write(self.listing_path(study), dump_checksummed({"study": study, **listing}))
+
+    def listing(self, study: str) -> Any:
+        """Return the runs of a study without a file; None if there is none, or its record is damaged."""
+        return checked_listing(load_checksummed(self.listing_path(study)), study)
 
     def listings(self) -> list[str]:
         """Return the names of the studies without a file that are recorded here."""
@@ -338,8 +333,9 @@ class Store:
 
     def published(self, shipped: bool = True) -> list[Path]:
         """Return the published tables here; with `shipped`, also Pneuma's own of other names."""
-        folders = [shipped_tables()] if shipped else []
-        folders.append(self.root / PUBLISHED)
+        folders = [self.root / PUBLISHED]
+        if shipped:
+            folders.insert(0, shipped_tables())
         paths: dict[str, Path] = {}
         for folder in folders:
             for name in names_in(folder):
