@@ -16,7 +16,6 @@ from pneuma.analysis.study_data import NAMING, StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.errors import UserError
 from pneuma.store.index import RunIndex
-from pneuma.store.locks import run_lock
 from pneuma.store.published import encode_published
 from pneuma.store.quantities import EPISODE_QUANTITIES
 from pneuma.store.row_builder import record_frame
@@ -93,9 +92,9 @@ def publish_runs(store: Store, data: StudyData, curves: Sequence[str]) -> Public
     Rows that the table has already stay in it. The same runs give the same bytes.
     """
     study, path = data.study, store.published_path(data.table_name)
-    with run_lock(store.root / ".publishing") as alone:  # of two that merge at once, one would lose rows
+    with store.publishing_lock(path.stem) as alone:
         if not alone:
-            raise UserError(f"another command publishes from {store.root}: try again when it has ended")
+            raise UserError(f"another command publishes {path}: try again when it has ended")
         new = {run.run_id: run for run in data.rows if not run.published}
         if not new:
             nothing = f"its runs are not in {store.root}: nothing is new to publish"

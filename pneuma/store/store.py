@@ -189,6 +189,12 @@ class Store:
         self._check_within(folder / CHECKPOINTS)
         return run_lock(folder)
 
+    def publishing_lock(self, name: str) -> AbstractContextManager[bool]:
+        """Return the lock to hold to write a published table: of two that merge, one would lose rows."""
+        folder = self.root / ".publishing" / name
+        self._check_within(folder)
+        return run_lock(folder)
+
     def runs(self) -> list[str]:
         """Return the ids of all runs with anything stored, sorted."""
         return [name for name in names_in(self.root / "runs") if _RUN_ID.fullmatch(name)]

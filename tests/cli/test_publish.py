@@ -77,7 +77,7 @@ def test_what_pneuma_publishes_stays_in_a_table_of_the_same_name(
 def test_of_two_that_publish_at_once_one_is_told_to_wait(results: Path) -> None:
     path = _table(results)
     whole = path.read_bytes()
-    with run_lock(results / ".publishing"):
+    with run_lock(results / ".publishing" / path.stem):
         called = _publish(results)
     assert called.code == 2 and "another command publishes" in called.err and path.read_bytes() == whole
     assert _publish(results).code == 0
