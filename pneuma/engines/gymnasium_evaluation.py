@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -24,20 +25,32 @@ class Evaluation:
     Environments are made anew each time, because wrappers may keep what they learned, such as means.
     """
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Run, most_steps: float = math.inf) -> None:
+        """Play at random; with fewer episodes than the run's, if these take over `most_steps`."""
         self.run = run
-        count = run.evaluation_episodes + BEST_EPISODES
-        self._seeds = [stream_seed(run.seed, "evaluation", i) for i in range(count)]
-        slots = GymnasiumSlots(run, self._seeds)
-        slots.action_space.seed(stream_seed(run.seed, "random-player") % 2**31)
-        returns, _, _ = _play(slots, lambda rows, _: np.array([slots.any_action() for _ in rows]))
-        sampled = returns[: run.evaluation_episodes]
+        self.episodes, self.best_episodes = run.evaluation_episodes, BEST_EPISODES
+        if most_steps < math.inf:
+            _, lengths = self._play_at_random(1)
+            affordable = int(most_steps / 2 / lengths[0])
+            self.episodes = min(max(affordable, 1), self.episodes)
+            self.best_episodes = min(self.episodes, BEST_EPISODES)
+        returns, _ = self._play_at_random(self.episodes + self.best_episodes)
+        sampled = returns[: self.episodes]
         self.random: Row = {"random_return": float(sampled.mean()), "random_spread": float(sampled.std())}
+
+    def _make_slots(self, count: int) -> GymnasiumSlots:
+        return GymnasiumSlots(self.run, [stream_seed(self.run.seed, "evaluation", i) for i in range(count)])
+
+    def _play_at_random(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        slots = self._make_slots(count)
+        slots.action_space.seed(stream_seed(self.run.seed, "random-player") % 2**31)
+        returns, lengths, _ = _play(slots, lambda rows, _: np.array([slots.any_action() for _ in rows]))
+        return returns, lengths
 
     def evaluate(self, policy: Policy, step: int) -> Row:
         """Return one row of `records.EVALUATION_COLUMNS`, with some of `VALUE_COLUMNS`."""
         generator = np.random.default_rng(stream_seed(self.run.seed, "evaluation-actions", step))
-        episodes = self.run.evaluation_episodes
+        episodes = self.episodes
 
         def act(rows: np.ndarray, observations: np.ndarray) -> np.ndarray:
             sampled = int((rows < episodes).sum())
@@ -48,7 +61,7 @@ class Evaluation:
                 actions.append(policy.best(observations[sampled:]))
             return np.concatenate(actions)
 
-        returns, lengths, successes = _play(GymnasiumSlots(self.run, self._seeds), act)
+        returns, lengths, successes = _play(self._make_slots(episodes + self.best_episodes), act)
         success = float(successes[:episodes].mean())  # NaN where the environment does not report it
         return evaluation_row(
             step=step,

@@ -11,6 +11,7 @@ runs that the same process trained before.
 
 from __future__ import annotations
 
+import math
 import random
 import time
 from abc import ABC, abstractmethod
@@ -25,7 +26,7 @@ import numpy as np
 from pneuma.config import Run, is_gymnasium_id, is_open, stream_seed
 from pneuma.engines.policy import SavedPolicy
 from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
-from pneuma.env.fields import ENVIRONMENTS, own_rewards
+from pneuma.env.fields import own_rewards
 
 TRAINERS = {
     "batched": "pneuma.engines.batched.training:BatchedTrainer",
@@ -36,8 +37,11 @@ OPEN_TRAINER = "pneuma.engines.sb3_open:OpenTrainer"
 
 EVALUATIONS, EPISODES = 20, 50
 """Evaluations per run, and the episodes of each unless a run says otherwise."""
-SHORT_STEPS, SHORT_EPISODES = 100_000, 10
-"""Below so many steps a run in Pneuma's worlds has half as many evaluations, of so many episodes."""
+SHORT_STEPS, SHORT_STEPS_ELSEWHERE = 100_000, 1_000_000
+"""Below so many steps, in Pneuma's worlds and in others, a run has fewer evaluations of fewer episodes."""
+SHORT_EPISODES, EVALUATE_EVERY, EVALUATE_EVERY_ELSEWHERE = 10, 8_000, 20_000
+LEAST_STEPS = 5_000
+"""Below so many steps a run in Pneuma's worlds takes a second, however it is evaluated."""
 RESTORE_ERRORS = (KeyError, ValueError, TypeError, RuntimeError)
 """What restoring a checkpoint raises that another engine, run or version wrote."""
 
@@ -82,7 +86,7 @@ class Trainer(ABC):
         if is_gymnasium_id(run.env):  # each is imported only when it is needed
             from pneuma.engines.gymnasium_evaluation import Evaluation as EvaluationInGymnasium
 
-            return EvaluationInGymnasium(run)
+            return EvaluationInGymnasium(run, _most_steps(self.run))
         from pneuma.engines.evaluation import Evaluation
 
         return Evaluation(run)
@@ -163,21 +167,40 @@ def evaluation_updates(run: Run) -> set[int]:
     """Return the updates, counted from 1, after which a run is evaluated.
 
     They are evenly spread and include the last update. A run of fewer than `EVALUATIONS` updates has fewer,
-    and a short one half as many.
+    and a short one as many as its budget pays for: evaluations take at most about a fifth of its time.
     """
-    count = EVALUATIONS // 2 if _is_short(run) else EVALUATIONS
-    return _spread(run.updates, count)
+    count = _evaluation_count(run)
+    return {-(-run.updates * k // count) for k in range(1, count + 1)}
 
 
 def evaluation_episodes(run: Run) -> int:
     """Return how many episodes an evaluation plays with sampled actions."""
-    if _is_short(run) and run.evaluation_episodes == EPISODES:
+    if _is_short(run) and run.evaluation_episodes == EPISODES and run.updates > _evaluation_count(run):
         return SHORT_EPISODES
     return run.evaluation_episodes
 
 
+def _evaluation_count(run: Run) -> int:
+    if not _is_short(run):
+        return EVALUATIONS
+    if is_gymnasium_id(run.env):
+        return min(1 + run.steps // EVALUATE_EVERY_ELSEWHERE, EVALUATIONS)
+    if run.steps < LEAST_STEPS:
+        return EVALUATIONS // 2
+    return 1 + run.steps // EVALUATE_EVERY
+
+
+def _most_steps(run: Run) -> float:
+    """Return how many steps one evaluation may take where nobody knows how long an episode is."""
+    if not _is_short(run):
+        return math.inf
+    return run.steps / 4 / (1 + _evaluation_count(run))  # one more: that of the random player
+
+
 def _is_short(run: Run) -> bool:
-    return run.env in ENVIRONMENTS and run.steps < SHORT_STEPS and run.updates > EVALUATIONS // 2
+    if is_gymnasium_id(run.env):  # where each step of an episode is Python
+        return run.steps < SHORT_STEPS_ELSEWHERE and run.evaluation_episodes == EPISODES
+    return run.steps < SHORT_STEPS
 
 
 def evaluation_steps(run: Run) -> dict[int, int]:
@@ -189,8 +212,3 @@ def evaluation_steps(run: Run) -> dict[int, int]:
     for update in sorted(evaluation_updates(run)):
         steps[EVALUATIONS * update // run.updates] = update * run.steps_per_update
     return steps
-
-
-def _spread(updates: int, count: int) -> set[int]:
-    """Return `count` evenly spread numbers from 1 to `updates`, including the last."""
-    return {-(-updates * k // count) for k in range(1, count + 1)}

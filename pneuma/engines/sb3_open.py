@@ -36,7 +36,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from pneuma.algorithms import find_algorithm
 from pneuma.config import Run, slot_seeds, stream_seed
 from pneuma.engines.gymnasium_env import blamed, load_class, make_env, refuse_flat_pictures
-from pneuma.engines.gymnasium_evaluation import BEST_EPISODES, Evaluation
 from pneuma.engines.loop import Trainer
 from pneuma.engines.policy import LEARNER_FILE
 from pneuma.engines.records import Records, Row, episode_row, evaluation_row, metrics_row
@@ -199,7 +198,7 @@ class OpenTrainer(Trainer):
         update_progress = self._model._update_current_progress_remaining
         # schedules fall over the whole budget, of which `learn` is told a part at a time
         self._model._update_current_progress_remaining = lambda steps, _: update_progress(steps, run.steps)
-        self._random = Evaluation(run).random
+        self._about = self._evaluation  # whose random player goes first
         self._seed = stream_seed(run.seed, "evaluation")
 
     def update(self, before: int, after: int, records: Records) -> bool:
@@ -214,9 +213,10 @@ class OpenTrainer(Trainer):
 
     def evaluate(self, step: int) -> Row:
         """Return one row of `EVALUATION_COLUMNS`, of the same seeds each time."""
-        returns, lengths = self._play(self.run.evaluation_episodes, deterministic=False)
-        best_returns, _ = self._play(BEST_EPISODES, deterministic=True)
-        return evaluation_row(step, returns, lengths, best_returns, self._random)
+        about = self._about
+        returns, lengths = self._play(about.episodes, deterministic=False)
+        best_returns, _ = self._play(about.best_episodes, deterministic=True)
+        return evaluation_row(step, returns, lengths, best_returns, about.random)
 
     def _play(self, episodes: int, deterministic: bool) -> tuple[list[float], list[int]]:
         before = np.random.get_state()

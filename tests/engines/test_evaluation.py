@@ -12,8 +12,10 @@ from pneuma.config import Run, make_run
 from pneuma.engines.batched.learner import initial_networks
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.evaluation import ActionValues, Evaluation, OwnAgent, evenness
-from pneuma.engines.loop import evaluation_episodes, evaluation_updates
+from pneuma.engines.gymnasium_env import GymnasiumSlots
+from pneuma.engines.loop import Trainer, evaluation_episodes, evaluation_updates
 from pneuma.engines.policy import Policy
+from pneuma.engines.records import Records
 from pneuma.env.players import Hunter
 from pneuma.presets import BASES
 
@@ -71,17 +73,58 @@ def test_evaluation_worlds_are_none_of_the_training_worlds() -> None:
     assert not training & held_out
 
 
-def test_evaluations_are_spread_evenly_end_with_the_run_and_are_fewer_in_a_short_one() -> None:
-    # 392 updates: after ceil(392 k / 20) = 20, 40, 59, 79, 98, … 392; below 100,000 steps half as many.
-    amounts = (100_352, 256), (50_176, 256), (24_576, 8192)
-    long, short, few = (make_run({"steps": steps, "horizon": horizon}) for steps, horizon in amounts)
-    updates = sorted(evaluation_updates(long))
-    assert (updates[:5], updates[-1], len(updates)) == ([20, 40, 59, 79, 98], 392, 20)
-    points = sorted(evaluation_updates(short))
-    assert (len(points), points[0], points[-1]) == (10, 20, 196)
-    assert evaluation_updates(few) == {1, 2, 3}
-    assert [evaluation_episodes(each) for each in (long, short, few)] == [50, 10, 50]
-    assert evaluation_episodes(replace(short, evaluation_episodes=30)) == 30  # as the run says
+@pytest.mark.parametrize(
+    ("steps", "horizon", "updates", "episodes"),
+    [
+        (100_352, 256, (20, 40, 59, 79, 98, 118, 138, 157, 177, 196), 50),  # of 392: after ceil(392 k / 20) …
+        (50_176, 256, (28, 56, 84, 112, 140, 168, 196), 10),  # one for each 8,000 steps, and one more
+        (10_240, 256, (20, 40), 10),
+        (24_576, 8192, (1, 2, 3), 50),  # no more updates than evaluations
+        (4_096, 256, (2, 4, 5, 7, 8, 10, 12, 13, 15, 16), 10),
+    ],
+)
+def test_evaluations_are_spread_evenly_and_follow_the_budget(
+    steps: int, horizon: int, updates: tuple[int, ...], episodes: int
+) -> None:
+    run = make_run({"steps": steps, "horizon": horizon})
+    planned = sorted(evaluation_updates(run))
+    assert tuple(planned[:10]) == updates and planned[-1] == run.updates
+    assert evaluation_episodes(run) == episodes
+    assert evaluation_episodes(replace(run, evaluation_episodes=30)) == 30  # as the run says
+
+
+class Unchanging(Trainer):
+    """It learns nothing; in CartPole it leans against the pole's fall, which makes episodes long."""
+
+    def update(self, before: int, after: int, records: Records) -> bool:
+        return True
+
+    def policy(self) -> Policy:
+        if self.run.env != "CartPole-v1":
+            return constant([0, 1, 0], 6)
+        lean = (np.array([[0.0, 0], [0, 0], [-9, 9], [-9, 9]], np.float32), np.zeros(2, np.float32))
+        return Policy("tanh", (lean,), ())
+
+
+@pytest.mark.parametrize(
+    ("env", "steps", "count"),
+    [("CartPole-v1", 10_240, 1), ("CartPole-v1", 102_400, 6), ("Acrobot-v1", 10_240, 1)],
+)
+def test_evaluations_elsewhere_play_few_steps_beside_the_run_s(
+    env: str, steps: int, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One of theirs costs less than half of one of training; no policy is as good as this one so early."""
+    run = make_run({"env": env, "steps": steps})
+    trainer = Unchanging(run)
+    played = []
+    step_one = GymnasiumSlots.step_one
+    monkeypatch.setattr(GymnasiumSlots, "step_one", lambda *own: played.append(1) or step_one(*own))
+    rows = [trainer.evaluate(update) for update in sorted(evaluation_updates(run))]
+    assert len(rows) == count
+    assert len(played) <= 0.6 * steps
+    assert {row["episodes"] for row in rows} == {1 if env == "Acrobot-v1" else 10}
+    asked = replace(run, evaluation_episodes=20)
+    assert len(evaluation_updates(asked)) == min(20, run.updates) and evaluation_episodes(asked) == 20
 
 
 def test_evenness_is_the_entropy_of_the_players_shares() -> None:
