@@ -14,24 +14,26 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Optimizer:
-    """An optimizer.
+    """An optimizer of the engine `batched`.
 
     Attributes:
-        engines: those that have it.
         defaults: the fields that it reads, with torch's defaults, or UPGD's authors'.
+        torch_class: its class in `torch.optim`, by which the engine `sb3` has it; empty if there is none.
     """
 
-    engines: tuple[str, ...]
     defaults: Mapping[str, Any]
+    torch_class: str = ""
+
+    @property
+    def engines(self) -> tuple[str, ...]:
+        return ("batched", "sb3") if self.torch_class else ("batched",)
 
 
 OPTIMIZERS = {
-    "adam": Optimizer(("batched", "sb3"), {"betas": (0.9, 0.999), "epsilon": 1e-8}),
-    "sgd": Optimizer(("batched", "sb3"), {"momentum": 0.0, "dampening": 0.0}),
-    "rmsprop": Optimizer(("batched", "sb3"), {"smoothing": 0.99, "epsilon": 1e-8, "momentum": 0.0}),
-    "upgd": Optimizer(
-        ("batched",), {"betas": (0.9, 0.999), "epsilon": 1e-5, "utility_decay": 0.999, "noise": 0.001}
-    ),
+    "adam": Optimizer({"betas": (0.9, 0.999), "epsilon": 1e-8}, "Adam"),
+    "sgd": Optimizer({"momentum": 0.0, "dampening": 0.0}, "SGD"),
+    "rmsprop": Optimizer({"smoothing": 0.99, "epsilon": 1e-8, "momentum": 0.0}, "RMSprop"),
+    "upgd": Optimizer({"betas": (0.9, 0.999), "epsilon": 1e-5, "utility_decay": 0.999, "noise": 0.001}),
 }
 
 

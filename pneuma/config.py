@@ -50,7 +50,8 @@ ENGINE_VERSIONS = {"batched": 3, "sb3": 2}
 ENGINES = tuple(ENGINE_VERSIONS)
 """The usual one first."""
 
-ACTIVATIONS = ("tanh", "relu", "leaky-relu")
+ACTIVATIONS = {"tanh": "Tanh", "relu": "ReLU", "leaky-relu": "LeakyReLU"}
+"""Activation functions of hidden layers, and torch's classes of them; torch's slope of LeakyReLU is 0.01."""
 Schedule = Literal["constant", "linear"]
 
 
@@ -193,7 +194,7 @@ class Run(EnvConfig):
 
     actor: Layers = declare((128,), read_by=_WITH_FIELDS, paces=True)
     critic: Layers = declare((256,), read_by=_ACTOR_CRITIC, paces=True)
-    activation: Annotated[str, OneOf(ACTIVATIONS)] = declare("tanh", read_by=_WITH_FIELDS)
+    activation: Annotated[str, OneOf(tuple(ACTIVATIONS))] = declare("tanh", read_by=_WITH_FIELDS)
     first_layer_scale: Annotated[float, Interval(gt=0, le=1e6)] = declare(1.0, read_by="ppo")
     """Factor on the initial weights of both first layers."""
 

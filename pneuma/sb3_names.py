@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pneuma.config import FIELDS
+from pneuma.config import ACTIVATIONS, FIELDS
 from pneuma.errors import UserError
 
 
@@ -26,7 +26,7 @@ def _names_of_ppo() -> dict[str, str]:
 NAMES = _names_of_ppo()
 """The fields that PPO has by another name."""
 PASSED_ON = "algorithm_kwargs"
-_ACTIVATIONS = {"nn.Tanh": "tanh", "nn.ReLU": "relu", "nn.LeakyReLU": "leaky-relu"}
+_ACTIVATIONS = {f"nn.{torch_class}": name for name, torch_class in ACTIVATIONS.items()}
 WRONG_TEXT = (KeyError, TypeError, ValueError, SyntaxError, RecursionError, MemoryError)
 """What `read_arguments_text` raises."""
 

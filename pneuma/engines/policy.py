@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from safetensors.numpy import load, save
@@ -26,32 +26,29 @@ LEARNER_FILE = "policy.zip"
 
 LEAKY_SLOPE = 0.01
 """Slope of LeakyReLU below zero (thesis section 6.2)."""
-ACTIVATION_FUNCTIONS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "tanh": np.tanh,
-    "relu": lambda x: np.maximum(x, 0),
-    "leaky-relu": lambda x: np.where(x > 0, x, x * np.float32(LEAKY_SLOPE)),
-}
-"""By NumPy. The other backends have a table of their own: `mlp`, `batched.update` and `sb3_learners`."""
 
 
-def _is_saturated(units: Any) -> Any:
-    return abs(units) > 0.99
+class Activation(NamedTuple):
+    """An activation function by NumPy, and whether outputs, of NumPy or JAX, are those of a dead unit.
+
+    A unit is dead over a rollout if all its outputs are: never above zero (ReLU and LeakyReLU), or always
+    beyond 0.99 in size (tanh: it is saturated, though its sign may change).
+    """
+
+    apply: Callable[[np.ndarray], np.ndarray]
+    is_dead: Callable[[Any], Any]
 
 
 def _is_silent(units: Any) -> Any:
     return units <= 0
 
 
-IS_DEAD: dict[str, Callable[[Any], Any]] = {
-    "tanh": _is_saturated,
-    "relu": _is_silent,
-    "leaky-relu": _is_silent,
+NUMPY_ACTIVATIONS = {
+    "tanh": Activation(np.tanh, lambda units: abs(units) > 0.99),
+    "relu": Activation(lambda x: np.maximum(x, 0), _is_silent),
+    "leaky-relu": Activation(lambda x: np.where(x > 0, x, x * np.float32(LEAKY_SLOPE)), _is_silent),
 }
-"""Whether outputs of hidden units, an array of NumPy or JAX, are those of a dead unit, by activation.
-
-A unit is dead over a rollout if all its outputs are: never above zero (ReLU and LeakyReLU), or always beyond
-0.99 in size (tanh: it is saturated, though its sign may change).
-"""
+"""The other backends have a table of their own in `mlp` and `batched.update`; torch has classes."""
 
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
 """Weight (inputs, outputs) and bias (outputs,) of each layer, float32.
@@ -120,8 +117,7 @@ class Policy:
 
         Then row i of observations is player i % players of world i // players.
         """
-        weight, _ = self.actor[0]
-        return len(weight) if weight.ndim == 3 else 1
+        return _players(self.actor)
 
     def logits(self, observations: np.ndarray) -> np.ndarray:
         """Return actions' unnormalised log-probabilities, or values: (N, features) -> (N, actions)."""
@@ -277,50 +273,19 @@ def _layers_in(arrays: Mapping[str, np.ndarray], network: str) -> Layers:
 
 
 def _is_sound(policy: Policy) -> bool:
-    """Return whether a policy's parts fit each other, so that it plays, compiled or not."""
-    if policy.activation not in ACTIVATIONS or not _are_sound_layers(policy):
+    """Return whether a policy's parts fit each other, so that it plays, compiled or not: it is tried once."""
+    for weight, bias in policy.actor + policy.critic:
+        if weight.ndim > 3 or bias.shape != (*weight.shape[:-2], weight.shape[-1]):
+            return False
+    choices = policy.choices
+    if choices is not None and (choices.min() < 1 or choices.sum() != policy.actions):
         return False
-    if policy.players > 1 and (policy.exploration is not None or policy.scaling is not None):
+    if policy.exploration is None and policy.critic[-1][1].shape[-1] != 1:
         return False
-    if (policy.deviation is None) != (policy.bounds is None):
-        return False
-    if policy.deviation is not None and policy.bounds is not None:
-        low, high = policy.bounds
-        if policy.deviation.shape != (policy.actions,) or low.size != policy.actions:
-            return False
-        if not (low <= high).all() or not np.isfinite(policy.deviation).all():
-            return False
-    if policy.choices is not None:
-        if policy.deviation is not None or policy.exploration is not None:
-            return False
-        if policy.choices.dtype.kind not in "iu" or not (policy.choices >= 1).all():
-            return False
-        if policy.choices.sum() != policy.actions:
-            return False
-    if policy.scaling is not None:
-        mean, variance = policy.scaling.mean, policy.scaling.variance
-        if mean.shape != (policy.features,) or variance.shape != (policy.features,):
-            return False
-        if not (variance >= 0).all() or not np.isfinite([mean, variance]).all():
-            return False
-    if policy.exploration is not None:
-        return not policy.critic and 0 <= policy.exploration <= 1
-    return bool(policy.critic[-1][1].shape[-1] == 1)
-
-
-def _are_sound_layers(policy: Policy) -> bool:
-    """Return whether all layers are of as many players, and each takes what the one before gives."""
-    players = policy.actor[0][0].shape[:-2]
-    if len(players) > 1:
-        return False
-    for layers in (policy.actor, policy.critic):
-        inputs = policy.features
-        for weight, bias in layers:
-            outputs = weight.shape[-1]
-            if weight.shape != (*players, inputs, outputs) or bias.shape != (*players, outputs):
-                return False
-            inputs = outputs
-    return True
+    observations = np.zeros((policy.players, policy.features), np.float32)
+    actions = policy.sample(observations, np.random.default_rng(0))
+    outputs = np.append(actions, policy.values(observations))
+    return policy.activation in ACTIVATIONS and bool(np.isfinite(outputs).all())
 
 
 def drawing(policy: Policy, worlds: Worlds, generator: np.random.Generator) -> Callable[[Worlds], np.ndarray]:
@@ -355,40 +320,34 @@ def sizes(layers: Layers) -> np.ndarray:
 
 
 def forward(layers: Layers, activation: str, observations: np.ndarray) -> list[np.ndarray]:
-    """Return the output of each layer, hidden ones after their activation: [(N, units), …]."""
-    if layers and layers[0][0].ndim == 3:
-        return _forward_of_players(layers, activation, observations)
-    outputs = []
-    x = observations
-    for i, (weight, bias) in enumerate(layers):
-        x = x @ weight + bias
-        if i < len(layers) - 1:
-            x = ACTIVATION_FUNCTIONS[activation](x)
-        outputs.append(x)
-    return outputs
+    """Return the output of each layer, hidden ones after their activation: [(N, units), …].
 
-
-def _forward_of_players(layers: Layers, activation: str, observations: np.ndarray) -> list[np.ndarray]:
-    """Return the same for a policy of each player; row i is of player i % players."""
-    players, rows = len(layers[0][0]), len(observations)
+    Where each player has a policy, row i is of player i % players.
+    """
+    players, rows = _players(layers), len(observations)
     if rows % players:
         raise UserError(f"{rows} observations: must be one for each of {players} players")
-    outputs = []
     x = observations.reshape(-1, players, observations.shape[-1]).swapaxes(
         0, 1
     )  # (players, worlds, features)
+    outputs = []
     for i, (weight, bias) in enumerate(layers):
-        x = x @ weight + bias[:, None]
+        x = x @ weight + bias[..., None, :]
         if i < len(layers) - 1:
-            x = ACTIVATION_FUNCTIONS[activation](x)
+            x = NUMPY_ACTIVATIONS[activation].apply(x)
         outputs.append(x.swapaxes(0, 1).reshape(rows, -1))
     return outputs
 
 
+def _players(layers: Layers) -> int:
+    """Return how many players' networks these layers are; 1 if all share one, or there are no layers."""
+    return len(layers[0][0]) if layers and layers[0][0].ndim == 3 else 1
+
+
 def dead_share(policy: Policy, observations: np.ndarray) -> float:
-    """Return the share of hidden units, of actor and critic, that are dead over a rollout; see `IS_DEAD`."""
+    """Return the share of hidden units, of actor and critic, that are dead: see `Activation`."""
     hidden = []
     for network in (policy.actor, policy.critic):
         hidden += forward(network, policy.activation, observations)[:-1]
     units = np.concatenate(hidden, axis=1)  # (N, units)
-    return float(IS_DEAD[policy.activation](units).all(axis=0).mean())
+    return float(NUMPY_ACTIVATIONS[policy.activation].is_dead(units).all(axis=0).mean())

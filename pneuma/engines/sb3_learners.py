@@ -24,20 +24,8 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from pneuma.algorithms import OPTIMIZERS
-from pneuma.config import ANNEALED, FIELDS, Run, stream_seed
+from pneuma.config import ACTIVATIONS, ANNEALED, FIELDS, Run, stream_seed
 from pneuma.engines.records import NAN, Checkpoint, Records
-
-ACTIVATION_CLASSES: dict[str, type[nn.Module]] = {
-    "tanh": nn.Tanh,
-    "relu": nn.ReLU,
-    "leaky-relu": nn.LeakyReLU,
-}
-"""Classes that unpickle without Pneuma; torch's own slope of LeakyReLU is the thesis's, 0.01."""
-OPTIMIZER_CLASSES: dict[str, type[torch.optim.Optimizer]] = {
-    "adam": torch.optim.Adam,
-    "sgd": torch.optim.SGD,
-    "rmsprop": torch.optim.RMSprop,
-}
 
 Learner = PPO | A2C | TRPO | DQN
 
@@ -77,8 +65,8 @@ def learner_arguments(run: Run, slots: int) -> dict[str, Any]:
         arguments["max_grad_norm"] = float("inf")
     arguments["policy_kwargs"] = {
         "net_arch": net_arch,
-        "activation_fn": ACTIVATION_CLASSES[run.activation],
-        "optimizer_class": OPTIMIZER_CLASSES[run.optimizer],
+        "activation_fn": getattr(nn, ACTIVATIONS[run.activation]),
+        "optimizer_class": getattr(torch.optim, OPTIMIZERS[run.optimizer].torch_class),
         "optimizer_kwargs": optimizer_arguments(run),
     }
     return arguments

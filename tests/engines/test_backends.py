@@ -11,7 +11,7 @@ import torch
 
 from pneuma.algorithms import OPTIMIZERS
 from pneuma.config import ACTIVATIONS
-from pneuma.engines import mlp, policy, sb3_learners
+from pneuma.engines import mlp, policy
 from pneuma.engines.batched import optimizers, update
 
 DEFINITIONS: dict[str, Callable[[float], float]] = {
@@ -29,15 +29,15 @@ def by_numba(activation: str, inputs: np.ndarray) -> np.ndarray:
 
 
 def by_numpy(activation: str, inputs: np.ndarray) -> np.ndarray:
-    return policy.ACTIVATION_FUNCTIONS[activation](inputs)
+    return policy.NUMPY_ACTIVATIONS[activation].apply(inputs)
 
 
 def by_jax(activation: str, inputs: np.ndarray) -> np.ndarray:
-    return np.asarray(update.ACTIVATION_FUNCTIONS[activation](inputs))
+    return np.asarray(update.JAX_ACTIVATIONS[activation](inputs))
 
 
 def by_torch(activation: str, inputs: np.ndarray) -> np.ndarray:
-    outputs: np.ndarray = sb3_learners.ACTIVATION_CLASSES[activation]()(torch.from_numpy(inputs)).numpy()
+    outputs: np.ndarray = getattr(torch.nn, ACTIVATIONS[activation])()(torch.from_numpy(inputs)).numpy()
     return outputs
 
 
@@ -66,7 +66,8 @@ def test_a_code_without_a_branch_gives_no_numbers() -> None:
 
 
 def test_an_engine_has_the_optimizers_that_are_said_to_be_its() -> None:
-    assert OPTIMIZERS.keys() == optimizers.STEPS.keys() == optimizers.MOMENTS.keys()
-    by_torch = {name for name, optimizer in OPTIMIZERS.items() if "sb3" in optimizer.engines}
-    assert sb3_learners.OPTIMIZER_CLASSES.keys() == by_torch
-    assert all("batched" in optimizer.engines for optimizer in OPTIMIZERS.values())
+    assert OPTIMIZERS.keys() == optimizers.OPTIMIZERS.keys()
+    for optimizer in OPTIMIZERS.values():
+        assert not optimizer.torch_class or issubclass(
+            getattr(torch.optim, optimizer.torch_class), torch.optim.Optimizer
+        )

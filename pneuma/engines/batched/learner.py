@@ -14,7 +14,6 @@ from pneuma.engines.batched.optimizers import initial_state
 from pneuma.engines.batched.rollout import Rollout, advantages, value_of
 from pneuma.engines.batched.update import (
     METRICS,
-    annealed_numbers,
     evaluate_rollout,
     learn,
     program,
@@ -52,7 +51,7 @@ class Learner:
         # of the order of minibatches
         self.generator = np.random.default_rng(stream_seed(run.seed, "minibatches", player))
         self._actions = actions
-        self._numbers = run_numbers(run, player)
+        self._player = player
 
     def policy(self) -> Policy:
         return Policy(self.run.activation, self.networks["actor"], self.networks["critic"])
@@ -63,7 +62,7 @@ class Learner:
         batch, values, dead_units = self._compute_advantages(rollout)
         count = len(batch["actions"])
         orders = np.stack([self.generator.permutation(count) for _ in range(run.epochs)]).astype(np.int32)
-        numbers = {**self._numbers, **annealed_numbers(run, budget_left)}
+        numbers = run_numbers(run, self._player, budget_left)
         networks, optimizer, means = learn(
             self.networks, self.optimizer, batch, orders, numbers, program(run)
         )

@@ -20,21 +20,6 @@ Numbers = Mapping[str, Any]
 Step = Callable[[Tree, Tree, State, Numbers], tuple[Tree, State]]
 
 
-MOMENTS = {
-    "adam": ("mean", "square"),
-    "sgd": ("momentum",),
-    "rmsprop": ("square", "momentum"),
-    "upgd": ("mean", "square", "utility"),
-}
-"""What each keeps for every parameter."""
-
-
-def initial_state(optimizer: str, parameters: Tree) -> State:
-    zeros = jax.tree.map(np.zeros_like, parameters)  # NumPy's: JAX would compile a program for each shape
-    count = np.int32 if optimizer == "upgd" else np.float32  # the counter that keys the noise is kept
-    return {"steps": np.zeros((), count)} | dict.fromkeys(MOMENTS[optimizer], zeros)
-
-
 def adam(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> tuple[Tree, State]:
     """Adam (Kingma and Ba 2015); thesis section 6.1."""
     b1, b2 = numbers["beta_1"], numbers["beta_2"]
@@ -127,4 +112,17 @@ def upgd_noise(parameters: Tree, steps: Any, numbers: Numbers) -> Tree:
     return jax.tree.unflatten(structure, noise)
 
 
-STEPS: dict[str, Step] = {"adam": adam, "sgd": sgd, "rmsprop": rmsprop, "upgd": upgd}
+OPTIMIZERS: dict[str, tuple[Step, tuple[str, ...]]] = {
+    "adam": (adam, ("mean", "square")),
+    "sgd": (sgd, ("momentum",)),
+    "rmsprop": (rmsprop, ("square", "momentum")),
+    "upgd": (upgd, ("mean", "square", "utility")),
+}
+"""Of each the function that takes a step, and what it keeps for every parameter."""
+
+
+def initial_state(optimizer: str, parameters: Tree) -> State:
+    _, kept_arrays = OPTIMIZERS[optimizer]
+    zeros = jax.tree.map(np.zeros_like, parameters)  # NumPy's: JAX would compile a program for each shape
+    count = np.int32 if optimizer == "upgd" else np.float32  # the counter that keys the noise is kept
+    return {"steps": np.zeros((), count)} | dict.fromkeys(kept_arrays, zeros)

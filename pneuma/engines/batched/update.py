@@ -21,12 +21,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pneuma.algorithms import OPTIMIZERS
 from pneuma.config import ANNEALED, Run, stream_seed
-from pneuma.engines.batched.optimizers import STEPS
-from pneuma.engines.policy import IS_DEAD, LEAKY_SLOPE
+from pneuma.engines.batched import optimizers
+from pneuma.engines.policy import LEAKY_SLOPE, NUMPY_ACTIVATIONS
 
 Tree = Any
-ACTIVATION_FUNCTIONS: dict[str, Callable[[Any], Any]] = {
+JAX_ACTIVATIONS: dict[str, Callable[[Any], Any]] = {
     "tanh": jnp.tanh,
     "relu": jax.nn.relu,
     "leaky-relu": partial(jax.nn.leaky_relu, negative_slope=LEAKY_SLOPE),
@@ -39,10 +40,13 @@ METRICS = (
 )  # fmt: skip
 """What a step tells, in this order. Of an update: means over minibatches; the last epoch's of `approx_kl`."""
 
-_AS_THEY_ARE = (
-    "learning_rate", "clip_range", "value_coefficient", "entropy_coefficient", "epsilon", "momentum",
-    "dampening", "smoothing", "noise",
-)  # fmt: skip
+_LEARNING_NUMBERS = (
+    "learning_rate",
+    "clip_range",
+    "value_coefficient",
+    "entropy_coefficient",
+    "weight_decay",
+)
 
 
 class Program(NamedTuple):
@@ -63,36 +67,33 @@ def program(run: Run) -> Program:
     return Program(run.activation, run.optimizer, minibatch, decays, run.normalize_advantage)
 
 
-def run_numbers(run: Run, player: int = 0) -> dict[str, Any]:
-    """Return the run's numeric fields, float32; an absent limit is infinite, another absent number 0.
+def run_numbers(run: Run, player: int = 0, budget_left: float = 1.0) -> dict[str, Any]:
+    """Return the run's numeric fields, float32, with the logarithms of its optimizer's.
 
-    They include the key of UPGD's noise, (2,) uint32.
+    Some fall with the share of the budget that is left. An absent limit is infinite. The key of UPGD's noise,
+    (2,) uint32, is with them.
     """
     limit = math.inf if run.gradient_limit is None else run.gradient_limit
-    beta_1, beta_2 = run.betas or (0.0, 0.0)
-    decays = {"beta_1": beta_1, "beta_2": beta_2, "utility_decay": run.utility_decay or 0.0}
     numbers = {
-        **decays,
         "joint_limit": limit if run.clip == "joint" else math.inf,
         "part_limit": limit if run.clip == "separate" else math.inf,
-        "weight_decay": run.weight_decay,
     }
-    for name in _AS_THEY_ARE:
-        numbers[name] = getattr(run, name) or 0.0
-    for name, decay in decays.items():
-        numbers[f"log_{name}"] = math.log(decay) if decay else -math.inf
+    for name in _LEARNING_NUMBERS:
+        numbers[name] = getattr(run, name)
+    for name in ANNEALED:
+        if getattr(run, f"{name}_schedule") == "linear":
+            numbers[name] *= budget_left
+    for name in OPTIMIZERS[run.optimizer].defaults:
+        value = getattr(run, name)
+        names_and_values = (
+            zip(("beta_1", "beta_2"), value, strict=True) if name == "betas" else [(name, value)]
+        )
+        for argument, number in names_and_values:
+            numbers[argument] = number
+            numbers[f"log_{argument}"] = math.log(number) if number else -math.inf
     arrays: dict[str, Any] = {name: np.float32(number) for name, number in numbers.items()}
     arrays["noise_key"] = np.array([stream_seed(run.seed, "upgd-noise", player)], np.uint64).view(np.uint32)
     return arrays
-
-
-def annealed_numbers(run: Run, budget_left: float) -> dict[str, np.float32]:
-    """Return the numbers that fall with the share of the budget that is left."""
-    numbers = {}
-    for name in ANNEALED:
-        if getattr(run, f"{name}_schedule") == "linear":
-            numbers[name] = np.float32(getattr(run, name) * budget_left)
-    return numbers
 
 
 @partial(jax.jit, static_argnames="activation")
@@ -108,7 +109,7 @@ def evaluate_rollout(
     networks = joined(parameters)
     hidden_a, logits = _forward(networks["actor"], activation, observations[:count])
     hidden_c, values = _forward(networks["critic"], activation, observations)
-    is_dead = IS_DEAD[activation]
+    is_dead = NUMPY_ACTIVATIONS[activation].is_dead
     hidden = hidden_a + [layer[:count] for layer in hidden_c]
     dead = jnp.concatenate([is_dead(units).all(axis=0) for units in hidden]).mean()
     return _of_actions(jax.nn.log_softmax(logits), actions), values[:, 0], dead
@@ -190,7 +191,8 @@ def _step(carry: Tree, batch: Mapping[str, Any], numbers: Any, program: Program)
         clipped[network] = jax.tree.map(partial(jnp.multiply, factor), gradient)
     if program.decays:
         clipped = jax.tree.map(lambda g, p: g + numbers["weight_decay"] * p, clipped, parameters)
-    carry = STEPS[program.optimizer](clipped, parameters, state, numbers)
+    take_step, _ = optimizers.OPTIMIZERS[program.optimizer]
+    carry = take_step(clipped, parameters, state, numbers)
     return carry, jnp.concatenate([metrics, jnp.stack([norm, norms["actor"], norms["critic"]])])
 
 
@@ -237,7 +239,7 @@ def _forward(layers: Any, activation: str, x: Any) -> tuple[list[Any], Any]:
     """Return the outputs of the hidden layers and of the last layer: (N, units)."""
     hidden = []
     for layer in layers[:-1]:
-        x = ACTIVATION_FUNCTIONS[activation](_linear(layer, x))
+        x = JAX_ACTIVATIONS[activation](_linear(layer, x))
         hidden.append(x)
     return hidden, _linear(layers[-1], x)
 
