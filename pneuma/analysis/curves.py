@@ -11,17 +11,16 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike
 from scipy import special
 
-from pneuma.analysis import intervals
+from pneuma.analysis import X_AXES, intervals
 from pneuma.analysis.intervals import LEAST_RUNS, LEVEL
 from pneuma.analysis.outcomes import LARGEST, is_foreign
 from pneuma.analysis.study_data import StudyData
@@ -32,8 +31,7 @@ from pneuma.store.rows import Row
 from pneuma.store.series import Series, make_grid
 from pneuma.study.shipped import random_returns_file
 
-STEPS, EPISODES, WALL_CLOCK = "steps", "episodes", "wall-clock"
-"""What curves may lie over, as `X_AXES` has it."""
+STEPS, EPISODES, WALL_CLOCK = X_AXES
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,23 +63,28 @@ class Curve:
         centre = _centre(values, self.center)
         low, high = _edges(values, band, self.center, centre)
         enough = count >= BANDS[band].least_runs
-        found = {"centre": centre, "low": low.where(enough), "high": high.where(enough)}
-        table = pd.DataFrame(found, self.runs.index, dtype=float)
-        table = pd.DataFrame(10.0**table) if self.log else table
+        table = pd.DataFrame({"centre": centre, "low": low.where(enough), "high": high.where(enough)})
+        if self.log:
+            table = 10.0**table
         return table.assign(count=count).rename_axis("x").reset_index()
 
     @cached_property
     def values(self) -> pd.DataFrame:
         """The known values of runs, or their logarithms."""
         known = self.runs.where(self.runs.abs() <= LARGEST)
-        return pd.DataFrame(np.log10(known.where(known > 0))) if self.log else known
+        if self.log:
+            return pd.DataFrame(np.log10(known.where(known > 0)))
+        return known
 
     @property
     def stops(self) -> list[tuple[float, float]]:
         """Where the curve of each diverged run ends, and its value there, for runs with any value."""
-        ended = self.runs.loc[:, [*self.diverged]] if any(self.diverged) else self.runs.iloc[:, :0]
-        known = [runs.dropna() for _, runs in ended.items()]
-        return [(float(runs.index[-1]), float(runs.iloc[-1])) for runs in known if len(runs)]
+        stops: list[tuple[float, float]] = []
+        for diverged, (_, values) in zip(self.diverged, self.runs.items(), strict=False):
+            known = values.dropna()
+            if diverged and len(known):
+                stops.append((float(known.index[-1]), float(known.iloc[-1])))
+        return stops
 
 
 def study_curves(
@@ -102,65 +105,73 @@ def study_curves(
     length up to each point. `center` is one of `CENTERS`.
 
     Raises:
-        UserError: for a quantity that the data lack, or an axis that some run does not tell.
+        UserError: for a quantity that the data lack, or an axis for which some run lacks the records.
     """
     known = curve_names(data)
+    curves: dict[str, list[Curve]] = {}
     for name in names:
         if name not in known:
             raise unknown_name(f"curve in {data.what} of study {data.study.name}", name, known)
-    evaluated = {*EVALUATION_QUANTITIES} & {*known}
-    found: dict[str, list[Curve]] = {name: [] for name in names}
-    for name, condition in ((name, each) for name in names for each in data.conditions):
-        if runs := data.of_condition(condition):
-            if name in evaluated:
-                series = [_evaluated(run, evaluation_column(name)) for run in runs]
-            else:
-                series = [(data.grid, data.curve(run, name, window)) for run in runs]
-            if x != STEPS:
-                pairs = zip(runs, series, strict=True)
-                series = [(_along(run, x, step), values) for run, (step, values) in pairs]
-            diverged = [run.status == "diverged" for run in runs]
-            found[name].append(Curve(condition, _joined(series, even=x != STEPS), diverged, center))
-    return found
+        curves[name] = []
+        for condition in data.conditions:
+            runs = data.of_condition(condition)
+            if runs:
+                series = [_series(data, run, name, window, x) for run in runs]
+                diverged = [run.status == "diverged" for run in runs]
+                frame = _on_one_grid(series, is_even=x != STEPS)
+                curves[name].append(Curve(condition, frame, diverged, center))
+    return curves
 
 
-def _joined(series: Sequence[Series], even: bool = False) -> pd.DataFrame:
+def _series(data: StudyData, run: Row, name: str, window: str | None, x: str) -> Series:
+    """Return the places and values of one run's curve."""
+    if name in EVALUATION_QUANTITIES:
+        steps, values = run.evaluations("step"), run.evaluations(evaluation_column(name))
+        last = np.append(steps[1:] != steps[:-1], True)[: len(steps)]  # of several at one step
+        steps, values = steps[last], values[last] if len(values) else np.full(last.sum(), np.nan)
+    else:
+        steps, values = data.grid, data.curve(run, name, window)
+    if x == WALL_CLOCK:
+        return _seconds(run, steps), values
+    if x == EPISODES:
+        return _episodes(run, steps), values
+    return steps, values
+
+
+def _on_one_grid(series: Sequence[Series], is_even: bool) -> pd.DataFrame:
     """Return the values of runs at common places: even ones, their own, or those of the run with fewest."""
     longest = max((places for places, _ in series), key=len)
+    columns: list[np.ndarray] = []
+    if not is_even and all(np.array_equal(places, longest[: len(places)]) for places, _ in series):
+        for _, values in series:
+            columns.append(np.pad(values, (0, len(longest) - len(values)), constant_values=np.nan))
+        return pd.DataFrame(np.transpose(columns), index=longest)
     grid = min((places for places, _ in series if len(places)), key=len, default=longest)
-    if even:
+    if is_even:
         grid = make_grid(max(np.nanmax(places, initial=0.0) for places, _ in series))
-    elif all(np.array_equal(places, longest[: len(places)]) for places, _ in series):
-        grid = longest
-        series = [(grid, np.pad(of, (0, len(grid) - len(of)), constant_values=np.nan)) for _, of in series]
-    columns = [of if places is grid else _between(grid, places, of) for places, of in series]
+    for places, values in series:
+        known = np.isfinite(values) & np.isfinite(places)
+        column = np.full(len(grid), np.nan)
+        if known.any():
+            column = np.interp(grid, places[known], values[known], left=np.nan, right=np.nan)
+        columns.append(column)
     return pd.DataFrame(np.transpose(columns), index=grid)
 
 
-def _between(grid: np.ndarray, step: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return values at the steps of a grid, by straight lines; NaN outside the steps that are known."""
-    known = np.isfinite(values) & np.isfinite(step)
-    if not known.any():
-        return np.full(len(grid), np.nan)
-    return np.interp(grid, step[known], values[known], left=np.nan, right=np.nan)
+def _seconds(run: Row, steps: np.ndarray) -> np.ndarray:
+    """Return the seconds that a run had trained at some steps, from its own start."""
+    trained = run.end - run.begun
+    if not run.wall_seconds or trained <= 0:
+        raise UserError(f"--x {WALL_CLOCK}: run {run.run_id} in {run.what} has no times")
+    return (steps - run.begun) * run.wall_seconds / trained
 
 
-def _evaluated(run: Row, column: str) -> Series:
-    """Return the steps of a run's evaluations, and a column; of several at one step the last."""
-    steps, values = run.evaluations("step"), run.evaluations(column)
-    kept = np.append(steps[1:] != steps[:-1], True)[: len(steps)]
-    return steps[kept], values[kept] if len(values) else np.full(kept.sum(), np.nan)
-
-
-def _along(run: Row, x: str, steps: np.ndarray) -> np.ndarray:
-    """Return the seconds or episodes that a run had trained at some steps, from its own start."""
-    trained, lengths = run.end - run.begun, run.curve("length")
+def _episodes(run: Row, steps: np.ndarray) -> np.ndarray:
+    """Return the episodes that a run had finished at some steps."""
+    lengths = run.curve("length")
     known = np.isfinite(lengths)
-    if (x == WALL_CLOCK and not (run.wall_seconds and trained > 0)) or (x == EPISODES and not known.any()):
-        told = "the time" if x == WALL_CLOCK else "the length of episodes"
-        raise UserError(f"--x {x}: run {run.run_id} in {run.what} does not tell {told}")
-    if x == WALL_CLOCK:
-        return (steps - run.begun) * (run.wall_seconds or 0.0) / trained
+    if not known.any():
+        raise UserError(f"--x {EPISODES}: run {run.run_id} in {run.what} has no lengths of episodes")
     length = np.interp(run.grid, run.grid[known], lengths[known])
     ended = np.cumsum(np.diff(run.grid, prepend=0.0) / length)
     return np.interp(steps, [0.0, *run.grid], [0.0, *ended])
@@ -191,14 +202,12 @@ def curve_names(data: StudyData) -> list[str]:
 
 def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:
     """Return curves as a tidy table, one row per point, condition and quantity."""
-
-    def named() -> Iterator[pd.DataFrame]:
-        for quantity, group in curves.items():
-            for curve in group:
-                frame = curve.frame(band).assign(band=checked_band(band))
-                yield frame.assign(condition=curve.condition, quantity=quantity)
-
-    table = pd.concat(named(), ignore_index=True)
+    frames: list[pd.DataFrame] = []
+    for quantity, group in curves.items():
+        for curve in group:
+            frame = curve.frame(band).assign(band=checked_band(band), condition=curve.condition)
+            frames.append(frame.assign(quantity=quantity))
+    table = pd.concat(frames, ignore_index=True)
     table = table.rename(columns={"x": "step", "centre": "mean", "count": "runs"})
     return table[["condition", "quantity", "step", "mean", "low", "high", "band", "runs"]]
 
@@ -220,15 +229,17 @@ def random_levels(data: StudyData, quantity: str) -> dict[str, float]:
     column = "random_return" if quantity == "evaluated_return" else "random_share_killed"
     if quantity not in EVALUATION_QUANTITIES or column not in data.evaluations:
         return {}  # an imported log may have evaluations without a random player
-    rows = data.evaluations.groupby("condition", sort=False)[column]
-    every = {str(name): float(np.ascontiguousarray(shares, float).mean()) for name, shares in rows}
-    levels = {name: level for name, level in every.items() if np.isfinite(level)}
+    levels: dict[str, float] = {}
+    for name, values in data.evaluations.groupby("condition", sort=False)[column]:
+        level = float(np.ascontiguousarray(values, float).mean())
+        if math.isfinite(level):
+            levels[str(name)] = level
     if levels and np.ptp([*levels.values()]) <= NEAR:
         return dict.fromkeys(levels, float(np.mean([*levels.values()])))
     return levels
 
 
-OF_OBSERVATION = ("observation", "perceive", "order", "scale", "observe_facing")
+OBSERVATION_FIELDS = ("observation", "perceive", "order", "scale", "observe_facing")
 """Settings of a world that change nothing for a player who does not look."""
 
 
@@ -239,20 +250,20 @@ def random_returns(data: StudyData) -> pd.Series | None:
     (`studies/random_returns.py`). Where XP is never reset, it depends on both.
     """
     for measured in _measured_returns():
-        if all(_is_measured_world(measured, fields) for fields in data.fields.values()):
+        if all(_is_of_world(fields, measured) for fields in data.fields.values()):
             curve = pd.Series(measured["mean"], make_grid(measured["steps"]), dtype=float)
             return curve[curve.index <= data.budget].dropna()
     return None
 
 
-def _is_measured_world(measured: Mapping[str, Any], fields: Mapping[str, Any]) -> bool:
+def _is_of_world(fields: Mapping[str, Any], measured: Mapping[str, Any]) -> bool:
     """Return whether fields are of the world in which a random player was measured."""
     if fields.get("env") != measured["env"]:
         return False
     settings = measured["settings"]
     if settings["xp_scope"] != "episode" and fields.get("slots") != measured["slots"]:
         return False
-    decisive = [name for name in settings if name not in OF_OBSERVATION]
+    decisive = {*settings} - {*OBSERVATION_FIELDS}
     return all(plain(fields.get(name)) == plain(settings[name]) for name in decisive)
 
 
@@ -304,36 +315,38 @@ def checked_band(name: str) -> str:
 
 
 def _centre(values: pd.DataFrame, center: str) -> pd.Series:
-    if center == "iqm":  # pandas has none
-        return values.apply(lambda point: _known(CENTERS[center], point.dropna()), axis=1)
-    return values.mean(axis=1) if center == "mean" else values.median(axis=1)
-
-
-def _known(statistic: Callable[[ArrayLike], np.ndarray], runs: pd.Series) -> float:
-    return float(statistic(runs)) if len(runs) else math.nan
+    if center == "mean":
+        return values.mean(axis=1)
+    if center == "median":
+        return values.median(axis=1)
+    centres: list[float] = []
+    for point in values.to_numpy():  # pandas has no interquartile mean
+        known = point[~np.isnan(point)]
+        centres.append(float(CENTERS[center](known)) if len(known) else math.nan)
+    return pd.Series(centres, values.index)
 
 
 def _edges(values: pd.DataFrame, band: str, center: str, centre: pd.Series) -> tuple[pd.Series, pd.Series]:
     if band == "minmax":
         return values.min(axis=1), values.max(axis=1)
+    if band == "ci" and center != "mean":
+        return _bootstrap(values, center)
+    half = centre * np.nan
     if band == "sd":
         half = values.std(axis=1)
-    elif band == "ci" and center == "mean":
+    elif band == "ci":
         count = values.count(axis=1)
         quantile = special.stdtrit(np.maximum(count - 1, 1), (1 + LEVEL) / 2)
         half = quantile * values.std(axis=1) / np.sqrt(count)
-    elif band == "ci":
-        return _bootstrap(values, center)
-    else:
-        half = centre * np.nan
     return centre - half, centre + half
 
 
 def _bootstrap(values: pd.DataFrame, center: str) -> tuple[pd.Series, pd.Series]:
     """Return the ends of percentile intervals, of points at which all runs have a value."""
     whole, runs = values.dropna(), values.shape[1]
-    drawn = np.random.default_rng(0).integers(runs, size=(RESAMPLES, runs))
-    found = CENTERS[center](whole.to_numpy()[:, drawn])  # (points, resamples)
-    ends = np.quantile(found, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=1)
-    low, high = (pd.Series(end, whole.index).reindex(values.index) for end in ends)
-    return low, high
+    resamples = np.random.default_rng(0).integers(runs, size=(RESAMPLES, runs))
+    centres = CENTERS[center](whole.to_numpy()[:, resamples])  # (points, resamples)
+    low, high = np.quantile(centres, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=1)
+    return pd.Series(low, whole.index).reindex(values.index), pd.Series(high, whole.index).reindex(
+        values.index
+    )
