@@ -30,9 +30,8 @@ from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError
-from pneuma.figures.curves import curves_page
+from pneuma.figures.curves import TRAILING_WINDOW, curves_page
 from pneuma.figures.grid import Page, save_page
-from pneuma.figures.lines import TRAILING_WINDOW
 from pneuma.figures.origin import KEYS
 from pneuma.figures.search import draw_search
 from pneuma.figures.style import MOST_IN_A_PANEL
@@ -139,7 +138,7 @@ def _remove_others(folder: Path, written: Collection[Path]) -> None:
 def _is_drawn_by_pneuma(path: Path) -> bool:
     try:
         with Image.open(path) as image:
-            return bool(image.info.get(KEYS["png"], "").startswith("Pneuma "))
+            return bool(image.info.get(KEYS["png"], "").startswith("Pneuma"))
     except OSError:
         return False
 
@@ -192,8 +191,7 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str
     index, pages = _published(results), []
     for figure, (of, _) in THESIS_FIGURES.items():
         if of == study:
-            columns = {**thesis_columns(index, figure), **_own_columns(index, figure)}
-            pages.append(curves_page(columns, THESIS_QUANTITIES, basename=figure))
+            pages.append(curves_page(thesis_columns(index, figure), THESIS_QUANTITIES, basename=figure))
     if study == OWN_GAME:
         pages.append(curves_page(_own_columns(index, study), OWN_QUANTITIES, basename=study))
     elif study == noise_scale.STUDY:
@@ -221,10 +219,7 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
     columns: dict[str, StudyData] = {}
     for title, of_world in found.items():
         if of_world:
-            part = of_world.of_conditions([name for name in shown if name in of_world.fields])
-            conditions = {name: part.study.conditions[name] for name in shown}  # colours are by these
-            named = part.study.model_copy(update={"conditions": conditions})
-            columns[title] = replace(part, study=named)
+            columns[title] = of_world.of_conditions([name for name in shown if name in of_world.fields])
     if not columns:  # tables of changed fields alone
         return []
     data = next(iter(columns.values()))
@@ -281,7 +276,8 @@ def thesis_columns(index: RunIndex, figure: str) -> dict[str, StudyData]:
     columns: dict[str, StudyData] = {}
     for world in WORLDS:
         if world == "godot" and figure in OF_OWN_GAME:
-            continue  # the own game's runs stand there
+            columns |= _own_columns(index, figure)
+            continue
         data = study_runs(index, study, world)
         if data is not None:
             _add_column(columns, _title(world), data, conditions)
@@ -312,7 +308,7 @@ def _own_columns(index: RunIndex, figure: str) -> dict[str, StudyData]:
         labels = {
             name: label.partition(";")[0] for name, label in shown.study.labels.items() if name != "tanh"
         }
-        title = _capital(said) if figure == OWN_GAME else ", ".join(filter(None, ["Published code", said]))
+        title = _capital(said) if figure == OWN_GAME else ", ".join(filter(None, [_title("godot"), said]))
         columns[title] = replace(shown, study=shown.study.model_copy(update={"labels": labels}))
     return {title: data for title, data in columns.items() if len(data.runs)}
 

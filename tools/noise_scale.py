@@ -13,9 +13,7 @@ from typing import Any
 
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter
 
 from pneuma.analysis.outcomes import find_outcome, outcome_values
 from pneuma.analysis.runs import open_study
@@ -73,20 +71,18 @@ def noise_page(data: StudyData) -> Page:
     for rate, colour in COLOURS.items():
         marks[f"learning rate {rate:g}"] = Line2D([], [], color=colour, linewidth=3)
     panel = Panel(
-        lambda axes: _draw(axes, cells), "", "Learning rate over the samples of an update", "Share killed",
-        _ratios, grid.shares,
-    )  # fmt: skip
+        lambda axes: _draw(axes, cells),
+        x="Learning rate over the samples of an update",
+        y="Share killed",
+        x_kind=grid.POWERS,
+        y_kind=grid.SHARES,
+    )
     words = find_outcome(OUTCOME).words
     few = cells["updates"][cells["updates"] < FEW_UPDATES]
     crossed = f"Crossed out: {few.iloc[0]} updates in all." if len(few) else ""
     caption = [f"{words[:1].upper()}{words[1:]}.", *correlations(cells), crossed]
     headline = headline_of(data, "at the end of training")
     return Page(STUDY, [[panel]], 1.3 * style.PANEL_INCHES, headline, lines_of_runs(data), marks, caption)
-
-
-def _ratios(axis: Axis) -> None:
-    axis.axes.set_xscale("log")
-    axis.set_major_formatter(FuncFormatter(lambda ratio, _: f"{ratio:.0e}".replace("e-0", "e-")))
 
 
 def _draw(axes: Axes, cells: pd.DataFrame) -> None:

@@ -293,11 +293,11 @@ def draw_files(
     look: Look | None = None,
 ) -> list[Path]:
     """Write figures as `keep_files` does."""
-    from pneuma.figures.grid import USUAL_LOOK, save_page
+    from pneuma.figures.grid import DEFAULT_LOOK, save_page
 
     def draw(folder: Path) -> Iterator[Path]:
         for page in pages:
-            yield from save_page(page, folder, formats, look or USUAL_LOOK)
+            yield from save_page(page, folder, formats, look or DEFAULT_LOOK)
 
     return keep_files(store, out, draw)
 

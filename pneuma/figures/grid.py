@@ -1,21 +1,18 @@
 """The grammar of figures: panels in a grid, between a headline with a legend, and a caption.
 
-    panels (lines with bands, rows of marks, cells of a map) → Page → save_page → files with their origin
+    panels (lines with bands, rows of marks) → Page → save_page → files with their origin
 
-Every figure of runs is a `Page`: `curves_page`, `summary_page` and others return one.
-
-A study's words (title, notes, labels) are in `words.py`.
+Every figure of runs is a `Page`: `curves_page`, `summary_page` and others return one. How axes are formatted,
+where labels stand and what has which size is decided here. A study's words are in `words.py`.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +23,6 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
-from matplotlib.text import Text
 from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 
 from pneuma.errors import UserError, print_aside
@@ -34,8 +30,10 @@ from pneuma.figures import style
 from pneuma.figures.origin import origin_text
 from pneuma.figures.style import CAPTION, GREY, INK, LINE_INCHES, WIDTH, Look, characters, clean, text_points
 
-FAR = 3.0
-"""The random player's level this many times above the highest point is not drawn."""
+VALUES, SHARES, POWERS = "values", "shares", "powers"
+"""What an axis has: numbers, shares in per cent, or numbers on a logarithmic scale."""
+FAR = 2.0
+"""The random player's level is not drawn where it is this many times what is drawn away from that."""
 BELOW_ZERO = 0.02
 """How far an axis of shares extends below 0 and above 1, so that points at the ends are seen."""
 CAPTION_LINES = 5
@@ -48,73 +46,32 @@ LONG_AXIS = 5000
 RANDOM_PLAYER = "random player"
 RANDOM_LOOK: Any = {"color": GREY, "linestyle": (0, (1, 2)), "linewidth": 0.9, "zorder": 1.2}
 ROW_INCHES, LEAST_ROW_INCHES, LONGEST_INCHES = 0.28, 0.1, 7.6
-"""Heights in inches: of a row, usual and least, and of all rows or panels that fit a page."""
-LEAST_PANEL_INCHES, LEAST_GAP = 0.8, 0.08
-"""Least width of a panel, and space between words of neighbours."""
+"""Heights in inches: of a row, default and least, and of all rows that fit a page."""
 LEAST_PANEL_HEIGHT = 1.25
 """In inches, with title and labels; in less, the label of an axis lies on others."""
-USUAL_LOOK = Look()
+DEFAULT_LOOK = Look()
 
 
 # --- Pages -------------------------------------------------------------------------------------------
 
-Ticks = Callable[[Axis], object]
-
-
-def numbers(axis: Axis) -> None:
-    if np.ptp(axis.get_view_interval()) > LONG_AXIS:
-        axis.set_major_formatter(EngFormatter(sep=""))
-
-
-def few(axis: Axis) -> None:
-    axis.set_major_locator(round_ticks(4))
-
-
-def steps(axis: Axis, most: int = 5) -> None:
-    """Format an axis of steps, as 500k."""
-    axis.set_major_locator(round_ticks(most))
-    axis.set_major_formatter(EngFormatter(sep=""))
-
-
-def shares(axis: Axis, most: int = 5) -> None:
-    """Format an axis of shares in per cent."""
-    axis.set_major_locator(round_ticks(most, 2.5))
-    axis.set_major_formatter(FuncFormatter(lambda share, _: per_cent(share) if share >= 0 else ""))
-
-
-def powers(axis: Axis) -> None:
-    axis.axes.set_yscale("log", nonpositive="clip")
-    low, high = axis.get_view_interval()
-    if high < 10 * low:  # within a decade, powers of ten would label one tick or none
-        axis.set_major_locator(MaxNLocator(4))
-        axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
-
-
-def round_ticks(most: int, *more: float) -> MaxNLocator:
-    """Return a locator of few ticks at round numbers, whose labels do not overlap."""
-    return MaxNLocator(most, steps=sorted([1, 2, 5, 10, *more]))
-
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One panel, with the labels of its axes, and what formats them.
+    """One panel, with its labels and what its axes have.
 
     Attributes:
         draw: draws into its axes, and sets their limits.
+        x_kind, y_kind: `VALUES`, `SHARES` or `POWERS`.
         rows: labels of rows, the first at the top; None if the upright axis has values.
-        at_left: what takes its place at the left of a row, as it says what those beside it need not.
     """
 
     draw: Callable[[Axes], object]
     title: str = ""
     x: str = ""
     y: str = ""
-    x_ticks: Ticks = numbers
-    y_ticks: Ticks = numbers
+    x_kind: str = VALUES
+    y_kind: str = VALUES
     rows: Sequence[str] | None = None
-    at_left: Panel | None = None
 
 
 @dataclass(frozen=True)
@@ -123,12 +80,13 @@ class Page:
 
     Attributes:
         basename: of its files, without an ending.
-        grid: panels, row by row; one that stands in several neighbouring cells fills them all.
-        inches: height of all panels with their axes.
+        grid: panels, row by row. A title, label or row that its neighbour has too is written once.
+        inches: height of a row of panels with their axes.
         runs: of its origin, as `lines_of_runs` returns them.
         entries: artists of the legend that are in no panel, by their words.
         caption: notes, the most important first.
-        widths: of columns, relative to each other.
+        across: most panels beside each other on a page of the default width. Columns that do not fit go
+            below the others.
         spare: whether panels after the first may be left out where there is too little height.
     """
 
@@ -139,24 +97,15 @@ class Page:
     runs: Sequence[str]
     entries: Mapping[str, Any] = field(default_factory=dict)
     caption: Sequence[str] = ()
-    widths: Sequence[float] | None = None
+    across: int = 4
     spare: bool = False
-
-
-class TooLowError(UserError):
-    """A height that is too little for the panels of a page."""
-
-
-def in_grid(panels: Sequence[Panel], columns: int) -> list[list[Panel | None]]:
-    padded = [*panels, *[None] * (-len(panels) % columns)]
-    return [padded[start : start + columns] for start in range(0, len(padded), columns)]
 
 
 def save_page(
     page: Page,
     folder: Path,
     formats: Sequence[str] = ("png", "svg"),
-    look: Look = USUAL_LOOK,
+    look: Look = DEFAULT_LOOK,
 ) -> list[Path]:
     """Draw a figure, and write it in each of some `FIGURE_FORMATS`; return the files.
 
@@ -164,133 +113,135 @@ def save_page(
         UserError: when `look` has no such style sheet, or too little height for panels.
     """
     origin = origin_text(page.headline, page.runs)
-    page = _looking(page, look)
-    across = len(page.grid[0])
     with style.house_style(sheet=look.sheet):
-        while page.widths and across > 1 and not _fits(_figure(_below_each_other(page, across), look)):
-            across -= 1
-        figure = _figure_of_some(_below_each_other(page, across), look)
+        figure = _draw(page, look)
         return style.save_figure(figure, folder, page.basename, formats, origin)
 
 
-def _figure_of_some(page: Page, look: Look) -> Figure:
-    """Return the figure of a page, without the panels that may be left out and do not fit its height."""
-    panels = [panel for row in page.grid for panel in row if panel]
-    for count in range(len(panels), 0, -1):
-        rows = in_grid(panels[:count], len(page.grid[0]))
-        shown = replace(page, grid=rows, inches=page.inches * len(rows) / len(page.grid))
-        try:
-            figure = _figure(shown if count < len(panels) else page, look)
-        except TooLowError:
-            if not page.spare or len(rows) == 1:
-                raise
-            continue
-        if count < len(panels):
-            print_aside(f"Note: {count} of {len(panels)} panels fit the height; --quantity names another.")
-        return figure
-    raise AssertionError("a page has a panel")
-
-
-def _figure(page: Page, look: Look) -> Figure:
+def _draw(page: Page, look: Look) -> Figure:
     figure = Figure(layout="constrained")
-    panels = dict.fromkeys(panel for row in page.grid for panel in row if panel)
-    names = {panel: str(number) for number, panel in enumerate(panels)}
-    cells: Any = [[names[panel] if panel else "." for panel in row] for row in page.grid]
-    grid = figure.subplot_mosaic(cells, width_ratios=page.widths)
-    for panel, name in names.items():
-        pitch = (page.inches - 0.5) / max(len(panel.rows or ()), 1)
-        fill(grid[name], panel, pitch, look.width / len(cells[0]))
-    _put_texts(figure, page, _legend_entries(figure.axes, page.entries), look)
-    return figure
+    panels = _arrange(page, look.width)
+    across = len(panels[0])
+    grid: Any = figure.subplots(len(panels), across, squeeze=False)
+    labels = {panel.x for row in panels for panel in row if panel}
+    shared = labels.pop() if across > 1 and len(labels) == 1 else ""
+    for row, column in np.ndindex(grid.shape):
+        panel, axes = panels[row][column], grid[row, column]
+        if panel is None:
+            axes.remove()
+            continue
+        left = panels[row][column - 1] if column else None
+        above = panels[row - 1][column] if row else None
+        below = panels[row + 1][column] if row + 1 < len(panels) else None
+        if left and left.y == panel.y:
+            panel = replace(panel, y="")
+        if left and panel.rows and left.rows == panel.rows:
+            panel = replace(panel, rows=[""] * len(panel.rows))
+        if above and above.title == panel.title:
+            panel = replace(panel, title="")
+        if shared or (below and below.x == panel.x):
+            panel = replace(panel, x="")
+        fill(axes, panel, look.width / across, (page.inches - 0.5) / max(len(panel.rows or ()), 1))
+    return _put_texts(figure, page, look, shared)
 
 
-def _fits(figure: Figure) -> bool:
-    """Return whether panels are wide enough, and their titles and labels apart and within the figure."""
-    engine: Any = figure.get_layout_engine()
-    engine.execute(figure)
-    boxes: list[tuple[Axes, Any]] = []
-    for axes in figure.axes:
-        texts = [each for each in axes.get_children() if isinstance(each, Text)]
-        shown = [each for each in (*texts, axes.xaxis.label) if each.get_text()]
-        boxes += [(axes, each.get_window_extent()) for each in shown]
-    wide = all(axes.bbox.width >= LEAST_PANEL_INCHES * figure.dpi for axes in figure.axes)
-    within = all(box.x1 <= figure.bbox.x1 for _, box in boxes)
-    apart = [(axes, box.padded(LEAST_GAP * figure.dpi / 2, 0)) for axes, box in boxes]
-    pairs = itertools.combinations(apart, 2)
-    return wide and within and not any(a != b and one.overlaps(other) for (a, one), (b, other) in pairs)
+def _arrange(page: Page, width: float) -> list[list[Panel | None]]:
+    """Return the panels with as many columns as fit a width, and the next ones below them."""
+    columns = [list(column) for column in zip(*page.grid, strict=True)]
+    blocks = math.ceil(len(columns) / max(1, int(page.across * width / WIDTH)))
+    across = math.ceil(len(columns) / blocks)
+    rows: list[list[Panel | None]] = []
+    for first in range(0, len(columns), across):
+        block = columns[first : first + across]
+        for row in range(len(page.grid)):
+            panels = [column[row] for column in block]
+            rows.append(panels + [None] * (across - len(panels)))
+    return rows
 
 
-def _below_each_other(page: Page, across: int) -> Page:
-    """Return a page with so many of its columns beside each other, and the next ones below them."""
-    columns = [*zip(*page.grid, strict=True)]
-    if across == len(columns):
-        return page
-    blocks = [columns[start : start + across] for start in range(0, len(columns), across)]
-    rows = []
-    for block in blocks:
-        for first, *others in zip(*block, strict=True):
-            left = (first.at_left or first) if first else None
-            rows.append([left, *others, *[None] * (across - len(block))])
-    return replace(page, grid=rows, inches=page.inches * len(blocks), widths=(page.widths or ())[:across])
-
-
-def _looking(page: Page, look: Look) -> Page:
-    """Return a page with the texts that are asked for, and as many panels in a row as its width takes."""
-    headline = look.title if look.title is not None else "" if look.plain else page.headline
-    page = replace(page, headline=headline, caption=() if look.plain else page.caption)
-    panels = [panel for row in page.grid for panel in row if panel]
-    if page.widths or len({*panels}) < len(panels):  # columns have a meaning, or a panel spans some
-        return page
-    before = len(page.grid[0])
-    across = min(before, max(1, round(before * look.width / WIDTH)))
-    rows = -(-len(panels) // across)
-    return replace(page, grid=in_grid(panels, across), inches=page.inches * rows / len(page.grid))
-
-
-def fill(axes: Axes, panel: Panel, pitch: float, width: float) -> None:
+def fill(axes: Axes, panel: Panel, width: float, pitch: float = ROW_INCHES) -> None:
     """Draw a panel into axes, of a width in inches and a height of rows."""
     panel.draw(axes)
-    beside_rows = 0.72 if panel.rows else 1.0
-    points = FontProperties(size=mpl.rcParams["axes.titlesize"]).get_size_in_points()
-    wide = characters(1.2 * points, beside_rows * width)  # bold letters are wider
-    title = "\n".join(line for part in panel.title.split("\n") for line in textwrap.wrap(part, wide))
-    axes.set(title=title, xlabel=panel.x, ylabel=panel.y)
-    panel.x_ticks(axes.xaxis)
-    if width < NARROW and panel.x_ticks is steps:
-        steps(axes.xaxis, 3)
+    _format_axis(axes.xaxis, panel.x_kind, 3 if width < NARROW else 5)
     if panel.rows is None:
-        panel.y_ticks(axes.yaxis)
+        _format_axis(axes.yaxis, panel.y_kind, 6)
     else:
         label_rows(axes, panel.rows, pitch)
+        width *= 0.72
+    points = FontProperties(size=mpl.rcParams["axes.titlesize"]).get_size_in_points()
+    title = textwrap.fill(panel.title, characters(1.2 * points, width))  # bold letters are wider
+    axes.set(title=title, xlabel=panel.x, ylabel=panel.y)
 
 
-def _put_texts(figure: Figure, page: Page, entries: Mapping[str, Any], look: Look) -> None:
-    """Put the headline and legend above the panels and the caption below, and set the figure's size."""
+def _format_axis(axis: Axis, kind: str, most: int) -> None:
+    """Set the scale of an axis, and at most so many ticks at round numbers."""
+    if kind == POWERS:
+        set_scale = axis.axes.set_xscale if axis is axis.axes.xaxis else axis.axes.set_yscale
+        set_scale("log", nonpositive="clip")
+        low, high = axis.get_view_interval()
+        if high < 10 * low:  # within a decade, powers of ten would label one tick or none
+            axis.set_major_locator(MaxNLocator(4))
+            axis.set_minor_locator(NullLocator())
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+    elif kind == SHARES:
+        axis.set_major_locator(MaxNLocator(most, steps=[1, 2, 2.5, 5, 10]))
+        axis.set_major_formatter(FuncFormatter(lambda share, _: per_cent(share) if share >= 0 else ""))
+    else:
+        axis.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10]))
+        if np.ptp(axis.get_view_interval()) > LONG_AXIS:
+            axis.set_major_formatter(EngFormatter(sep=""))
+
+
+def _put_texts(figure: Figure, page: Page, look: Look, x_label: str) -> Figure:
+    """Put headline and legend above the panels and the caption below, and set the figure's size.
+
+    Args:
+        figure: with panels.
+        page: has the texts.
+        look: may replace or leave out some.
+        x_label: of all panels together, if they have the same.
+
+    Returns:
+        The figure, without panels that may be left out if the height is too little for all.
+    """
+    headline, caption = page.headline, " ".join(filter(None, page.caption))
+    if look.plain:
+        headline = caption = ""
+    if look.title is not None:
+        headline = look.title
     points, edge = text_points(), 0.07 / look.width
     line = points * LINE_INCHES
-    heading = textwrap.wrap(page.headline, characters(1.2 * points, look.width))
     wide = characters(points, look.width)
-    labels = {"\n".join(textwrap.wrap(label, wide - 8)): artist for label, artist in entries.items()}
-    longest = max((len(label) for label in labels), default=0)
-    # a handle is as wide as 8 letters
-    columns = max(1, min(len(labels), wide // (longest + 8)))
-    rows = sum(label.count("\n") + 1 for label in labels) if columns == 1 else -(-len(labels) // columns)
-    below_lines = textwrap.wrap(
-        " ".join(filter(None, page.caption)),
-        characters(CAPTION * points, look.width),
-        max_lines=CAPTION_LINES,
-        placeholder=" …",
+    heading = textwrap.wrap(headline, characters(1.2 * points, look.width))
+    labels: dict[str, Any] = {}
+    for label, artist in _legend_entries(figure, page.entries).items():
+        labels[textwrap.fill(label, wide - 8)] = artist
+    longest = max(map(len, labels), default=0)
+    columns = max(1, min(len(labels), wide // (longest + 8)))  # a handle is as wide as 8 letters
+    rows = math.ceil(len(labels) / columns) if columns > 1 else "\n".join(labels).count("\n") + bool(labels)
+    notes = textwrap.wrap(
+        caption, characters(CAPTION * points, look.width), max_lines=CAPTION_LINES, placeholder=" …"
     )
     above = line * (1.2 * len(heading) + rows) + 0.1
-    below = CAPTION * line * len(below_lines) + 0.08
-    height = look.height or above + page.inches + below
-    least = above + below + LEAST_PANEL_HEIGHT * len(page.grid)
-    if look.height and height < least:
-        fix = "" if look.plain else "; --plain has no headline and caption"
-        raise TooLowError(f"--height {height:g}: at least {math.ceil(10 * least) / 10:.1f} inches{fix}")
+    below = line * (CAPTION * len(notes) + bool(x_label)) + 0.08
+    rows_of_panels = figure.axes[0].get_gridspec().nrows  # type: ignore[union-attr]
+    height = look.height or above + page.inches * rows_of_panels + below
+    fitting = int((height - above - below) / LEAST_PANEL_HEIGHT)
+    if look.height and fitting < rows_of_panels:
+        return _draw_fewer(page, look, fitting, least=above + below + LEAST_PANEL_HEIGHT * rows_of_panels)
     figure.set_size_inches(look.width, height)
     engine: Any = figure.get_layout_engine()
     engine.set(rect=(0, below / height, 1, 1 - (above + below) / height))
+    figure.text(
+        0.5,
+        (below - line) / height,
+        x_label,
+        va="bottom",
+        ha="center",
+        gid=style.X_LABEL,
+        fontsize=mpl.rcParams["axes.labelsize"],
+    )
     figure.text(edge, 1 - 0.05 / height, "\n".join(heading), fontsize=1.2 * points, va="top")
     if labels:
         figure.legend(
@@ -299,22 +250,33 @@ def _put_texts(figure: Figure, page: Page, entries: Mapping[str, Any], look: Loo
             labelspacing=0.3, borderpad=0, borderaxespad=0,
         )  # fmt: skip
     figure.text(
-        edge, 0.05 / height, "\n".join(below_lines), fontsize=CAPTION * points, color="#444444",
+        edge, 0.05 / height, "\n".join(notes), fontsize=CAPTION * points, color="#444444",
         linespacing=1.35, va="bottom",
     )  # fmt: skip
+    return figure
 
 
-def _legend_entries(axes: Iterable[Axes], more: Mapping[str, Any]) -> dict[str, Any]:
-    """Return one artist for each label in some panels, then some more, and the random player's level last."""
-    entries = {
-        label: artist
-        for each in axes
-        for artist, label in zip(*each.get_legend_handles_labels(), strict=True)
-    }
-    entries |= more
-    found = [label for label in entries if label.startswith(RANDOM_PLAYER)]
-    if artists := [entries.pop(label) for label in found]:  # without its level if panels have several
-        entries[found[0] if len(found) == 1 else RANDOM_PLAYER] = artists[0]
+def _draw_fewer(page: Page, look: Look, rows: int, least: float) -> Figure:
+    """Draw so many rows of a page's panels, if others may be left out."""
+    panels = [panel for row in page.grid for panel in row]
+    kept = max(rows, 1) * len(_arrange(page, look.width)[0])
+    if not page.spare or kept >= len(panels):
+        advice = "" if look.plain else "; --plain has no headline and caption"
+        raise UserError(f"--height {look.height:g}: at least {math.ceil(10 * least) / 10:.1f} inches{advice}")
+    print_aside(f"Note: {kept} of {len(panels)} panels fit the height; --quantity names another.")
+    return _draw(replace(page, grid=[panels[:kept]]), look)
+
+
+def _legend_entries(figure: Figure, more: Mapping[str, Any]) -> dict[str, Any]:
+    """Return one artist for each label in panels, then some more, and the random player's level last."""
+    entries: dict[str, Any] = {}
+    for axes in figure.axes:
+        for artist, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries[label] = artist
+    entries.update(more)
+    levels = [label for label in entries if label.startswith(RANDOM_PLAYER)]
+    for label in levels:  # without its level if panels have several
+        entries[label if len(levels) == 1 else RANDOM_PLAYER] = entries.pop(label)
     return entries
 
 
@@ -324,39 +286,42 @@ def _legend_entries(axes: Iterable[Axes], more: Mapping[str, Any]) -> dict[str, 
 def draw_random_player(
     axes: Axes,
     levels: Mapping[str, float],
-    top: float,
-    colours: Mapping[str, str],
+    reach: tuple[float, float],
+    words: Callable[[float], str],
     rows: Sequence[str] | None = None,
-    words: Callable[[float], str] | None = None,
 ) -> None:
-    """Draw the levels of the random player as a grey line, or one for each condition if they differ.
+    """Draw the levels of the random player as grey lines.
 
-    `words` writes a level, by default a share. With `rows`, the conditions from the top, levels lie across,
-    and a condition's line is in its row. A level far above `top`, the highest point that is drawn, gets no
-    line: it would flatten everything else.
+    Args:
+        axes: of the panel.
+        levels: of each condition.
+        reach: the least and greatest value that is drawn. A level far from these gets no line, because it
+            would flatten everything else.
+        words: writes a level.
+        rows: the conditions from the top. Levels then lie across, and a condition's is in its row.
     """
-    look = RANDOM_LOOK
-    draw = axes.axhline if rows is None else axes.axvline
-    near = {name: at for name, at in levels.items() if name in colours and at <= FAR * max(top, 0.01)}
-    if len({*levels.values()}) == 1:
-        level = next(iter(levels.values()))
-        label = f"{RANDOM_PLAYER} ({(words or per_cent)(level)})"
-        axes.plot([], [], label=label if near else f"{label}: above", **look)
-        if near:
-            draw(level, **look)
-        return
-    for name, level in near.items():
-        axes.plot([], [], label=RANDOM_PLAYER, **look)
-        if rows is None:
-            draw(level, **{**look, "color": colours[name]})
+    low, high = reach
+    for level in sorted({*levels.values()}):
+        label = RANDOM_PLAYER
+        if len({*levels.values()}) == 1:
+            label = f"{RANDOM_PLAYER} ({words(level)})"
+        if high > low and level > high + FAR * (high - low):
+            axes.plot([], [], label=f"{label}: above", **RANDOM_LOOK)
+        elif high > low and level < low - FAR * (high - low):
+            axes.plot([], [], label=f"{label}: below", **RANDOM_LOOK)
+        elif rows is None:
+            axes.axhline(level, label=label, **RANDOM_LOOK)
+        elif label != RANDOM_PLAYER:
+            axes.axvline(level, label=label, **RANDOM_LOOK)
         else:
-            axes.plot([level] * 2, rows.index(name) + np.array([-0.4, 0.4]), **look)
+            places = np.array([place for place, name in enumerate(rows) if levels.get(name) == level])
+            axes.vlines([level] * len(places), places - 0.5, places + 0.5, label=label, **RANDOM_LOOK)
 
 
-def draw_band(axes: Axes, frame: pd.DataFrame, within: tuple[float, float] | None, **look: Any) -> None:
-    """Draw the band of a frame of x, low and high, within limits, if it has one."""
+def draw_band(axes: Axes, frame: pd.DataFrame, bounds: tuple[float, float], **look: Any) -> None:
+    """Draw the band of a frame of x, low and high within bounds, if it has one."""
     if frame["low"].notna().any():
-        low, high = (frame[end].clip(*within or (None, None)) for end in ("low", "high"))
+        low, high = frame["low"].clip(*bounds), frame["high"].clip(*bounds)
         axes.fill_between(frame["x"], low, high, linewidth=0, **look)
 
 
@@ -366,19 +331,20 @@ def draw_interval(axes: Axes, place: float, row: Mapping[Any, Any], **look: Any)
     axes.plot(
         [row["low"], row["high"]], [place, place], color=look["color"], linewidth=0.25 * look["markersize"]
     )
-    (drawn,) = axes.plot([row["value"]], [place], linestyle="", clip_on=False, zorder=2.7, **look)
-    drawn.set_in_layout(False)  # it may be of no value
+    (mark,) = axes.plot([row["value"]], [place], linestyle="", clip_on=False, zorder=2.7, **look)
+    mark.set_in_layout(False)  # it may be of no value
 
 
 def label_rows(axes: Axes, labels: Sequence[str], inches: float) -> None:
     """Label rows, the first at the top, in type that fits their height in inches; long labels are wrapped."""
-    no_break = partial(re.sub, r"\([^()]*\)$", lambda counted: counted[0].replace(" ", "\u00a0"))
-    whole = [no_break(clean(label)) for label in labels]
-    parts = [[textwrap.fill(line, LONGEST_LABEL) for line in label.split("\n")] for label in whole]
-    wrapped = ["\n".join(lines).replace("\u00a0", " ") for lines in parts]
+    wrapped: list[str] = []
+    for label in labels:
+        # counts in brackets stay whole
+        whole = re.sub(r"\([^()]*\)$", lambda count: count[0].replace(" ", "\u00a0"), clean(label))
+        wrapped.append(textwrap.fill(whole, LONGEST_LABEL).replace("\u00a0", " "))
     lines = max((label.count("\n") + 1 for label in wrapped), default=1)
-    points = min(float(mpl.rcParams["ytick.labelsize"]), 0.85 * 72 * inches / lines)
-    axes.set_yticks(range(len(labels)), wrapped, fontsize=points)
+    points = FontProperties(size=mpl.rcParams["ytick.labelsize"]).get_size_in_points()
+    axes.set_yticks(range(len(labels)), wrapped, fontsize=min(points, 0.85 * 72 * inches / lines))
     axes.set_ylim(len(labels) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="y", visible=False)

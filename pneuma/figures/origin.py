@@ -1,6 +1,6 @@
 """Where a figure comes from: one text in its file, under the key that each format has for a description.
 
-Pneuma 0.1.0: Activation function in the arena: after the thesis's Fig. 6.5
+Pneuma: Activation function in the arena: after the thesis's Fig. 6.5
 activation, tanh, seeds 300..329, ids 0123456789abcdef
 """
 
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from pneuma import __version__
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import plain
 from pneuma.files import checksum
@@ -21,18 +20,22 @@ MOST_IDS = 8
 
 
 def origin_text(shown: str, runs: Iterable[str] = ()) -> str:
-    """Return the text: the version of Pneuma, what is shown, and a line for the runs of each condition."""
-    return "\n".join([f"Pneuma {__version__}: {plain(shown)}", *runs])
+    """Return the text: what is shown, and a line for the runs of each condition.
+
+    It contains no version, so that a picture's bytes change only with what is drawn.
+    """
+    return "\n".join([f"Pneuma: {plain(shown)}", *runs])
 
 
 def lines_of_runs(*studies: StudyData) -> list[str]:
     """Return a line for the finished runs of each condition, with the ids of their configurations."""
-    lines = []
+    lines: list[str] = []
     for data in studies:
         for condition in data.conditions:
             runs = data.runs[data.runs["condition"] == condition]
             if len(runs):
-                lines.append(line_of_runs(data.study.name, condition, runs["config_id"], [*runs["seed"]]))
+                seeds = runs["seed"].tolist()
+                lines.append(line_of_runs(data.study.name, condition, runs["config_id"], seeds))
     return lines
 
 

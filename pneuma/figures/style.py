@@ -13,22 +13,20 @@ import matplotlib as mpl
 import numpy as np
 from cycler import cycler
 from matplotlib import style as sheets
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import findfont, get_font
 from matplotlib.text import Text
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
-from scipy.optimize import isotonic_regression
 
 from pneuma.errors import UserError, plain, print_aside, unknown_name
 from pneuma.figures.origin import KEYS
 
 WIDTH = 7.0
 """Width in inches of a figure that spans a page."""
-COLUMNS, PANEL_INCHES = 3, 2.3
-"""Most panels in a row, and their height with the axis."""
+PANEL_INCHES = 2.3
+"""Height of a panel with its axes."""
 TYPE_POINTS = 8.0
 """Size of the text in points; titles are larger, ticks and captions smaller."""
 CAPTION = 0.78
@@ -39,13 +37,20 @@ LINE_INCHES = 1.5 / 72
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8C3B7A", "#E69F00", "#56B4E9", "#7A5230", "#4D4D4D")
 """After Okabe and Ito, for colour-blind readers; distinct from the greys of references."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-"""So that lines can be told apart in grey."""
+"""They distinguish lines in grey too."""
+MOST_IN_A_PANEL = len(MARKERS)
+"""Most conditions in one panel of curves; a summary shows those of larger studies in rows."""
 
 INK, GREY = "#222222", "#777777"
 
 _RC: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so that text has the same width everywhere
     "axes.titleweight": "bold",
+    "axes.titlesize": "medium",  # sizes are relative, so that they follow `font.size` of a style sheet
+    "axes.labelsize": "medium",
+    "legend.fontsize": "medium",
+    "xtick.labelsize": "small",
+    "ytick.labelsize": "small",
     "axes.titlelocation": "left",
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -64,24 +69,12 @@ _RC: Any = {
     "pdf.compression": 6,
 }
 
-_RELATIVE_TYPE: Any = {
-    "font.size": 1.0,
-    "axes.titlesize": 1.0,
-    "axes.labelsize": 1.0,
-    "legend.fontsize": 1.0,
-    "legend.title_fontsize": 0.9,
-    "xtick.labelsize": 0.9,
-    "ytick.labelsize": 0.9,
-    "lines.linewidth": 0.2,
-    "lines.markersize": 0.5,
-}
-"""Relative to the text's size."""
-
-_NO_DATES = {
+METADATA: dict[str, dict[str, Any]] = {
     "png": {},
-    "svg": {"Date": None},
+    "svg": {"Date": None, "Creator": None},
     "pdf": {"CreationDate": None, "Producer": None, "Creator": None},
 }
+"""What each format leaves out, so that a file's bytes depend on no date and on no version of matplotlib."""
 
 
 def characters(points: float = TYPE_POINTS, width: float = WIDTH) -> int:
@@ -120,7 +113,13 @@ def house_style(type_points: float = TYPE_POINTS, sheet: str = "") -> Iterator[N
         mpl.rcdefaults()
         mpl.use("agg")
         mpl.rcParams.update(_RC)
-        mpl.rcParams.update({key: type_points * share for key, share in _RELATIVE_TYPE.items()})
+        mpl.rcParams.update(
+            {
+                "font.size": type_points,
+                "lines.linewidth": 0.2 * type_points,
+                "lines.markersize": 0.5 * type_points,
+            }
+        )
         if sheet:
             try:
                 sheets.use(sheet)
@@ -128,9 +127,6 @@ def house_style(type_points: float = TYPE_POINTS, sheet: str = "") -> Iterator[N
                 raise UserError(
                     f"--style {sheet}: is neither a style sheet of matplotlib nor a file"
                 ) from None
-            for key, share in _RELATIVE_TYPE.items():  # what the sheet leaves follows its size of text
-                if mpl.rcParams[key] == type_points * share and key.endswith("size"):
-                    mpl.rcParams[key] = text_points() * share
         yield
 
 
@@ -139,17 +135,11 @@ def text_points() -> float:
     return float(mpl.rcParams["font.size"])
 
 
-# --- Conditions --------------------------------------------------------------------------------------
-
-MOST_IN_A_PANEL = len(MARKERS)
-"""Most conditions in one panel of curves; of a study with more, a summary shows them in rows."""
-
-
 # --- Files -------------------------------------------------------------------------------------------
 
 MOST_COLOURS = 256
-END = "end"
-"""The gid of a label at the end of a line, which is moved so that none overlap."""
+X_LABEL = "x label"
+"""The gid of the text that is the label of all horizontal axes together."""
 
 
 def save_figure(
@@ -160,29 +150,35 @@ def save_figure(
     origin: str,
     colours: int = MOST_COLOURS,
 ) -> list[Path]:
-    """Write a figure in each format, with its origin as metadata; the same figure gives the same bytes.
+    """Write a figure in each format; the same figure gives the same bytes.
 
-    A PNG has a palette of so many `colours`, without a visible difference; with 0 it has all its colours.
+    Args:
+        figure: it is laid out once for all formats.
+        folder: it is made if it is missing.
+        basename: of the files, without an ending.
+        formats: some of `FIGURE_FORMATS`.
+        origin: the text that the files contain as their description.
+        colours: of a PNG's palette, without a visible difference; 0 keeps all colours.
+
+    Returns:
+        The files.
     """
     for name in formats:
-        if name not in _NO_DATES:
-            raise unknown_name("format", name, _NO_DATES)
+        if name not in METADATA:
+            raise unknown_name("format", name, METADATA)
     folder.mkdir(parents=True, exist_ok=True)
     for text in figure.findobj(Text):  # labels of ticks are cleaned where they are set
         text.set_text(clean(text.get_text()))
-    paths = [folder / f"{basename}.{name}" for name in formats]
     _lay_out(figure)
-    for path, name in zip(paths, formats, strict=True):
+    paths: list[Path] = []
+    for name in formats:
+        path = folder / f"{basename}.{name}"
         if name == "png":
             _save_png(figure, path, origin, colours)
         else:
-            figure.savefig(path, format=name, metadata={**_NO_DATES[name], KEYS[name]: origin})
-    known = {"\n", *map(chr, get_font(findfont(_RC["font.family"])).get_charmap())}
-    if lacking := {letter for text in figure.findobj(Text) for letter in text.get_text()} - known:
-        shown = " ".join(sorted(lacking)[:10])
-        print_aside(
-            f"Figures' font lacks {shown}, drawn as boxes; [labels] in a study's file renames conditions."
-        )
+            figure.savefig(path, format=name, metadata={**METADATA[name], KEYS[name]: origin})
+        paths.append(path)
+    _note_missing_letters(figure)
     return paths
 
 
@@ -197,6 +193,17 @@ def _save_png(figure: Figure, path: Path, origin: str, colours: int) -> None:
     image.save(path, "PNG", dpi=(figure.dpi, figure.dpi), pnginfo=texts)
 
 
+def _note_missing_letters(figure: Figure) -> None:
+    letters = {"\n"}.union(*(text.get_text() for text in figure.findobj(Text)))
+    in_font = get_font(findfont(_RC["font.family"])).get_charmap()
+    missing = sorted(letter for letter in letters if letter != "\n" and ord(letter) not in in_font)
+    if missing:
+        names = " ".join(missing[:10])
+        print_aside(
+            f"Figures' font lacks {names}, drawn as boxes; [labels] in a study's file renames conditions."
+        )
+
+
 def clean(text: str) -> str:
     """Return text with control characters as codes, as names may be untrusted and an SVG is XML."""
     return "\n".join(map(plain, text.split("\n")))
@@ -208,27 +215,15 @@ def _lay_out(figure: Figure) -> None:
     The results of the layout solver differ in their last bits from call to call, and the names of clip paths
     in an SVG are hashes of these positions.
     """
-    if (engine := figure.get_layout_engine()) is None:
+    engine = figure.get_layout_engine()
+    if engine is None:
         return
     engine.execute(figure)
     figure.set_layout_engine("none")
     for axes in figure.axes:
-        axes.set_position([round(float(value), 5) for value in axes.get_position().bounds])  # type: ignore[arg-type]
-        _spread_ends(axes, figure.dpi / 72)
-
-
-def _spread_ends(axes: Axes, dots_per_point: float) -> None:
-    """Move labels at the ends of lines up or down, as little as keeps them apart and within the panel."""
-    ends: Any = [text for text in axes.texts if text.get_gid() == END]
-    if not ends:
-        return
-    wanted = np.array([axes.transData.transform((0, text.xy[1]))[1] for text in ends]) / dots_per_point
-    order = np.argsort(wanted, kind="stable")
-    lines = np.array([text.get_text().count("\n") + 1 for text in ends])
-    heights = (1.15 * np.array([text.get_fontsize() for text in ends]) * lines)[order]
-    middles = np.cumsum(heights) - heights / 2  # of labels upon each other
-    bottom, top = (edge / dots_per_point for edge in (axes.bbox.y0, axes.bbox.y1))
-    places = isotonic_regression(wanted[order] - middles).x
-    places = np.clip(places, bottom, max(bottom, top - heights.sum())) + middles
-    for number, place in zip(order, places, strict=True):
-        ends[number].xyann = (ends[number].xyann[0], place - wanted[number])
+        left, bottom, width, height = np.round(axes.get_position().bounds, 5).tolist()
+        axes.set_position((left, bottom, width, height))
+    for text in figure.texts:
+        if text.get_gid() == X_LABEL:
+            boxes = [axes.get_position() for axes in figure.axes]
+            text.set_x((min(box.x0 for box in boxes) + max(box.x1 for box in boxes)) / 2)

@@ -1,18 +1,13 @@
-"""Summaries of outcomes: every run with means.
-
-They show the share of monsters killed at the end, or the return if there are no monsters or no evaluations.
-"""
+"""Figures of outcomes: a dot for each run with means and their intervals, a row for each condition."""
 
 from __future__ import annotations
 
-import math
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
@@ -22,229 +17,176 @@ from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_foreign, is_retur
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.figures import grid, style
-from pneuma.figures.grid import LEAST_ROW_INCHES, LONGEST_INCHES, ROW_INCHES, Page, Panel
+from pneuma.figures.grid import LEAST_ROW_INCHES, LONGEST_INCHES, ROW_INCHES, SHARES, VALUES, Page, Panel
 from pneuma.figures.origin import lines_of_runs
 from pneuma.figures.style import GREY, INK
 from pneuma.figures.words import (
     capital,
     headline_of,
-    label_of,
+    labels_of,
+    looks_of,
     merge_notes,
     notes_of,
     short_names,
-    styles_of,
+    shown_conditions,
 )
 
 WITHOUT_EVALUATIONS = "final-return"
 DOT_SHARE = 0.012
 """Width of a dot as a share of the axis; runs closer than this lie side by side."""
-FAR_FROM_ZERO = 0.5
-"""Of a single panel in which all runs kill a larger share, the axis begins near them, so that rows differ."""
 ABOVE = 0.2
 """Distance of the mean above, and the interquartile mean below, a condition's row, in rows."""
 
 
-# --- Every run ---------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class OutcomeRows:
-    """An outcome of the runs of a study, a row for each condition that has runs."""
-
-    data: StudyData
-    named: str = ""
-
-    @cached_property
-    def outcome(self) -> str:
-        if self.named:
-            return self.named
-        if is_foreign(self.data) and self.data.evaluated:
-            return primary(self.data)
-        return PRIMARY if "share_killed" in curve_names(self.data) else WITHOUT_EVALUATIONS
-
-    @cached_property
-    def values(self) -> dict[str, np.ndarray]:
-        """The finite outcomes of the runs of each condition that has runs."""
-        trained = [name for name in self.data.conditions if self.data.of_condition(name)]
-        return {name: known_values(self.data, name, self.outcome) for name in trained}
-
-    @cached_property
-    def table(self) -> pd.DataFrame:
-        table = summary_table(self.data, [self.outcome])
-        return table[table["outcome"] == self.outcome]
-
-    @property
-    def words(self) -> str:
-        return capital(find_outcome(self.outcome).words)
-
-    @property
-    def heading(self) -> str:
-        """The words up to the last comma; `detail` is the rest."""
-        return self.words.rpartition(", ")[0] or self.words
-
-    @property
-    def detail(self) -> str:
-        return capital(self.words.removeprefix(self.heading).removeprefix(", "))
-
-    @property
-    def of_killed(self) -> bool:
-        """Whether it is a share of monsters, which can be compared with the random player's."""
-        return self.outcome.endswith("share-killed")
-
-    @property
-    def measured(self) -> str:
-        """The words of the axis."""
-        measured = "Return of an episode" if is_return(self.outcome) else find_outcome(self.outcome).unit
-        return "Share killed" if self.of_killed else measured
-
-    def labels(self, named: Mapping[str, str] | None) -> list[str]:
-        """Return the labels of rows: counts of runs, after the names of conditions if there are any."""
-        names = {**named, **self.data.study.labels} if named else {}
-        return [label_of(self.data, name, names.get(name, " ")).strip() for name in self.values]
-
-    @property
-    def all_values(self) -> np.ndarray:
-        return np.concatenate([*self.values.values(), []])
-
-    @property
-    def notes(self) -> list[str]:
-        notes = [*notes_of(self.data, is_return(self.outcome)), self.data.ends]
-        for name, known in self.values.items():
-            total = len(self.data.of_condition(name))
-            if not len(known):
-                notes.append(f"{name} has no value.")
-            elif len(known) < total:
-                lacking = f"{total - len(known)} of {total} runs of {name}"
-                notes.append(f"{lacking} have no value, and count nowhere.")
-        counts = [len(known) for known in self.values.values()]
-        few = any(0 < count < LEAST_RUNS for count in counts)
-        notes += [f"Of fewer than {LEAST_RUNS} runs there is no interval."] * few
-        enough = any(count >= LEAST_RUNS for count in counts)
-        return [*notes, *["Intervals: Student's t for means, else bootstrap."] * enough]
-
-
 def summary_page(studies: StudyData | Mapping[str, StudyData], basename: str = "") -> Page:
-    """Return what every run of a study came to, in all outcomes that it names.
+    """Return the figure of a study's outcomes: every run, and means.
 
-    Of several worlds, by title, it is the one outcome that the study names, or the usual one. Each has a row
-    for each condition that has runs there.
+    Args:
+        studies: a study, whose outcomes are the columns; or its runs in each of several worlds, by the title
+            of a column, of the one outcome that it names, or the default one.
+        basename: of the files.
+
+    Returns:
+        The figure, with a row for each condition that has runs.
     """
-    drawn, one_study = _outcomes_of(studies), isinstance(studies, StudyData)
-    alone = next(iter(drawn.values()))
-    colours: dict[str, str] = {}  # of a condition, in all columns that of the first that has it
-    for found in drawn.values():
-        looks = styles_of(found.data)
-        colours |= {name: looks[name]["color"] for name in found.values if name not in colours}
-    named, parts = short_names([found.data for found in drawn.values()], [*colours])
-    alike = all(found.values.keys() == colours.keys() for found in drawn.values())
-    most = max(len(found.values) for found in drawn.values())
-    pitch = min(max(LONGEST_INCHES / most, LEAST_ROW_INCHES), ROW_INCHES)
-    killed = [share for found in drawn.values() if found.of_killed for share in found.all_values]
-    highest, lowest = max([0.0, *killed]), min(killed, default=0.0)
-    least = math.floor(20 * lowest) / 20 if len(drawn) == 1 and lowest > FAR_FROM_ZERO else 0.0
-
-    def panel(title: str, found: OutcomeRows) -> Panel:
-        labels = found.labels(named)
-        draw = partial(_draw_runs, found=found, colours=colours, pitch=pitch, ends=(least, highest))
-        shares = grid.shares if alike else partial(grid.shares, most=3)  # beside names panels are narrow
-        ticks = shares if found.of_killed else grid.few
-        empty = [""] * (most - len(labels))
-        left = Panel(draw, title, found.measured, x_ticks=ticks, rows=[*labels, *empty])
-        if found is alone or not alike:
-            return left
-        # in all panels of one study are the same runs
-        beside = [""] * len(labels) if one_study else found.labels(None)
-        return replace(left, rows=[*beside, *empty], at_left=left)
-
-    notes = merge_notes(
-        {
-            title: (found.data, [said and f"{said}.", *found.notes])
-            for title, found in drawn.items()
-            for said in [found.detail if one_study else found.words]
-        }
-    )
-    budgets = {steps for each in drawn.values() for steps in each.data.runs["steps"]}
+    columns: dict[str, tuple[StudyData, str]] = {}
+    if isinstance(studies, StudyData):
+        datas = [studies]
+        names = studies.study.outcomes or [default_outcome(studies)]
+        headings = [re.split(r",| \(", _words(name))[0] for name in names]
+        for name, heading in zip(names, headings, strict=True):
+            columns[heading if headings.count(heading) == 1 else _words(name)] = studies, name
+    else:
+        datas = [*studies.values()]
+        for title, data in studies.items():
+            named = data.study.outcomes
+            columns[title] = data, named[0] if len(named) == 1 else default_outcome(data)
+    first = datas[0]
+    rows, looks = shown_conditions(datas), looks_of(datas)
+    short, factors = short_names(datas)
+    labels = [*labels_of(datas, short).values()]
+    pitch = min(max(LONGEST_INCHES / len(rows), LEAST_ROW_INCHES), ROW_INCHES)
+    panels: list[Panel] = []
+    for title, (data, outcome) in columns.items():
+        unit = find_outcome(outcome).unit
+        label = capital(unit)
+        if is_return(outcome):
+            label = "Return of an episode"
+        elif outcome.endswith("share-killed"):
+            label = "Share killed"
+        draw = partial(_draw, data=data, outcome=outcome, rows=rows, looks=looks, pitch=pitch)
+        panels.append(Panel(draw, title, label, x_kind=SHARES if unit == "share" else VALUES, rows=labels))
+    descriptions = {f"{_words(name)}.": None for title, (_, name) in columns.items() if title != _words(name)}
+    notes = merge_notes({title: (data, _notes(data, name)) for title, (data, name) in columns.items()})
+    notes = [*descriptions, *notes]
+    if factors:
+        notes.append(f"Rows: {factors}.")
+    budgets = {steps for data in datas for steps in data.runs["steps"]}
     shown = f"after {budgets.pop():,} steps" if len(budgets) == 1 else "at the end of training"
     return Page(
-        basename or alone.data.basename("summary"),
-        [[panel(*each) for each in drawn.items()]],
-        max(pitch * most + 0.7, 0.6 * style.PANEL_INCHES),
-        headline_of(alone.data, shown) if one_study else f"{alone.data.study.title}: {shown}",
-        lines_of_runs(*(found.data for found in drawn.values())),
-        _marks(max(len(runs) for found in drawn.values() for runs in found.values.values())),
-        [*notes, parts and f"Rows: {parts}."],
-        [1] * len(drawn),
+        basename=basename or first.basename("summary"),
+        grid=[panels],
+        inches=max(pitch * len(rows) + 0.7, 0.6 * style.PANEL_INCHES),
+        headline=headline_of(first, shown) if len(datas) == 1 else f"{first.study.title}: {shown}",
+        runs=lines_of_runs(*datas),
+        entries=_legend(max(int(data.runs["condition"].value_counts().max()) for data in datas)),
+        caption=notes,
     )
 
 
-def _outcomes_of(studies: StudyData | Mapping[str, StudyData]) -> Mapping[str, OutcomeRows]:
-    """Return what has a panel, by title: the outcomes of a study, or one of it in each of several worlds."""
-    if isinstance(studies, StudyData):
-        every = [OutcomeRows(studies, name) for name in studies.study.outcomes or [""]]
-        short_titles = {each.heading: each for each in every}
-        return short_titles if len(short_titles) == len(every) else {each.words: each for each in every}
-    return {
-        title: OutcomeRows(data, "".join(data.study.outcomes[: len(data.study.outcomes) == 1]))
-        for title, data in studies.items()
-    }
+def default_outcome(data: StudyData) -> str:
+    """Return the share killed at the end, or a return if there are no monsters or no evaluations."""
+    if is_foreign(data) and data.evaluated:
+        return primary(data)
+    return PRIMARY if "share_killed" in curve_names(data) else WITHOUT_EVALUATIONS
 
 
-def _draw_runs(
-    axes: Axes, found: OutcomeRows, colours: Mapping[str, str], pitch: float, ends: tuple[float, float]
+def _words(outcome: str) -> str:
+    return capital(find_outcome(outcome).words)
+
+
+def _notes(data: StudyData, outcome: str) -> list[str]:
+    """Return the notes on a column."""
+    notes = [*notes_of(data, is_return(outcome)), data.ends]
+    counts: list[int] = []
+    for name in shown_conditions([data]):
+        total, known = len(data.of_condition(name)), len(known_values(data, name, outcome))
+        counts.append(known)
+        if known < total:
+            notes.append(f"{total - known} of {total} runs of {name} have no value.")
+    if min(counts) < LEAST_RUNS:
+        notes.append(f"Of fewer than {LEAST_RUNS} runs there is no interval.")
+    if max(counts) >= LEAST_RUNS:
+        notes.append("Intervals: Student's t for means, else bootstrap.")
+    return notes
+
+
+def _draw(
+    axes: Axes,
+    data: StudyData,
+    outcome: str,
+    rows: list[str],
+    looks: Mapping[str, Mapping[str, Any]],
+    pitch: float,
 ) -> None:
-    """Draw each run of a condition as a dot, and its means with intervals.
-
-    `pitch` is the height of rows in inches; `ends` are where axes of shares killed begin, and the greatest
-    share in any panel.
-    """
-    mark = 0.5 * style.text_points() * pitch / ROW_INCHES
-    reach = float(np.ptp([*found.all_values, 0.0]))
-    for place, (condition, runs) in enumerate(found.values.items()):
-        colour = colours[condition]
+    """Draw each run of a condition as a dot, and its means with intervals, in rows of a height in inches."""
+    size = 0.5 * style.text_points() * pitch / ROW_INCHES
+    values = {name: known_values(data, name, outcome) for name in shown_conditions([data])}
+    every = np.concatenate([*values.values()])
+    table = summary_table(data, [outcome])
+    for condition, runs in values.items():
+        place, colour = rows.index(condition), looks[condition]["color"]
         (dots,) = axes.plot(
-            runs, place + _beside(runs, reach), "o", color=colour, markersize=0.6 * mark,
-            markeredgewidth=0, alpha=0.7 if len(runs) < 20 else 0.4, clip_on=False, zorder=2.6,
+            runs, place + _offsets(runs, float(np.ptp([*every, 0.0]))), "o", color=colour,
+            markersize=0.6 * size, markeredgewidth=0, alpha=0.5, clip_on=False, zorder=2.6,
         )  # fmt: skip
         dots.set_in_layout(False)  # there may be none
-        for row in found.table[found.table["condition"] == condition].to_dict("records"):
+        for row in table[(table["condition"] == condition) & (table["outcome"] == outcome)].to_dict(
+            "records"
+        ):
             if row["statistic"] == "mean" and len(runs) > 1:
-                grid.draw_interval(axes, place - ABOVE, row, markerfacecolor=colour, markersize=mark)
+                grid.draw_interval(axes, place - ABOVE, row, markerfacecolor=colour, markersize=size)
             elif row["statistic"] == "iqm" and len(runs) >= LEAST_RUNS:
-                iqm: Any = {"marker": "s", "markerfacecolor": "white", "markersize": mark}
-                grid.draw_interval(axes, place + ABOVE, row, **iqm)
-    if found.of_killed:
-        levels = random_levels(found.data, "share_killed")
-        begin, top = ends
-        grid.draw_random_player(axes, levels, top, colours, [*found.values])
-        axes.set_xlim(begin, max(axes.get_xlim()[1], 1.05 * (top - begin) + begin, begin + 0.01))
-
-    elif found.outcome == "final-return":
-        returns = random_returns(found.data)
-        if returns is not None and len(returns):
-            level = float(returns.iloc[-1])
-            axes.axvline(level, label=f"{grid.RANDOM_PLAYER} ({grid.number(level)})", **grid.RANDOM_LOOK)
+                grid.draw_interval(
+                    axes, place + ABOVE, row, marker="s", markerfacecolor="white", markersize=size
+                )
+    if len(every):
+        words = grid.per_cent if outcome.endswith("share-killed") else grid.number
+        grid.draw_random_player(axes, _random_levels(data, outcome), (every.min(), every.max()), words, rows)
 
 
-def _beside(values: np.ndarray, reach: float) -> np.ndarray:
+def _random_levels(data: StudyData, outcome: str) -> dict[str, float]:
+    """Return what the random player comes to for each condition, where it was measured."""
+    if outcome.endswith("share-killed"):
+        return random_levels(data, "share_killed")
+    if outcome == "evaluated-return":
+        return random_levels(data, "evaluated_return")
+    returns = random_returns(data) if outcome == WITHOUT_EVALUATIONS else None
+    if returns is None or returns.empty:
+        return {}
+    return dict.fromkeys(data.conditions, float(returns.iloc[-1]))
+
+
+def _offsets(values: np.ndarray, reach: float) -> np.ndarray:
     """Return the vertical offsets of (runs,) dots, so that similar ones do not overlap."""
-    beside = np.zeros(len(values))
-    near = np.round(values / (DOT_SHARE * reach or 1.0))
-    for place in np.unique(near):
-        alike = np.flatnonzero(near == place)
-        step = min(0.09, 0.6 / len(alike))
-        beside[alike] = step * (np.arange(len(alike)) - (len(alike) - 1) / 2)
-    return beside
+    offsets = np.zeros(len(values))
+    bins = np.round(values / (DOT_SHARE * reach or 1.0))
+    for place in np.unique(bins):
+        members = np.flatnonzero(bins == place)
+        step = min(0.09, 0.6 / len(members))
+        offsets[members] = step * (np.arange(len(members)) - (len(members) - 1) / 2)
+    return offsets
 
 
-def _marks(most: int) -> dict[str, Any]:
+def _legend(most: int) -> dict[str, Any]:
     """Return the legend of panels in which a condition has at most so many runs."""
-    run: Any = {"color": GREY, "marker": "o", "linestyle": "", "markersize": 3}
-    iqm: Any = {"color": INK, "marker": "s", "markersize": 4, "markerfacecolor": "white"}
-    entries = {"a run": Line2D([], [], **run)}
-    if most > 1:
-        look: Any = {"color": INK, "marker": "D", "markersize": 4}
-        enough = most >= LEAST_RUNS
-        entries["mean" + ", 95 % interval" * enough] = Line2D([], [], **look, linestyle="-" if enough else "")
+    look: Any = {"marker": "D", "color": INK, "markersize": 4}
+    entries = {"a run": Line2D([], [], color=GREY, marker="o", linestyle="", markersize=3)}
     if most >= LEAST_RUNS:
-        entries["interquartile mean, 95 % interval"] = Line2D([], [], **iqm)
+        entries["mean, 95 % interval"] = Line2D([], [], **look)
+        entries["interquartile mean, 95 % interval"] = Line2D(
+            [], [], **{**look, "marker": "s", "markerfacecolor": "white"}
+        )
+    elif most > 1:
+        entries["mean"] = Line2D([], [], linestyle="", **look)
     return entries

@@ -1,20 +1,22 @@
-"""What figures say of a study: headline, labels, notes."""
+"""A study's words and looks in figures: headline, labels, colours, notes."""
 
 from __future__ import annotations
 
-import itertools
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pneuma.analysis.outcomes import kinds_of_return
 from pneuma.analysis.study_data import StudyData
+from pneuma.errors import counted
 from pneuma.figures.style import MARKERS, MOST_IN_A_PANEL
 from pneuma.study.spec import CONDITION, Study
 from pneuma.values import shown_settings
 
 MOST_NAMED = 3
 """Most conditions that a note names."""
+LINES = ("-", "--", "-.", ":")
+"""They distinguish conditions of one colour."""
 
 
 def headline_of(data: StudyData, shown: str = "") -> str:
@@ -28,9 +30,12 @@ def after_thesis(figure: str) -> str:
 
 
 def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = None) -> list[str]:
-    """Return notes for any figure of a study, or one of returns, the most important first.
+    """Return notes for any figure of a study, the most important first.
 
-    Returns of `beside` are drawn with it. Imported logs do not tell their reward.
+    Args:
+        data: the study.
+        returns: whether the figure is of returns.
+        beside: a study whose returns are drawn too.
     """
     notes = [f"{' and '.join(names)} are one configuration." for names in data.same]
     engines: dict[str, list[str]] = {}
@@ -40,26 +45,31 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
     if len(engines) > 1:
         parts = [f"{engine} ({_named(names)})" for engine, names in sorted(engines.items())]
         notes.append(f"Conditions were trained by different engines: {', '.join(parts)}.")
-    units = kinds_of_return(data) | (kinds_of_return(beside) if beside else set())
+    units = kinds_of_return(data).union(kinds_of_return(beside) if beside else ())
     if returns and len(units) > 1:
         notes.append("Returns of unlike rewards, or of more players, cannot be compared.")
     parents = {run.fields.get("parent") for run in data.rows} - {None, ""}
-    if parents and len(parents) < max(len(data.of_condition(name)) for name in data.conditions):
+    if parents and len(parents) < data.runs["condition"].value_counts().max():
         notes.append(f"Runs are forks of {len(parents)} alone: intervals take them for independent.")
-    if absent := [name for name in data.conditions if not data.of_condition(name)]:
-        notes.append(f"Not trained: {'; '.join(absent)}.")
+    missing: list[str] = []
     for name in data.conditions:
         runs = data.of_condition(name)
-        longest = max((run.budget for run in runs), default=0)  # other conditions may go further
+        if not runs:
+            missing.append(name)
+            continue
+        longest = max(run.budget for run in runs)  # other conditions may go further
         at_end = sum(run.status == "done" and run.end >= longest for run in runs)
         if at_end < len(runs):
             notes.append(f"{at_end} of {len(runs)} runs of {name} reach the end.")
+    if missing:
+        notes.append(f"No runs of {_named(missing)}.")
     return notes
 
 
 def _named(conditions: Sequence[str]) -> str:
-    few = len(conditions) <= MOST_NAMED
-    return "; ".join(conditions) if few else f"{len(conditions)} conditions"
+    if len(conditions) <= MOST_NAMED:
+        return "; ".join(conditions)
+    return counted(len(conditions), "condition")
 
 
 def merge_notes(columns: Mapping[str, tuple[StudyData, Iterable[str]]]) -> list[str]:
@@ -67,49 +77,72 @@ def merge_notes(columns: Mapping[str, tuple[StudyData, Iterable[str]]]) -> list[
 
     First come changed fields, which the headline of a study alone has.
     """
-    found: dict[str, list[str]] = {}
+    titles_by_note: dict[str, list[str]] = {}
     for title, (data, notes) in columns.items():
-        settings = data.study.settings if len(columns) > 1 else {}
-        changed = f"runs with {shown_settings(settings)}." if settings else ""
-        for note in filter(None, [changed, *notes]):
-            found.setdefault(note, []).append(title)
-    return [
-        note if len(titles) == len(columns) else f"{' and '.join(_within(titles))}: {note}"
-        for note, titles in found.items()
-    ]
+        if len(columns) > 1 and data.study.settings:
+            notes = [f"runs with {shown_settings(data.study.settings)}.", *notes]
+        for note in filter(None, notes):
+            titles_by_note.setdefault(note, []).append(title)
+    merged: list[str] = []
+    for note, titles in titles_by_note.items():
+        if len(titles) < len(columns):
+            if note[1].islower():  # and no abbreviation
+                note = note[0].lower() + note[1:]
+            note = f"{' and '.join(titles).replace(' and The ', ' and the ')}: {note}"
+        merged.append(note)
+    return merged
 
 
-def _within(titles: Sequence[str]) -> list[str]:
-    """Return titles as they stand in a sentence that begins with the first one."""
-    return [*titles[:1], *(re.sub("^The ", "the ", title) for title in titles[1:])]
+# --- Conditions --------------------------------------------------------------------------------------
 
 
-def label_of(data: StudyData, condition: str, name: str = "") -> str:
-    return f"{name or data.study.labels.get(condition, condition)} ({len(data.of_condition(condition))})"
+def shown_conditions(studies: Iterable[StudyData]) -> list[str]:
+    """Return the conditions that have runs in any of some studies."""
+    return [*dict.fromkeys(name for data in studies for name in data.conditions if data.of_condition(name))]
 
 
-def styles_of(data: StudyData) -> dict[str, dict[str, Any]]:
-    """Return the colour and marker of each condition, which it keeps where a part of the study is drawn.
+def labels_of(studies: Sequence[StudyData], short: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return the labels of the conditions that have runs, with the number of runs in each of the studies."""
+    labels: dict[str, str] = {}
+    for condition in shown_conditions(studies):
+        label, counts = (short or {}).get(condition, condition), []
+        for data in studies:
+            label = data.study.labels.get(condition, label)
+            counts.append(len(data.of_condition(condition)))
+        alike = counts[:1] if len({*counts}) == 1 else counts
+        labels[condition] = f"{label} ({', '.join(map(str, alike))})"
+    return labels
 
-    Colours are those of the style sheet in the file's order, but for those that it names. If there are too
-    many conditions for one panel, those that differ only in crossed factors look alike, because each has its
-    own row: `tanh` looks the same under every limit.
+
+def looks_of(studies: Sequence[StudyData]) -> dict[str, dict[str, Any]]:
+    """Return colour, marker and line of each condition of some studies, the same in all of them.
+
+    Colours are those of the style sheet in the files' order, except for those that a file names; a part of a
+    study keeps the colours of the whole. Conditions that differ only in crossed factors have one colour:
+    `tanh` is blue under every limit.
     """
-    study, every = data.study, [[*data.study.conditions], data.conditions]
-    names = next((each for each in every if 0 < len(each) <= MOST_IN_A_PANEL), every[1])
-    many = len(names) > MOST_IN_A_PANEL
-    kinds = {name: _kind(study, name) if many else name for name in names}
-    own = {
-        kind: colour
-        for name, kind in kinds.items()
-        if (colour := study.colors.get(name) or study.colors.get(_kind(study, name)))
-    }
-    free = (colour for place in itertools.count() if (colour := f"C{place}") not in own.values())
-    looks = {
-        kind: {"color": own.get(kind) or next(free), "marker": MARKERS[place % len(MARKERS)]}
-        for place, kind in enumerate(dict.fromkeys(kinds.values()))
-    }
-    return {name: looks[kind] for name, kind in kinds.items()}
+    kinds: dict[str, str] = {}
+    colours: dict[str, str] = {}
+    for data in studies:
+        for condition in (*data.study.conditions, *data.conditions):
+            kind = kinds.setdefault(condition, _kind(data.study, condition))
+            named = data.study.colors.get(condition) or data.study.colors.get(kind)
+            if named:
+                colours.setdefault(condition, named)
+    if len({*kinds.values()}) > MOST_IN_A_PANEL:
+        kinds = {name: kinds[name] for name in shown_conditions(studies)}
+    free = [f"C{place}" for place in range(len(kinds) + len(colours)) if f"C{place}" not in colours.values()]
+    colours_of_kinds: dict[str, str] = {}
+    looks: dict[str, dict[str, Any]] = {}
+    drawn: list[str] = []
+    for condition, kind in kinds.items():
+        if condition not in colours and kind not in colours_of_kinds:
+            colours_of_kinds[kind] = free.pop(0)
+        colour = colours.get(condition) or colours_of_kinds[kind]
+        marker, line = MARKERS[len(looks) % len(MARKERS)], LINES[drawn.count(colour) % len(LINES)]
+        looks[condition] = {"color": colour, "marker": marker, "linestyle": line}
+        drawn.append(colour)
+    return looks
 
 
 def _kind(study: Study, condition: str) -> str:
@@ -118,14 +151,16 @@ def _kind(study: Study, condition: str) -> str:
     return levels.get(CONDITION) or [condition, *levels.values()][-1]
 
 
-def short_names(studies: Iterable[StudyData], conditions: Sequence[str]) -> tuple[dict[str, str], str]:
+def short_names(studies: Sequence[StudyData]) -> tuple[dict[str, str], str]:
     """Return names of conditions in rows, and what they consist of: of crossed ones the factors' values."""
-    every = {name: of for data in studies for name, of in data.study.levels.items()}
-    levels = [every.get(name, {}) for name in conditions]
-    short = [", ".join(of.values()) for of in levels]
-    if len({*map(tuple, levels)}) > 1 or len(levels[0]) < 2 or len({*short}) < len(short):
-        return {name: name for name in conditions}, ""
-    return dict(zip(conditions, short, strict=True)), ", ".join(levels[0]).replace("_", " ")
+    levels: dict[str, Mapping[str, str]] = {}
+    for data in studies:
+        levels |= {name: data.study.levels.get(name, {}) for name in data.conditions}
+    factors = {tuple(level) for level in levels.values()}
+    short = {name: ", ".join(level.values()) for name, level in levels.items()}
+    if len(factors) != 1 or len(next(iter(factors))) < 2 or len({*short.values()}) < len(short):
+        return {}, ""
+    return short, ", ".join(factors.pop()).replace("_", " ")
 
 
 def fits_panel(data: StudyData) -> bool:

@@ -13,7 +13,7 @@ from pneuma.config import as_fields
 from pneuma.figures.curves import curves_page, profile_page
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.summary import summary_page
-from pneuma.figures.words import styles_of
+from pneuma.figures.words import looks_of
 from pneuma.store.store import Store
 from pneuma.study.identity import config_id, run_id
 from pneuma.study.plan import Query, make_plan
@@ -120,13 +120,13 @@ def test_what_logs_beside_a_study_average_is_told(study: Path) -> None:
     write_table(Path("logs.csv"), {("tanh", 0): {10: 1.0, 20: 2.0}})
     words = ("import", "csv", "logs.csv", "--step", "step", "--value", "return")
     for averaged, note in (
-        ((), "Those of logs are as they were logged."),
-        (("--averaged-over", "100"), "Those of logs average the last 100 episodes."),
+        ((), "logs: as logged."),
+        (("--averaged-over", "100"), "logs: mean of the last 100 episodes."),
     ):
         printed(*words, *averaged)
         page = curves_page(by_environment(open_data(study)), beside=open_data("logs"))
         assert _panels(page)[0].y == "Return in training"
-        assert note in page.caption and "The environment of logs is not recorded." in page.caption
+        assert f"{note} The environment of logs is not recorded." in page.caption
     assert call("study", "plot", study, "--beside", "logs", "--out", "beside.png").code == 0
 
 
@@ -160,10 +160,10 @@ def test_factors_values_have_labels_and_colours(study: Path) -> None:
     study.write_text(TOML.replace("[presets.quick]", table))
     data = open_data(study)
     assert data.study.labels["pole, ppo"] == "pole, PPO"
-    colours = {name: look["color"] for name, look in styles_of(data).items()}
+    colours = {name: look["color"] for name, look in looks_of([data]).items()}
     assert (colours["pole, ppo"], colours["arms, ppo"]) == ("C3", "C4")
     pole, arms = by_environment(data).values()
-    assert [styles_of(part)["ppo"]["color"] for part in (pole, arms)] == ["C3", "C4"]
+    assert [looks_of([part])["ppo"]["color"] for part in (pole, arms)] == ["C3", "C4"]
     assert pole.study.labels["ppo"] == "PPO"
     study.write_text(TOML.replace("[presets.quick]", '[colors]\nsac = "C3"\n[presets.quick]'))
     assert "unknown condition 'sac'" in refused("study", "summary", study)

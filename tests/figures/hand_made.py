@@ -42,11 +42,16 @@ class HandMade:
         run_id: str = "",
         random: float = 0.04,
         returned: float = float("nan"),
+        actions: Sequence[float] = (),
+        end: int = BUDGET,
     ) -> None:
-        """Store a run that finished an episode every 50 steps and was evaluated every 250."""
+        """Store a run that finished an episode every 50 steps and was evaluated every 250.
+
+        `actions` are its shares of the most frequent action at evaluations, evenly over the budget.
+        """
         self.cells[condition, seed] = run_id = run_id or make_id(condition, seed)
         save_listing(self.store, self.cells)
-        told = [{"episode": k, "step": 50 * (k + 1), "return": float(k + seed)} for k in range(episodes)]
+        rows = [{"episode": k, "step": 50 * (k + 1), "return": float(k + seed)} for k in range(episodes)]
         updates = [  # gradient norms go through the powers of ten
             {**_HALF, "step": 50 * (k + 1), "grad_norm": 10.0 ** (k % 4 + seed)} for k in range(20)
         ]
@@ -55,7 +60,9 @@ class HandMade:
         evaluated = [
             {**levels, "step": 250 * (k + 1), "share_killed": share} for k, share in enumerate(evaluations)
         ]
-        save_run(self.store, run_id, told, updates, evaluated, BUDGET, status, self.fields)
+        for number, share in enumerate(actions, 1):
+            evaluated.append({**levels, "step": number * BUDGET // len(actions), "commonest_action": share})
+        save_run(self.store, run_id, rows, updates, evaluated, end, status, self.fields)
 
     @property
     def data(self) -> StudyData:

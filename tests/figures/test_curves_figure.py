@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+import PIL
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
+from pneuma import __version__
 from pneuma.analysis.intervals import LEAST_RUNS
+from pneuma.analysis.runs import open_study
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import save_page
+from pneuma.presets import WORLDS
+from pneuma.store.index import RunIndex
+from pneuma.store.store import Store
+from pneuma.study.plan import Query
 
 from .hand_made import BUDGET, HandMade, legend, words
 
@@ -38,6 +44,8 @@ def test_drawing_twice_gives_the_same_bytes_whatever_style_a_person_has(
         assert mpl.rcParams["lines.linewidth"] == 9.0  # and is left alone
     assert first.read_bytes() == second.read_bytes()
     assert first.name == f"mine.{form}"
+    for version in (mpl.__version__, PIL.__version__, __version__):  # nor do they change with a version
+        assert version.encode() not in first.read_bytes()
 
 
 @pytest.mark.parametrize("quantity", ["return", "share_killed"])
@@ -110,22 +118,6 @@ def test_no_word_reaches_over_the_edge(study: HandMade, tmp_path: Path, drawn: l
         assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height, text
 
 
-def test_names_at_the_ends_of_lines_stand_apart_and_in_their_order(
-    tmp_path: Path, drawn: list[Figure]
-) -> None:
-    study, ends = HandMade(tmp_path), {"a": 0.5, "b": 0.502, "c": 0.498, "far": 0.1}
-    for condition, end in ends.items():
-        for seed in (0, 1):
-            study.add(condition, seed, evaluations=(0.0, end))
-    study.draw(tmp_path, quantities="share_killed")
-    labels = [text for text in drawn[0].axes[0].texts if text.get_text().endswith(" (2)")]
-    boxes = sorted((text.get_window_extent() for text in labels), key=lambda box: box.y0)
-    assert all(low.y1 <= high.y0 + 1 for low, high in itertools.pairwise(boxes))
-    upwards = sorted(labels, key=lambda text: text.get_window_extent().y0)
-    assert [text.get_text()[:-4] for text in upwards] == ["far", "c", "a", "b"]
-    assert len({text.get_color() for text in labels}) == 4
-
-
 # --- Curves ------------------------------------------------------------------------------------------
 
 
@@ -150,8 +142,8 @@ def test_few_runs_are_drawn_themselves_and_enough_have_an_interval_inside_the_de
         study.draw(tmp_path)
     assert [len(figure.axes[1].collections) for figure in drawn] == [1, 2]
     assert [_lines_of_runs(figure, 1) for figure in drawn] == [LEAST_RUNS - 1, 0]
-    assert legend(drawn[0])[:3] == ["mean of (n) runs", "± 1 SD between runs", "every run"]
-    assert legend(drawn[1])[:3] == ["mean of (n) runs", "± 1 SD between runs", "95 % interval of the mean"]
+    assert legend(drawn[0])[1:4] == ["mean of (n) runs", "± 1 SD between runs", "every run"]
+    assert legend(drawn[1])[1:4] == ["mean of (n) runs", "± 1 SD between runs", "95 % interval of the mean"]
     pale, dark = (band.get_paths()[0].get_extents() for band in drawn[1].axes[1].collections)
     # of 0.9 and four times 0.1 the mean is 0.26 and the deviation 0.36: a share is 0 at least
     assert (pale.y0, pale.y1) == (0, pytest.approx(0.26 + 0.8 / 5**0.5))
@@ -184,3 +176,50 @@ def test_a_diverged_run_counts_and_ends_in_a_cross(
     assert line[9] == 1.0  # at step 50: of seeds 0, 1 and 2
     assert np.isnan(line[199])  # where seeds 0 and 1 alone have a value
     assert "×: a run diverged" in words(drawn[0])
+
+
+# --- Columns ------------------------------------------------------------------------------------------
+
+
+def test_columns_share_colours_and_a_label_is_written_once(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
+) -> None:
+    """The first column has no runs of ReLU, and the second one has them first."""
+    other = HandMade(tmp_path / "other")
+    for condition in ("relu", "tanh"):
+        other.add(condition, 0)
+    page = curves_page({"One": study.data.of_conditions("tanh"), "Other": other.data}, basename="both")
+    save_page(page, tmp_path, ("svg",))
+    axes = drawn[0].axes
+    colours = [{line.get_color() for line in panel.lines if line.get_marker() == "o"} for panel in axes]
+    assert colours == [{"C0"}] * 4  # of tanh
+    assert [panel.get_title(loc="left") for panel in axes] == ["One", "Other", "", ""]
+    assert [panel.get_ylabel() for panel in axes] == [
+        "Return in training", "", "Monsters killed in evaluation", "",
+    ]  # fmt: skip
+    assert words(drawn[0]).count("Environment steps") == 1
+    assert legend(drawn[0])[:2] == ["tanh (2, 1)", "relu (0, 1)"]
+    assert "In brackets: runs in each column." in words(drawn[0])
+
+
+def test_bands_end_at_the_bounds_of_a_return(tmp_path: Path, drawn: list[Figure]) -> None:
+    """An episode of CartPole returns 500 at most: of 500, 500 and 200 the mean is 400, the deviation 173."""
+    study = HandMade(tmp_path, "CartPole-v1")
+    for seed, returned in enumerate((500.0, 500.0, 200.0)):
+        study.add("tanh", seed, returned=returned)
+    study.draw(tmp_path, quantities="evaluated_return", band="sd")
+    (band,) = drawn[0].axes[0].collections
+    extents = band.get_paths()[0].get_extents()
+    assert (extents.y0, extents.y1) == (pytest.approx(400 - 3e4**0.5), 500)
+
+
+def test_every_return_has_the_random_players_line(drawn: list[Figure], tmp_path: Path) -> None:
+    """Where XP is never reset, that of as many steps over as many environments."""
+    index = RunIndex(Store("none"))
+    for world in WORLDS:
+        data = open_study(index, Query("optimizer", world, conditions=("non-stationary",)))
+        save_page(curves_page(data, "return"), tmp_path, ("svg",))
+        (line,) = (line for line in drawn[-1].axes[0].lines if line.get_label() == "random player")
+        assert np.max(line.get_xdata()) == pytest.approx(data.budget, rel=0.01)
+    own = np.asarray(drawn[1].axes[0].lines[-1].get_ydata())
+    assert 1750 < own[-1] < 1990

@@ -20,7 +20,7 @@ def test_the_gallery_is_drawn_and_says_where_it_comes_from(tmp_path: Path) -> No
     ]
     for path in pictures:
         with Image.open(path) as image:
-            assert image.info["Description"].startswith("Pneuma ")
+            assert image.info["Description"].startswith("Pneuma: ")
     assert moving.name == "play.gif"
 
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from pneuma.errors import plain
 from pneuma.figures.grid import label_rows
 from pneuma.figures.style import house_style, save_figure
-from pneuma.figures.words import styles_of
+from pneuma.figures.words import looks_of
 
 from .hand_made import HandMade
 
@@ -21,7 +21,7 @@ def test_colours_are_in_the_files_order_but_for_those_that_it_names(study: HandM
     def colours(**named: str) -> dict[str, str]:
         data = study.data
         own = replace(data, study=data.study.model_copy(update={"colors": named}))
-        return {name: look["color"] for name, look in styles_of(own).items()}
+        return {name: look["color"] for name, look in looks_of([own]).items()}
 
     assert colours() == {"tanh": "C0", "relu": "C1"}
     assert colours(relu="C0") == {"tanh": "C1", "relu": "C0"}
@@ -31,7 +31,7 @@ def test_colours_are_in_the_files_order_but_for_those_that_it_names(study: HandM
 def test_a_part_of_a_study_keeps_its_colours(study: HandMade) -> None:
     whole = study.data
     part = whole.of_conditions(whole.conditions[-1])
-    assert len(part.runs) < len(whole.runs) and styles_of(part) == styles_of(whole)
+    assert len(part.runs) < len(whole.runs) and looks_of([part]) == looks_of([whole])
 
 
 def test_what_cannot_be_seen_is_written_as_its_code_in_an_svg_that_is_xml(tmp_path: Path) -> None:
