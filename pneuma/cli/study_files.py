@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pneuma.analysis.study_data import StudyData
     from pneuma.figures.grid import Page
 
-FIGURE_KINDS = ("curves", "summary", "profile")
+FIGURE_KINDS = ("curves", "summary", "profile", "one-action")
 EVERY_QUANTITY, ACTIONS = "all", "actions"
 _ENDINGS = ", ".join(EXPORT_SUFFIXES)
 PUBLISHED_CURVES = (
@@ -54,7 +54,7 @@ class Drawing:
         str | None,
         opt.choice(
             FIGURE_KINDS,
-            "Curves (usual for up to seven conditions), a summary, or profiles over environments.",
+            "Curves (default for up to 7 conditions), a summary, profiles, or runs in one action.",
         ),
     ] = None
     quantity: Annotated[
@@ -129,6 +129,10 @@ def plot(
             page = summary_page(shown)
         elif kind == "curves":
             page = curves_page(shown, quantities, **how)
+        elif kind == "one-action":
+            from pneuma.figures.one_action import one_action_page  # SciPy's statistics take half a second
+
+            page = one_action_page(data)
         elif len(parts) == 1:
             raise UserError(f"--figure {kind}: is over several environments; {name} has one")
         else:
