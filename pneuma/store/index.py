@@ -8,7 +8,9 @@ from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
+import pyarrow as pa
 
 from pneuma.algorithms import find_algorithm
 from pneuma.config import Run
@@ -46,12 +48,16 @@ class RunIndex:
     @cached_property
     def frame(self) -> pd.DataFrame:
         """`COLUMNS` of each run, by its id; one that has finished here counts before published ones."""
-        here = [*self._runs_here()] if self._stored else []
-        published = [(*run, str(table.path)) for table in self.tables.values() for run in table.index]
-        finished = [run for run in here if run[COLUMNS.index("status")] in FINISHED]
-        every = pd.DataFrame([*here, *published, *finished], columns=COLUMNS)
-        every = every.drop_duplicates("run_id", keep="last").set_index("run_id", drop=False)
-        return every.astype({"seed": int, "steps": int, "end": int})
+        stored = pd.DataFrame(self._stored_runs(), columns=COLUMNS)
+        frames = [stored]
+        if self.tables:
+            indexes = pa.concat_tables([table.index for table in self.tables.values()])
+            paths = [str(table.path) for table in self.tables.values()]
+            counts = [len(table.index) for table in self.tables.values()]
+            published = indexes.to_pandas(use_threads=False).assign(where=np.repeat(paths, counts))
+            frames += [published, stored[stored["status"].isin(FINISHED)]]
+        runs = pd.concat(frames).drop_duplicates("run_id", keep="last")
+        return runs.set_index("run_id", drop=False).astype({"seed": int, "steps": int, "end": int})
 
     @cached_property
     def tables(self) -> dict[str, Published]:
@@ -68,15 +74,13 @@ class RunIndex:
         """The places in the frame of each configuration's runs, of any seed and budget."""
         return self.frame.groupby("config_id").indices
 
-    @cached_property
-    def _where(self) -> Mapping[str, str]:
-        return dict(zip(self.frame.index, self.frame["where"], strict=True))
-
     def engine_of(self, run: Run) -> str:
         """Return the engine of a run's configuration, or another by which there are runs of it alone."""
         engines = dict.fromkeys([run.engine, *find_algorithm(run.algorithm).engines])
-        known = (name for name in engines if config_id(replace(run, engine=name)) in self.places)
-        return next(known, run.engine)
+        for engine in engines:
+            if config_id(replace(run, engine=engine)) in self.places:
+                return engine
+        return run.engine
 
     def listing(self, name: str) -> dict[str, Any] | None:
         """Return the record of a study without a file, from here or from its published table."""
@@ -87,15 +91,17 @@ class RunIndex:
 
     def listings(self) -> list[str]:
         """Return the names of studies without a file that are recorded here or published."""
-        listed = (name for name, table in self.tables.items() if table.about.get("listing"))
-        here = self.store.listings() if self._stored else ()
-        return sorted({*here, *filter(self.listing, listed)} - {*list_studies()})
+        names = set(self.store.listings() if self._stored else ())
+        for name, table in self.tables.items():
+            if table.about.get("listing") and self.listing(name):
+                names.add(name)
+        return sorted(names - set(list_studies()))
 
     def fields_of(self, run_id: str) -> Mapping[str, Any]:
         """Return the fields of a run; empty if they cannot be read."""
         for table in self.tables.values():
             if run_id in table.places:
-                return table.fields(run_id)
+                return table.document("fields", run_id)
         fields = self.store.read_document(run_id, "run.json").get("run")
         return fields if isinstance(fields, dict) else {}
 
@@ -103,22 +109,26 @@ class RunIndex:
         """Return when the training of a run was started, in ISO format; empty if that is not known."""
         for table in self.tables.values():
             if run_id in table.places:
-                return table.started(run_id)
+                return str(table.document("provenance", run_id).get("started", ""))
         return str(self.store.read_document(run_id, "provenance.json").get("started", ""))
 
-    def _runs_here(self) -> Iterator[tuple[Any, ...]]:
-        for run_id in self.store.runs():
+    def _stored_runs(self) -> list[tuple[Any, ...]]:
+        runs = []
+        for run_id in self.store.runs() if self._stored else ():
             status = self.store.status(run_id, quick=True)
             if status.identity is None and status.name == "damaged":
                 folder = self.store.run_folder(run_id)
                 self.problems.append(
                     f"{folder}: its {status.detail} is damaged; run its study again to retrain it"
                 )
-            about = status.identity or Identity(UNKNOWN, 0, 0)
-            yield run_id, about.config_id, about.seed, about.steps, status.name, status.step, ""
+            identity = status.identity or Identity(UNKNOWN, 0, 0)
+            amount = identity.seed, identity.steps
+            runs.append((run_id, identity.config_id, *amount, status.name, status.step, ""))
+        return runs
 
     def _read_row(self, run_id: str) -> Row | None:
-        if where := self._where[run_id]:
+        where = self.frame.at[run_id, "where"]
+        if where:
             return next((row for _, row in self._published(run_id, where)), None)
         try:
             row = stored_row(self.store, run_id)
@@ -130,10 +140,10 @@ class RunIndex:
                 self.problems.append(f"{path}: its run {run_id} has other numbers here; those here are used")
         return row
 
-    def _published(self, run_id: str, alone: str = "") -> Iterator[tuple[Path, Row]]:
+    def _published(self, run_id: str, where: str = "") -> Iterator[tuple[Path, Row]]:
         """Yield the rows of a run in published tables, or in one of them."""
         for table in self.tables.values():
-            if run_id in table.places and alone in ("", str(table.path)):
+            if run_id in table.places and where in ("", str(table.path)):
                 try:
                     yield table.path, table.row(run_id)
                 except UserError as error:

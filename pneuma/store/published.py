@@ -30,13 +30,11 @@ def encode_published(
     """
     table = pa.concat_tables([row.table for row in rows], promote_options="permissive")
     table = _without_folders(table.combine_chunks())
-    kept_curves = []
-    for name in table.column_names:
-        if column_type(name) == CURVE:
-            if curves is None or name.partition(" ")[0] in curves:
-                kept_curves.append(name)
-            else:
-                table = table.drop_columns([name])
+    curve_names = [name for name in table.column_names if column_type(name) == CURVE]
+    if curves is not None:
+        others = [name for name in curve_names if name.partition(" ")[0] not in curves]
+        table = table.drop_columns(others)
+        curve_names = [name for name in curve_names if name not in others]
     metadata = {"pneuma": json.dumps({"schema": SCHEMA, **about}), "pneuma.checksum": _NO_CHECKSUM}
     table = table.cast(pa.schema(map(_as_parquet, table.schema))).replace_schema_metadata(metadata)
     sink = io.BytesIO()
@@ -46,8 +44,8 @@ def encode_published(
         compression="zstd",
         compression_level=19,
         # a dictionary does not help where numbers hardly repeat
-        use_dictionary=[name for name in table.column_names if name not in kept_curves],
-        use_byte_stream_split=[f"{name}.list.element" for name in kept_curves],
+        use_dictionary=[name for name in table.column_names if name not in curve_names],
+        use_byte_stream_split=[f"{name}.list.element" for name in curve_names],
     )
     data = sink.getvalue()
     return data.replace(_NO_CHECKSUM, f"sha256:{checksum(data)}".encode())
@@ -85,8 +83,8 @@ class Published:
     """A published table, which may be untrusted. Its rows are read when the first one is asked for.
 
     Attributes:
-        about: what `encode_published` was told.
-        index: id, configuration's id, seed, steps, status and end of each run.
+        about: what `encode_published` was given.
+        index: `INDEX_COLUMNS` of each run.
         places: the place of each run, by id.
 
     Raises:
@@ -107,19 +105,11 @@ class Published:
             self.about = parse_json(index.schema.metadata[b"pneuma"])
             if self.about.get("schema") != SCHEMA:
                 raise ValueError("of another version of Pneuma")
-            columns = index.cast(_INDEX_SCHEMA).to_pydict().values()
-        self.index = list(zip(*columns, strict=True))
-        self.places = {run_id: place for place, (run_id, *_) in enumerate(self.index)}
+            self.index = index.cast(_INDEX_SCHEMA).replace_schema_metadata()
+        self.places = {run_id: place for place, run_id in enumerate(self.index["run_id"].to_pylist())}
 
-    def fields(self, run_id: str) -> dict[str, Any]:
-        """Return the fields of one of its runs; empty if they make no sense."""
-        return self._documents("fields", run_id)
-
-    def started(self, run_id: str) -> str:
-        """Return when the training of one of its runs was started; empty if that is not known."""
-        return str(self._documents("provenance", run_id).get("started", ""))
-
-    def _documents(self, column: str, run_id: str) -> dict[str, Any]:
+    def document(self, column: str, run_id: str) -> dict[str, Any]:
+        """Return the fields or the provenance of one of its runs; empty if they make no sense."""
         try:
             return parse_json(self._texts[column][self.places[run_id]].as_py().encode())
         except (ValueError, AttributeError):

@@ -92,16 +92,6 @@ def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_this_machines_own_cluster_is_started_again_once_if_it_dies(tmp_path: Path, cluster: Nodes) -> None:
-    study = write_study(tmp_path, steps=64 * 1500)
-    process = begin(tmp_path, study, "--executor", "ray")
-    wait_until(lambda: checkpoint_folders(tmp_path), seconds=240)
-    found = subprocess.run(["pgrep", "-P", str(process.pid), "raylet"], capture_output=True, text=True)
-    os.kill(int(found.stdout), signal.SIGKILL)
-    assert_same_as_local(tmp_path, study, process)
-
-
-@pytest.mark.slow
 def test_a_study_that_loses_a_node_ends_with_the_bytes_of_a_local_one(tmp_path: Path, cluster: Nodes) -> None:
     study = write_study(tmp_path, steps=64 * 1500, seeds=2)
     process = begin(tmp_path, study, "--executor", "ray", "--address", cluster.address)

@@ -13,8 +13,7 @@ import math
 import os
 import signal
 import socket
-import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import chdir, suppress
 from dataclasses import replace
 from functools import cache
@@ -54,129 +53,72 @@ def most_workers(config: ExecutorConfig) -> int:
 def train_runs(runs: Mapping[str, Run], store: Store, config: ExecutorConfig, on_event: OnEvent) -> None:
     """Train runs on the nodes of a cluster; see `base`. Raises UserError if one cannot train them."""
     store.root.mkdir(parents=True, exist_ok=True)
-    names, count = list(runs), min(MOST_IN_TASK, math.ceil(len(runs) / config.workers))
-    groups = []
-    for start in range(0, len(names), count):
-        groups.append({name: runs[name] for name in names[start : start + count]})
+    names, size = list(runs), min(MOST_IN_TASK, math.ceil(len(runs) / config.workers))
+    jobs = []
+    for start in range(0, len(names), size):
+        group = {name: runs[name] for name in names[start : start + size]}
+        jobs.append(Job(group, store, replace(config, workers=1)))
     with Interrupts() as interrupts:
         join(config.address)  # within `Interrupts`: Ctrl-C would break the start of Ray
         if interrupts.count:
             raise KeyboardInterrupt
-        tasks = _Tasks(groups, store, config, interrupts)
-        try:
-            _watch(runs, store, on_event, tasks.advance, config.until)
-        finally:
-            tasks.cancel()
+        _Tasks(jobs, config, on_event).watch(interrupts)
 
 
 class _Tasks:
-    """The groups of runs that wait, and the cluster's tasks that train others."""
+    """The jobs that wait, and the cluster's tasks that train others."""
 
-    def __init__(
-        self,
-        groups: Sequence[Mapping[str, Run]],
-        store: Store,
-        config: ExecutorConfig,
-        interrupts: Interrupts,
-    ) -> None:
-        import ray
+    def __init__(self, jobs: list[Job], config: ExecutorConfig, on_event: OnEvent) -> None:
+        self._waiting, self._config, self._on_event = jobs, config, on_event
+        self._jobs_by_task: dict[Any, Job] = {}
+        self._states: dict[str, str] = {}
 
-        self._waiting = list(groups)
-        self._store, self._config, self._interrupts = store, config, interrupts
-        self._start = ray.remote(num_cpus=1, max_calls=1, max_retries=1)(train_here).remote
-        self._group_by_task: dict[Any, Mapping[str, Run]] = {}
-        self._may_restart = config.address is None
-
-    def advance(self) -> dict[str, str]:
-        """Start waiting groups, and forget tasks that have ended; return where the other runs are, by id.
+    def watch(self, interrupts: Interrupts) -> None:
+        """Start tasks, and report events of their runs, until all runs have ended.
 
         Raises:
             UserError: if a node is not fit to train.
             KeyboardInterrupt: after Ctrl-C, when every run has come to a checkpoint.
         """
-        self._start_waiting()
-        ended = self._ended_tasks()
-        if self._may_restart and any(_lost_with_cluster(task) for task in ended):
-            self._restart_cluster()
-        else:
-            for task in ended:
-                del self._group_by_task[task]
-                _check(task)
-        if self._interrupts.count:
-            _stop(list(self._group_by_task), self._interrupts)
-            raise KeyboardInterrupt
-        places = {name: "job is waiting" for group in self._waiting for name in group}
-        for group in self._group_by_task.values():
-            places.update(dict.fromkeys(group, "job is in the cluster"))
-        return places
-
-    def cancel(self) -> None:
         import ray
 
-        for task in self._group_by_task:
-            ray.cancel(task, force=True)
+        start_task = ray.remote(num_cpus=1, max_calls=1, max_retries=1)(train_here).remote
+        for job in self._waiting:
+            self._report(job, "job is waiting")
+        try:
+            while self._waiting or self._jobs_by_task:
+                while self._waiting and len(self._jobs_by_task) < self._config.workers:
+                    job = self._waiting.pop(0)
+                    self._jobs_by_task[start_task(job.to_json(), versions(), os.getcwd())] = job
+                tasks = list(self._jobs_by_task)
+                ended_tasks, _ = ray.wait(tasks, num_returns=len(tasks), timeout=LOOK_SECONDS)
+                for task in ended_tasks:
+                    _check(task)
+                    self._report(self._jobs_by_task.pop(task), "")
+                for job in self._jobs_by_task.values():
+                    self._report(job, "job is in the cluster")
+                if interrupts.count:
+                    _stop(list(self._jobs_by_task), interrupts)
+                    raise KeyboardInterrupt
+        finally:
+            for task in self._jobs_by_task:
+                ray.cancel(task, force=True)
 
-    def _start_waiting(self) -> None:
-        while self._waiting and len(self._group_by_task) < self._config.workers:
-            group = self._waiting.pop(0)
-            job = Job(group, self._store, replace(self._config, workers=1))
-            task = self._start(job.to_json(), versions(), os.getcwd())
-            self._group_by_task[task] = group
-
-    def _ended_tasks(self) -> list[Any]:
-        import ray
-
-        tasks = list(self._group_by_task)
-        if not tasks:
-            return []
-        ended, _ = ray.wait(tasks, num_returns=len(tasks), timeout=0)
-        return list(ended)
-
-    def _restart_cluster(self) -> None:
-        """Start this machine's own cluster again: one of Ray's processes has died, and all others with it."""
-        import ray
-
-        self._may_restart = False
-        self._waiting = [*self._group_by_task.values(), *self._waiting]
-        self._group_by_task.clear()
-        ray.shutdown()
-        join.cache_clear()
-        join(None)
-
-
-def _watch(
-    names: Iterable[str],
-    store: Store,
-    on_event: OnEvent,
-    advance: Callable[[], Mapping[str, str]],
-    until: Mapping[str, int],
-) -> None:
-    """Report events of runs in tasks until all runs have ended.
-
-    Args:
-        names: of the runs.
-        store: where their results are kept.
-        on_event: is called with each event.
-        advance: returns where the runs are that have not ended, by their ids. A run that is nowhere and has
-            no result is lost.
-        until: the steps at which runs pause.
-    """
-    remaining = set(names)
-    places: Mapping[str, str] = dict.fromkeys(remaining, "job is submitted")
-    while remaining:
-        places_before, places = places, advance()
-        for name in sorted(remaining):
-            status = store.status(name)
-            place = places.get(name, places_before.get(name))
-            if status.finished or place is None:
-                remaining.remove(name)
-                on_event(_end_event(name, status, until.get(name, 0)))
-            elif status.step:
-                on_event({"event": "step", "run_id": name, "step": status.step})
-            elif place != places_before.get(name):
-                on_event({"event": "status", "run_id": name, "text": place})
-        if remaining:
-            time.sleep(LOOK_SECONDS)
+    def _report(self, job: Job, state: str) -> None:
+        """Report how far the runs of a job are; one that is nowhere has ended."""
+        for name in job.runs:
+            if self._states.get(name) == "":
+                continue
+            status = job.store.status(name)
+            if status.finished or not state:
+                self._states[name] = ""
+                self._on_event(_end_event(name, status, self._config.until.get(name, 0)))
+                continue
+            if status.step:
+                self._on_event({"event": "step", "run_id": name, "step": status.step})
+            elif state != self._states.get(name):
+                self._on_event({"event": "status", "run_id": name, "text": state})
+            self._states[name] = state
 
 
 def _end_event(name: str, status: Status, pause_step: int) -> Event:
@@ -198,16 +140,6 @@ def _check(task: Any) -> None:
         raise cause if isinstance(cause, UserError) else UserError(f"--executor ray: {cause}") from None
     except ray.exceptions.RayError:
         pass
-
-
-def _lost_with_cluster(task: Any) -> bool:
-    import ray
-
-    try:
-        ray.get(task)
-    except ray.exceptions.RayError as error:
-        return isinstance(error, ray.exceptions.LocalRayletDiedError)
-    return False
 
 
 def _stop(tasks: list[Any], interrupts: Interrupts) -> None:
