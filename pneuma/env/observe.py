@@ -167,14 +167,16 @@ def _write_rays(world: World, player_index: int, numbers: Array, column: int) ->
     settings = world.settings
     player = world.players[player_index]
     monsters = len(world.monsters)
+    rules.pack_bodies(world)
     for ray_index in range(settings.rays):
         ray_x = settings.ray_x[ray_index]
         ray_y = settings.ray_y[ray_index]
         nearest = math.inf
         sight = 0  # terrain
-        for body_index in range(monsters + len(world.players)):
-            if body_index != monsters + player_index and rules.is_alive(world, body_index):
-                distance = _distance_to_body(world, body_index, player.x, player.y, ray_x, ray_y)
+        for body_index in range(len(world.boxes)):
+            box = world.boxes[body_index]
+            if body_index != monsters + player_index and box.alive:
+                distance = _distance_to_body(box, player.x, player.y, ray_x, ray_y)
                 if distance < nearest:
                     nearest = distance
                     sight = 1  # another player
@@ -192,13 +194,12 @@ def _write_rays(world: World, player_index: int, numbers: Array, column: int) ->
 
 
 @inlined
-def _distance_to_body(
-    world: World, body_index: int, from_x: float, from_y: float, ray_x: float, ray_y: float
-) -> float:
+def _distance_to_body(box: Array, from_x: float, from_y: float, ray_x: float, ray_y: float) -> float:
     """Return the distance at which a ray enters a body; a ray that only touches it passes by."""
-    middle_x, middle_y, half_width, half_height = rules.box(world, body_index)
-    enters_x, leaves_x = _between(middle_x - half_width - from_x, middle_x + half_width - from_x, ray_x)
-    enters_y, leaves_y = _between(middle_y - half_height - from_y, middle_y + half_height - from_y, ray_y)
+    middle_x = box.place[0] + box.offset[0]
+    middle_y = box.place[1] + box.offset[1]
+    enters_x, leaves_x = _between(middle_x - box.half[0] - from_x, middle_x + box.half[0] - from_x, ray_x)
+    enters_y, leaves_y = _between(middle_y - box.half[1] - from_y, middle_y + box.half[1] - from_y, ray_y)
     enters = max(enters_x, enters_y, 0.0)
     if enters < min(leaves_x, leaves_y):
         return enters
@@ -225,8 +226,8 @@ def _distance_to_terrain(world: World, from_x: float, from_y: float, ray_x: floa
     """
     settings = world.settings
     stops = settings.player_stops
-    column = math.floor((from_x - settings.left) / settings.tile)
-    row = math.floor((from_y - settings.top) / settings.tile)
+    column = math.floor((from_x - settings.corner[0]) / settings.tile)
+    row = math.floor((from_y - settings.corner[1]) / settings.tile)
     step_x = -1
     if ray_x > 0.0:
         step_x = 1
@@ -237,10 +238,10 @@ def _distance_to_terrain(world: World, from_x: float, from_y: float, ray_x: floa
     while not rules.blocked(world.terrain, column, row, stops):
         to_x = math.inf
         if ray_x != 0.0:
-            to_x = (settings.left + (column + (ray_x > 0.0)) * settings.tile - from_x) / ray_x
+            to_x = (settings.corner[0] + (column + (ray_x > 0.0)) * settings.tile - from_x) / ray_x
         to_y = math.inf
         if ray_y != 0.0:
-            to_y = (settings.top + (row + (ray_y > 0.0)) * settings.tile - from_y) / ray_y
+            to_y = (settings.corner[1] + (row + (ray_y > 0.0)) * settings.tile - from_y) / ray_y
         distance = max(min(to_x, to_y), 0.0)
         if to_x == to_y and (
             rules.blocked(world.terrain, column + step_x, row, stops)
@@ -281,5 +282,6 @@ def _mask_actions(world: World, player_index: int) -> None:
 def _may_walk(world: World, player_index: int) -> bool:
     """Return whether terrain lets a player walk on for a tick; bodies are ignored, as they may move."""
     player = world.players[player_index]
-    x, y = rules.ahead(world, player_index, False)
+    rules.pack_player(world, player_index)
+    x, y = rules.walk(world, player_index, False)
     return x != player.x or y != player.y

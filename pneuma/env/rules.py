@@ -61,36 +61,34 @@ def _draw_below(episode: Array, bound: int) -> Any:
 @inlined
 def begin_episode(state: State, world_index: int, start_index: int) -> None:
     """Start an episode in one world, at a start place; below zero asks for one at random."""
+    levels, starts, _ = state.starts.shape
     episode = state.worlds[world_index]
     episode.steps = 0
     episode.ending = RUNNING
     episode.monsters_left = state.monsters.shape[1]
     episode.players_left = state.players.shape[1]
     episode.level = 0
-    if state.starts.shape[0] > 1:
-        episode.level = _draw_below(episode, state.starts.shape[0])
+    if levels > 1:
+        episode.level = _draw_below(episode, levels)
     episode.start = start_index
     if start_index < 0:
-        episode.start = _draw_below(episode, state.starts.shape[1])
+        episode.start = _draw_below(episode, starts)
     for player_index in range(state.players.shape[1]):
         player = state.players[world_index, player_index]
         kept_xp = player.xp
         state.players[world_index, player_index] = state.first_players[player_index]
         if state.settings[0].keep_xp:
             player.xp = kept_xp
-        player_start = (episode.start + player_index) % state.starts.shape[1]
-        player.x = state.starts[episode.level, player_start, 0]
-        player.y = state.starts[episode.level, player_start, 1]
+        place = state.starts[episode.level, (episode.start + player_index) % starts]
+        player.x = place[0]
+        player.y = place[1]
         slot = state.slots[world_index, player_index]
         slot.returns = 0.0
         slot.lengths = 0
         slot.idle = False
     for monster_index in range(state.monsters.shape[1]):
         state.monsters[world_index, monster_index] = state.first_monsters[episode.level, monster_index]
-    tally = state.tallies[world_index]
-    tally.returns = 0.0
-    tally.hp_lost = 0.0
-    tally.cleared = 0
+    state.tallies[world_index] = state.no_tally[0]
     for action in range(state.taken.shape[1]):
         state.taken[world_index, action] = 0
 
@@ -163,8 +161,7 @@ def _gather_active(world: World) -> int:
 @inlined
 def _gather_near(world: World, active: int) -> None:
     """List in `near` which bodies each player and the first `active` of `scratch` may meet in this step."""
-    for body_index in range(len(world.boxes)):
-        _pack(world, body_index)
+    pack_bodies(world)
     for active_index in range(active):
         _list_neighbours(world, np.int64(world.scratch[active_index].order))
     for body_index in range(len(world.monsters), len(world.boxes)):
@@ -180,19 +177,38 @@ def _list_neighbours(world: World, body_index: int) -> None:
     neighbours[0] = 0
     for other_index in range(len(world.boxes)):
         other = world.boxes[other_index]
-        is_near = abs(other[0] - mover[0]) < reach and abs(other[1] - mover[1]) < reach
-        if other_index != body_index and is_near and other[2] > 0.0:
+        near_x = abs(other.place[0] - mover.place[0]) < reach
+        near_y = abs(other.place[1] - mover.place[1]) < reach
+        if other_index != body_index and near_x and near_y and other.alive:
             neighbours[0] += 1
             neighbours[neighbours[0]] = other_index
 
 
 @inlined
-def _pack(world: World, body_index: int) -> None:
-    """Write a body's box to `boxes`, where moving bodies look for obstacles; what is dead stops nobody."""
-    packed_box = world.boxes[body_index]
-    packed_box[0], packed_box[1], packed_box[2], packed_box[3] = box(world, body_index)
-    if not is_alive(world, body_index):
-        packed_box[2] = packed_box[3] = -math.inf
+def pack_bodies(world: World) -> None:
+    """Write all bodies to `boxes`, where moving bodies and rays look for them; monsters come first."""
+    monsters = len(world.monsters)
+    for monster_index in range(monsters):
+        _pack(world.boxes[monster_index], world.monsters[monster_index], world.monster_stats[monster_index])
+    for player_index in range(len(world.players)):
+        pack_player(world, player_index)
+
+
+@inlined
+def pack_player(world: World, player_index: int) -> None:
+    box = world.boxes[len(world.monsters) + player_index]
+    _pack(box, world.players[player_index], world.player_stats[player_index])
+
+
+@inlined
+def _pack(box: Array, body: Array, stats: Array) -> None:
+    box.alive = body.hp > 0.0
+    box.place[0] = body.x
+    box.place[1] = body.y
+    box.offset[0] = stats.body_x
+    box.offset[1] = stats.body_y
+    box.half[0] = stats.half_width
+    box.half[1] = stats.half_height
 
 
 @inlined
@@ -272,7 +288,7 @@ def _act(world: World, player_index: int, action: int) -> None:
                     _heal(patient, world.player_stats[patient_index], event, player_stats.heal)
     else:
         player.facing = action
-        _walk(world, player_index)
+        player.x, player.y = walk(world, player_index, True)
 
 
 @inlined
@@ -289,15 +305,8 @@ def _heal(player: Array, player_stats: Array, event: Array, healing: float) -> N
     player.hp = hp
 
 
-@kernel
-def _walk(world: World, player_index: int) -> None:
-    player = world.players[player_index]
-    player.x, player.y = ahead(world, player_index, True)
-    _pack(world, len(world.monsters) + player_index)
-
-
 @inlined
-def ahead(world: World, player_index: int, among_bodies: bool) -> tuple[float, float]:
+def walk(world: World, player_index: int, among_bodies: bool) -> tuple[float, float]:
     """Return where a player is after walking for one tick in the direction it faces."""
     facing = world.players[player_index].facing
     speed = world.player_stats[player_index].speed
@@ -312,7 +321,7 @@ def ahead(world: World, player_index: int, among_bodies: bool) -> tuple[float, f
     else:
         step_y = -speed
     body_index = len(world.monsters) + player_index
-    return moved(world, body_index, step_x, step_y, world.settings.player_stops, among_bodies)
+    return move(world, body_index, step_x, step_y, world.settings.player_stops, among_bodies)
 
 
 # --- A tick: monsters are struck, sense, bite and move -------------------------------------------
@@ -348,8 +357,7 @@ def _tick_monster(world: World, monster_index: int) -> None:
         step_y = _approach(player.y - monster.y, monster_stats.stand_off, monster_stats.speed)
     if step_x != 0.0 or step_y != 0.0:
         stops = world.settings.monster_stops
-        monster.x, monster.y = moved(world, monster_index, step_x, step_y, stops, True)
-        _pack(world, monster_index)
+        monster.x, monster.y = move(world, monster_index, step_x, step_y, stops, True)
 
 
 @inlined
@@ -414,7 +422,7 @@ def _apply_hit(world: World, monster_index: int, player_index: int) -> None:
     monster.hp = max(monster.hp - strike.damage, 0.0)
     world.events[player_index].hits += 1
     if monster.hp <= 0.0:
-        _pack(world, monster_index)
+        world.boxes[monster_index].alive = False
         _credit_kill(world, monster_index, player_index)
     elif strike.knock_ticks >= 0 and monster.knocked == 0:
         _knock_back(monster, monster_stats, player, strike)
@@ -532,7 +540,7 @@ def _end_tick(world: World, player_index: int) -> None:
         player.busy = 0
         player.action_kind = 0
         event.died = 1
-        _pack(world, len(world.monsters) + player_index)
+        world.boxes[len(world.monsters) + player_index].alive = False
         _charge(world, player_index)
 
 
@@ -576,46 +584,36 @@ def record_step(world: World, actions: Array) -> None:
 
 
 @kernel
-def moved(
-    world: World,
-    body_index: int,
-    step_x: float,
-    step_y: float,
-    stops: int,
-    among_bodies: bool,
+def move(
+    world: World, body_index: int, step_x: float, step_y: float, stops: int, among_bodies: bool
 ) -> tuple[float, float]:
-    """Return where a body moves, x first, in terrain, and among other bodies if asked for.
+    """Move a body's box, x first, in terrain, and among other bodies if asked for; return its place.
 
-    Players come after monsters in `body_index`; `stops` has a bit for each code of terrain that stops it.
+    `stops` has a bit for each code of terrain that stops it.
     """
-    x, y, shape = body(world, body_index)
+    place = world.boxes[body_index].place
     if step_x != 0.0:
-        x = _moved_along(world, body_index, True, x, y, shape, step_x, stops, among_bodies)
+        place[0] = _moved_along(world, body_index, 0, step_x, stops, among_bodies)
     if step_y != 0.0:
-        y = _moved_along(world, body_index, False, x, y, shape, step_y, stops, among_bodies)
-    return x, y
+        place[1] = _moved_along(world, body_index, 1, step_y, stops, among_bodies)
+    return place[0], place[1]
 
 
 @inlined
 def _moved_along(
-    world: World, body_index: int, along_x: bool, x: float, y: float,
-    shape: tuple[float, float, float, float], distance: float, stops: int, among_bodies: bool,
-) -> float:  # fmt: skip
+    world: World, body_index: int, axis: int, distance: float, stops: int, among_bodies: bool
+) -> float:
     """Return x, or y, after a move along it, stopped flush at the first obstacle."""
-    start, _ = _turned(along_x, x, y)
-    offset, _ = _turned(along_x, shape[0], shape[1])
-    middle, middle_aside = _turned(along_x, x + shape[0], y + shape[1])
-    half, half_aside = _turned(along_x, shape[2], shape[3])
+    mover = world.boxes[body_index]
+    start = mover.place[axis]
+    offset = mover.offset[axis]
+    end = start + offset + distance
     direction = -1.0
     if distance > 0.0:
         direction = 1.0
-    end = middle + distance
-    limit = _stop_at_tiles(world, along_x, direction, end, half, middle_aside, half_aside, stops)
+    limit = _stop_at_tiles(world, mover, axis, direction, end, stops)
     if among_bodies:
-        contact = _stop_at_bodies(
-            world, body_index, along_x, direction, middle, half, middle_aside, half_aside
-        )
-        limit = min(limit, contact)
+        limit = min(limit, _stop_at_bodies(world, body_index, axis, direction))
     if direction * end <= limit:
         return start + distance
     if distance > 0.0:
@@ -624,80 +622,48 @@ def _moved_along(
 
 
 @inlined
-def _turned(along_x: bool, x: Any, y: Any) -> tuple[Any, Any]:
-    """Return the coordinate along the axis of a move, then the one across it, or the reverse."""
-    if along_x:
-        return x, y
-    return y, x
-
-
-@inlined
-def _stop_at_tiles(
-    world: World, along_x: bool, direction: float, end: float, half: float,
-    middle_aside: float, half_aside: float, stops: int,
-) -> float:  # fmt: skip
+def _stop_at_tiles(world: World, mover: Array, axis: int, direction: float, end: float, stops: int) -> float:
     """Return where a box's centre, times `direction`, is flush with tiles its leading edge would enter."""
-    settings = world.settings
-    tile = settings.tile
-    grid_start, grid_start_aside = _turned(along_x, settings.left, settings.top)
-    first = math.floor((middle_aside - half_aside - grid_start_aside) / tile)
-    last = math.ceil((middle_aside + half_aside - grid_start_aside) / tile) - 1
+    aside = 1 - axis
+    tile = world.settings.tile
+    corner = world.settings.corner
+    half = mover.half[axis]
+    middle_aside = mover.place[aside] + mover.offset[aside]
+    first = math.floor((middle_aside - mover.half[aside] - corner[aside]) / tile)
+    last = math.ceil((middle_aside + mover.half[aside] - corner[aside]) / tile) - 1
     if direction > 0.0:
-        tile_line = math.ceil((end + half - grid_start) / tile) - 1
-        flush = grid_start + tile_line * tile - half
+        tile_line = math.ceil((end + half - corner[axis]) / tile) - 1
+        flush = corner[axis] + tile_line * tile - half
     else:
-        tile_line = math.floor((end - half - grid_start) / tile)
-        flush = grid_start + (tile_line + 1) * tile + half
+        tile_line = math.floor((end - half - corner[axis]) / tile)
+        flush = corner[axis] + (tile_line + 1) * tile + half
     for tile_line_aside in range(first, last + 1):
-        column, row = _turned(along_x, tile_line, tile_line_aside)
+        column, row = tile_line, tile_line_aside
+        if axis == 1:
+            column, row = tile_line_aside, tile_line
         if blocked(world.terrain, column, row, stops):
             return direction * flush
     return math.inf
 
 
 @inlined
-def _stop_at_bodies(
-    world: World, body_index: int, along_x: bool, direction: float, middle: float, half: float,
-    middle_aside: float, half_aside: float,
-) -> float:  # fmt: skip
+def _stop_at_bodies(world: World, body_index: int, axis: int, direction: float) -> float:
     """Return where a box's centre, times `direction`, touches the first body ahead; it may overlap others."""
+    mover = world.boxes[body_index]
+    aside = 1 - axis
+    middle = mover.place[axis] + mover.offset[axis]
+    middle_aside = mover.place[aside] + mover.offset[aside]
     limit = math.inf
     neighbours = world.near[body_index]
     for neighbour in range(neighbours[0]):
         obstacle = world.boxes[neighbours[neighbour + 1]]
-        obstacle_middle, obstacle_aside = _turned(along_x, obstacle[0], obstacle[1])
-        obstacle_half, obstacle_half_aside = _turned(along_x, obstacle[2], obstacle[3])
-        reach = half + obstacle_half
-        beside = abs(middle_aside - obstacle_aside) >= half_aside + obstacle_half_aside - CONTACT_EPS
-        if not beside and direction * (obstacle_middle - middle) >= reach - CONTACT_EPS:
-            limit = min(limit, direction * obstacle_middle - reach)
+        ahead = direction * (obstacle.place[axis] + obstacle.offset[axis] - middle)
+        reach = mover.half[axis] + obstacle.half[axis]
+        apart = abs(middle_aside - (obstacle.place[aside] + obstacle.offset[aside]))
+        beside = apart >= mover.half[aside] + obstacle.half[aside] - CONTACT_EPS
+        if obstacle.alive and not beside and ahead >= reach - CONTACT_EPS:
+            limit = min(limit, direction * (obstacle.place[axis] + obstacle.offset[axis]) - reach)
     return limit
-
-
-@inlined
-def is_alive(world: World, body_index: int) -> bool:
-    if body_index < len(world.monsters):
-        return world.monsters[body_index].hp > 0.0
-    return world.players[body_index - len(world.monsters)].hp > 0.0
-
-
-@inlined
-def body(world: World, body_index: int) -> tuple[float, float, tuple[float, float, float, float]]:
-    """Return a body's position, and its shape: the centre from there, and half sides; monsters come first."""
-    if body_index < len(world.monsters):
-        monster = world.monsters[body_index]
-        stats = world.monster_stats[body_index]
-        return monster.x, monster.y, (stats.body_x, stats.body_y, stats.half_width, stats.half_height)
-    player = world.players[body_index - len(world.monsters)]
-    stats = world.player_stats[body_index - len(world.monsters)]
-    return player.x, player.y, (stats.body_x, stats.body_y, stats.half_width, stats.half_height)
-
-
-@inlined
-def box(world: World, body_index: int) -> tuple[float, float, float, float]:
-    """Return the centre and half sides of a body."""
-    x, y, shape = body(world, body_index)
-    return x + shape[0], y + shape[1], shape[2], shape[3]
 
 
 @inlined

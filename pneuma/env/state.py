@@ -13,6 +13,7 @@ from typing import Annotated, Any, NamedTuple, get_type_hints
 import numpy as np
 from llvmlite import ir
 from numba import from_dtype, types
+from numpy import bool_, float32, float64, int16, int32, int64, uint8, uint32, uint64
 
 from pneuma.env.compiling import (
     DIGEST,
@@ -31,189 +32,274 @@ Array = Any
 """A NumPy array, or a row of one, inside a kernel."""
 
 
-def _record(*fields: tuple[Any, ...]) -> np.dtype[np.void]:
-    return np.dtype(list(fields), align=True)
+def _record(fields: type) -> np.dtype[np.void]:
+    """Return the dtype of the fields that a class annotates: numbers, or arrays of a length."""
+    columns: list[tuple[Any, ...]] = []
+    for name, hint in get_type_hints(fields, include_extras=True).items():
+        length = getattr(hint, "__metadata__", ())
+        columns.append((name, getattr(hint, "__origin__", hint), *length))
+    return np.dtype(columns, align=True)
 
 
 # --- The whole state of the worlds ----------------------------------------------------------------
 
-WORLD = _record(
-    ("key", "u8"),  # of the world's random stream
-    ("draws", "u8"),  # numbers taken from it so far
-    ("steps", "i8"),  # agent steps of this episode
-    ("level", "u4"),  # index of the level played
-    ("start", "i4"),  # index of player 0's start place
-    ("monsters_left", "i4"),
-    ("players_left", "i4"),
-    ("ending", "i4"),  # RUNNING, or how the episode ended
-)
-PLAYER = _record(
-    ("x", "f8"),
-    ("y", "f8"),
-    ("hp", "f8"),
-    ("xp", "f8"),
-    ("energy", "f8"),
-    ("facing", "i4"),
-    ("busy", "i4"),  # ticks that the current attack or spell still lasts
-    ("action_kind", "i4"),  # what that is: BLADE, BURNING or HEALING; 0: there was none yet
-    ("attack", "i4"),  # number of the latest attack of this episode
-    ("safe", "i4"),  # ticks in which bites do nothing
-    ("kills", "i4"),
-)
-MONSTER = _record(  # what every step looks at comes first: it shares a line of cache
-    ("x", "f8"),
-    ("y", "f8"),
-    ("hp", "f8"),
-    ("knocked", "i4"),  # ticks that the knock-back still lasts
-    ("safe", "i4"),  # ticks in which blows do nothing
-    ("noticed", "u1"),  # bit p: player p is inside the notice circle
-    ("bite", "i2", (MAX_PLAYERS,)),  # ticks to the next bite of player p; 0: out of reach
-    ("inside", "u1"),  # bit p: player p struck where it stood in the last tick
-    ("knock_x", "f8"),  # pixels a tick
-    ("knock_y", "f8"),
-    ("struck_by", "i4", (MAX_PLAYERS,)),  # the last attack of player p that hit it
-)
+
+class _World:
+    """A world."""
+
+    key: uint64  # of the world's random stream
+    draws: uint64  # numbers taken from it so far
+    steps: int64  # agent steps of this episode
+    level: uint32  # index of the level played
+    start: int32  # index of player 0's start place
+    monsters_left: int32
+    players_left: int32
+    ending: int32  # RUNNING, or how the episode ended
+
+
+WORLD = _record(_World)
+
+
+class _Player:
+    """A player."""
+
+    x: float64
+    y: float64
+    hp: float64
+    xp: float64
+    energy: float64
+    facing: int32
+    busy: int32  # ticks that the current attack or spell still lasts
+    action_kind: int32  # what that is: BLADE, BURNING or HEALING; 0: there was none yet
+    attack: int32  # number of the latest attack of this episode
+    safe: int32  # ticks in which bites do nothing
+    kills: int32
+
+
+PLAYER = _record(_Player)
+
+
+class _Monster:
+    """A monster; what every step looks at comes first, as it shares a line of cache."""
+
+    x: float64
+    y: float64
+    hp: float64
+    knocked: int32  # ticks that the knock-back still lasts
+    safe: int32  # ticks in which blows do nothing
+    noticed: uint8  # bit p: player p is inside the notice circle
+    bite: Annotated[int16, MAX_PLAYERS]  # ticks to the next bite of player p; 0: out of reach
+    inside: uint8  # bit p: player p struck where it stood in the last tick
+    knock_x: float64  # pixels a tick
+    knock_y: float64
+    struck_by: Annotated[int32, MAX_PLAYERS]  # the last attack of player p that hit it
+
+
+MONSTER = _record(_Monster)
+
 
 # --- What the rules read --------------------------------------------------------------------------
 
-_BODY = (
-    ("half_width", "f8"),
-    ("half_height", "f8"),
-    ("body_x", "f8"),  # centre of the body box from the position
-    ("body_y", "f8"),
-)
 
-STRIKE = _record(  # of a sword or a flame, from the player, by facing
-    ("x", "f8", (4,)),  # centre of the box that it strikes
-    ("y", "f8", (4,)),
-    ("half_width", "f8", (4,)),
-    ("half_height", "f8", (4,)),
-    ("hilt_x", "f8", (4,)),  # knock-back points away from it
-    ("hilt_y", "f8", (4,)),
-    ("damage", "f8"),
-    ("knock_speed", "f8"),
-    ("knock_ticks", "i4"),  # below 0: it knocks nobody back
-)
-PLAYER_STATS = _record(
-    ("hp", "f8"),
-    ("energy", "f8"),
-    ("energy_gain", "f8"),  # a tick
-    ("speed", "f8"),
-    *_BODY,
-    ("safe", "i4"),  # ticks after a bite in which further ones do nothing
-    ("swing", "i4"),  # ticks that an attack lasts, and a flame, and the spell that heals
-    ("flame_ticks", "i4"),
-    ("heal_ticks", "i4"),
-    ("sword", STRIKE),
-    ("flame", STRIKE),
-    ("flame_cost", "f8"),
-    ("heal", "f8"),
-    ("heal_cost", "f8"),
-    ("heal_reach", "f8"),  # other players within it are healed too; 0: none
-    ("reward", "i4"),  # which formula
-    ("hp_scale", "f8"),  # of an observation
-    ("energy_scale", "f8"),
-)
-MONSTER_STATS = _record(
-    ("hp", "f8"),
-    ("speed", "f8"),
-    *_BODY,
-    ("notice_squared", "f8"),
-    ("notice_x", "f8"),  # centre of the notice circle from the position
-    ("notice_y", "f8"),
-    ("attack_squared", "f8"),
-    ("attack_x", "f8"),  # and of the attack circle
-    ("attack_y", "f8"),
-    ("stand_off", "f8"),  # no approach on an axis nearer than this
-    ("damage", "f8"),
-    ("bite_ticks", "i4"),
-    ("safe", "i4"),  # ticks after a blow in which further ones do nothing
-    ("knock_ticks", "i4"),  # below 0: as the striker's
-    ("knock_speed", "f8"),
-    ("xp", "f8"),  # for the kill
-    ("heal", "f8"),
-    ("reach_squared", "f8"),  # beyond this distance nothing can happen to it within one step
-    ("sight", "i4"),  # number of its kind, among those that rays tell apart
-    ("hp_scale", "f8"),  # of an observation
-    ("distance_scale", "f8"),
-    ("xp_scale", "f8"),
-)
-SETTINGS = _record(
-    ("left", "f8"),  # of the tile grid
-    ("top", "f8"),
-    ("tile", "f8"),
-    ("ticks", "i4"),  # of one agent step
-    ("episode_steps", "i8"),
-    ("end_on_clear", "i4"),
-    ("player_stops", "i8"),  # bit 1 << code: tiles of this code stop players
-    ("monster_stops", "i8"),
-    ("body_reach", "f8"),  # a body further off on x or y cannot stop another within a step
-    ("magic", "i4"),  # whether there are spells
-    ("shared_reward", "i4"),  # whether players get the mean of all their rewards
-    ("blow_on_entry", "i4"),  # whether a monster is hit when it enters the sword's box, not once an attack
-    ("credit_near", "i4"),  # a kill pays those within the attack circle, not the striker
-    ("ending_cost", "f8"),  # XP lost by every ending
-    ("keep_xp", "i4"),  # from episode to episode
-    ("layout", "i4"),  # of observations
-    ("observe_facing", "i4"),
-    ("fixed_order", "i4"),
-    ("perceived", "i4"),  # most monsters in an observation
-    ("middle_x", "f8"),  # positions are observed as (x - middle) * scale
-    ("middle_y", "f8"),
-    ("scale_x", "f8"),
-    ("scale_y", "f8"),
-    ("xp_scale", "f8"),
-    ("rays", "i4"),  # that a player sees by
-    ("sights", "i4"),  # kinds of monsters that they tell apart
-    ("ray_scale", "f8"),  # of distances along them
-    ("ray_x", "f8", (MAX_RAYS,)),  # their directions, of length 1
-    ("ray_y", "f8", (MAX_RAYS,)),
-)
+class _Body:
+    """A body's box."""
+
+    half_width: float64
+    half_height: float64
+    body_x: float64  # centre of the body box from the position
+    body_y: float64
+
+
+class _Strike:
+    """What a sword or a flame does; lists go by the player's facing."""
+
+    x: Annotated[float64, 4]  # centre of the box that it strikes
+    y: Annotated[float64, 4]
+    half_width: Annotated[float64, 4]
+    half_height: Annotated[float64, 4]
+    hilt_x: Annotated[float64, 4]  # knock-back points away from it
+    hilt_y: Annotated[float64, 4]
+    damage: float64
+    knock_speed: float64
+    knock_ticks: int32  # below 0: it knocks nobody back
+
+
+STRIKE: Any = _record(_Strike)
+
+
+class _PlayerStats(_Body):
+    """A player's numbers that do not change."""
+
+    hp: float64
+    energy: float64
+    energy_gain: float64  # a tick
+    speed: float64
+    safe: int32  # ticks after a bite in which further ones do nothing
+    swing: int32  # ticks that an attack lasts, and a flame, and the spell that heals
+    flame_ticks: int32
+    heal_ticks: int32
+    sword: STRIKE
+    flame: STRIKE
+    flame_cost: float64
+    heal: float64
+    heal_cost: float64
+    heal_reach: float64  # other players within it are healed too; 0: none
+    reward: int32  # which formula
+    hp_scale: float64  # of an observation
+    energy_scale: float64
+
+
+PLAYER_STATS = _record(_PlayerStats)
+
+
+class _MonsterStats(_Body):
+    """A monster's numbers that do not change."""
+
+    hp: float64
+    speed: float64
+    notice_squared: float64
+    notice_x: float64  # centre of the notice circle from the position
+    notice_y: float64
+    attack_squared: float64
+    attack_x: float64  # and of the attack circle
+    attack_y: float64
+    stand_off: float64  # no approach on an axis nearer than this
+    damage: float64
+    bite_ticks: int32
+    safe: int32  # ticks after a blow in which further ones do nothing
+    knock_ticks: int32  # below 0: as the striker's
+    knock_speed: float64
+    xp: float64  # for the kill
+    heal: float64
+    reach_squared: float64  # beyond this distance nothing can happen to it within one step
+    sight: int32  # number of its kind, among those that rays tell apart
+    hp_scale: float64  # of an observation
+    distance_scale: float64
+    xp_scale: float64
+
+
+MONSTER_STATS = _record(_MonsterStats)
+
+
+class _Settings:
+    """What holds for all worlds."""
+
+    corner: Annotated[float64, 2]  # left and top of the tile grid
+    tile: float64
+    ticks: int32  # of one agent step
+    episode_steps: int64
+    end_on_clear: int32
+    player_stops: int64  # bit 1 << code: tiles of this code stop players
+    monster_stops: int64
+    body_reach: float64  # a body further off on x or y cannot stop another within a step
+    magic: int32  # whether there are spells
+    shared_reward: int32  # whether players get the mean of all their rewards
+    blow_on_entry: int32  # whether a monster is hit when it enters the sword's box, not once an attack
+    credit_near: int32  # a kill pays those within the attack circle, not the striker
+    ending_cost: float64  # XP lost by every ending
+    keep_xp: int32  # from episode to episode
+    layout: int32  # of observations
+    observe_facing: int32
+    fixed_order: int32
+    perceived: int32  # most monsters in an observation
+    middle_x: float64  # positions are observed as (x - middle) * scale
+    middle_y: float64
+    scale_x: float64
+    scale_y: float64
+    xp_scale: float64
+    rays: int32  # that a player sees by
+    sights: int32  # kinds of monsters that they tell apart
+    ray_scale: float64  # of distances along them
+    ray_x: Annotated[float64, MAX_RAYS]  # their directions, of length 1
+    ray_y: Annotated[float64, MAX_RAYS]
+
+
+SETTINGS = _record(_Settings)
+
 
 # --- What the rules write -------------------------------------------------------------------------
 
-EVENTS = _record(
-    ("reward", "f8"),
-    ("xp_gained", "f8"),  # by kills, less what an ending cost
-    ("hp_lost", "f8"),
-    ("hp_gained", "f8"),
-    ("hits", "i4"),  # blows landed on monsters
-    ("kills", "i4"),  # last blows among them
-    ("notices", "i4"),  # notice circles entered
-    ("contacts", "i4"),  # attack circles entered
-    ("distance", "f8"),  # to the nearest living monster, infinite without one
-    ("died", "i4"),
-    ("present", "i4"),  # ticks of the step that the player lived through
-)
-"""What happened to a player in one step, for rewards computed outside."""
 
-SLOT = _record(  # the episode in progress, or just ended, of one player
-    ("returns", "f8"),
-    ("lengths", "i8"),  # steps that the player lived to begin
-    ("episodes", "i8"),  # how many ended before or now
-    ("ending", "i4"),  # how the last step ended it; RUNNING if it did not
-    ("begins", "f4"),  # 1 if the last step ended an episode, or there was none
-    ("idle", "?"),  # whether the player was dead before the last step of an episode that still runs
-)
-TALLY = _record(  # the same of a world: means over its players
-    ("returns", "f8"),
-    ("hp_lost", "f8"),
-    ("cleared", "i8"),  # the step that left no monster; 0 so far
-)
+class _Events:
+    """What happened to a player in one step, for rewards computed outside."""
 
-TICK = _record(
-    ("there", "i4"),  # whether the player lives through this tick
-    ("strikes", "i4"),  # BLADE, BURNING, or 0
-    ("xp", "f8"),
-    ("healed", "f8"),
-    ("bitten", "f8"),
-    ("notices", "i4"),
-    ("contacts", "i4"),
-    ("paid", "i4"),  # whether anybody killed
-)
-"""What a player does in one tick, and its results."""
+    reward: float64
+    xp_gained: float64  # by kills, less what an ending cost
+    hp_lost: float64
+    hp_gained: float64
+    hits: int32  # blows landed on monsters
+    kills: int32  # last blows among them
+    notices: int32  # notice circles entered
+    contacts: int32  # attack circles entered
+    distance: float64  # to the nearest living monster, infinite without one
+    died: int32
+    present: int32  # ticks of the step that the player lived through
 
-SCRATCH = _record(("order", "u8"), ("distance", "f8"))
+
+EVENTS = _record(_Events)
+
+
+class _Slot:
+    """The episode in progress, or just ended, of one player."""
+
+    returns: float64
+    lengths: int64  # steps that the player lived to begin
+    episodes: int64  # how many ended before or now
+    ending: int32  # how the last step ended it; RUNNING if it did not
+    begins: float32  # 1 if the last step ended an episode, or there was none
+    idle: bool_  # whether the player was dead before the last step of an episode that still runs
+
+
+SLOT = _record(_Slot)
+
+
+class _Tally:
+    """The same of a world: means over its players."""
+
+    returns: float64
+    hp_lost: float64
+    cleared: int64  # the step that left no monster; 0 so far
+
+
+TALLY = _record(_Tally)
+
+
+class _Tick:
+    """What a player does in one tick, and its results."""
+
+    there: int32  # whether the player lives through this tick
+    strikes: int32  # BLADE, BURNING, or 0
+    xp: float64
+    healed: float64
+    bitten: float64
+    notices: int32
+    contacts: int32
+    paid: int32  # whether anybody killed
+
+
+TICK = _record(_Tick)
+
+
+class _Box:
+    """A body where moving bodies and rays look for it; the lists hold x and y."""
+
+    place: Annotated[float64, 2]
+    offset: Annotated[float64, 2]  # of the box's centre from there
+    half: Annotated[float64, 2]  # sides
+    alive: int32  # the dead stop nobody
+
+
+BOX = _record(_Box)
+
+
+class _Scratch:
+    """A monster of a list, by its index."""
+
+    order: uint64
+    distance: float64
+
+
+SCRATCH = _record(_Scratch)
 
 
 class State(NamedTuple):
@@ -239,7 +325,7 @@ class State(NamedTuple):
     tick: Annotated[Array, TICK, "P"]
     scratch: Annotated[Array, SCRATCH, "M"]
     near: Annotated[Array, np.int32, "B B"]  # how many bodies a body may meet in this step, and which
-    boxes: Annotated[Array, np.float64, "B 4"]  # centre and half sides of bodies; those of the dead are -inf
+    boxes: Annotated[Array, BOX, "B"]
     begins: Annotated[Array, np.int64, "N"]  # start places of the worlds that `run_worlds` resets
     first_players: Annotated[Array, PLAYER, "P"]  # an episode's are copies, but for place and kept XP
     first_monsters: Annotated[Array, MONSTER, "L M"]  # an episode's are copies
@@ -247,6 +333,7 @@ class State(NamedTuple):
     tallies: Annotated[Array, TALLY, "N"]
     taken: Annotated[Array, np.int64, "N A"]  # how often players who lived took each action
     no_events: Annotated[Array, EVENTS, "1"]  # of a step in which nothing happens
+    no_tally: Annotated[Array, TALLY, "1"]  # of an episode that begins
 
 
 def _read_annotations() -> dict[str, tuple[np.dtype[Any], list[str]]]:

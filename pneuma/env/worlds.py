@@ -170,7 +170,8 @@ class Worlds:
     def _settings(self, config: EnvConfig) -> np.ndarray:
         settings = np.zeros(1, state.SETTINGS)
         row = settings[0]
-        row["left"], row["top"], row["tile"] = self.level.left, self.level.top, self.level.tile
+        row["corner"] = self.level.left, self.level.top
+        row["tile"] = self.level.tile
         row["ticks"] = characters.TICKS_PER_STEP
         row["episode_steps"] = config.episode_steps
         row["end_on_clear"] = config.end_on_clear

@@ -29,7 +29,7 @@ def read_rulebook(worlds: Worlds) -> Rulebook:
     The kernel's switches and shortcuts, which `Worlds` makes of the configuration, go unread.
     """
     config, row = worlds.config, worlds.settings[0]
-    corner = float(row["left"]), float(row["top"]), float(row["tile"])
+    left, top = row["corner"].tolist()
     trees = {SOLID} if config.trees == "wall" else set()
     return Rulebook(
         config=config,
@@ -40,7 +40,7 @@ def read_rulebook(worlds: Worlds) -> Rulebook:
         settings=_read_row(row),
         stats=[_read_row(stats) for stats in worlds.player_stats],
         kinds=[[_read_row(kind) for kind in level] for level in worlds.monster_stats],
-        grounds=[Ground(*corner, level.terrain.tolist()) for level in worlds.levels],
+        grounds=[Ground(left, top, float(row["tile"]), level.terrain.tolist()) for level in worlds.levels],
         starts=[[(x, y) for x, y in level.starts.tolist()] for level in worlds.levels],
         homes=[[(x, y) for _, x, y in level.monsters] for level in worlds.levels],
     )
