@@ -105,7 +105,7 @@ slow-0 slow-1 slow-2: slow-%: $(TESTED)
 release-check: $(TESTED)  ## Build wheel and source archive in dist/, and try the wheel in an environment of its own
 	.ci/release
 
-lint: $(TESTED)
+lint: $(TESTED)  ## Check style and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

@@ -1,4 +1,4 @@
-"""Who may import whom (docs/architecture.md), and that the package list is complete."""
+"""Who may import whom (CONTRIBUTING.md), and that the package list is complete."""
 
 from __future__ import annotations
 

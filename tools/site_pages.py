@@ -1,7 +1,8 @@
 """A hook of MkDocs: pages of the site that no file in docs/ holds, made when the site is built.
 
-The front page is the README, the commands' reference comes from the program itself, and the reference of
-modules from their docstrings. Pictures that pages show, and tables that they link to, are taken along.
+The front page is the README, and the page for contributors CONTRIBUTING.md. The reference of commands comes
+from the program itself, that of modules from their docstrings. Pictures that pages show, and tables that they
+link to, are taken along.
 """
 
 from __future__ import annotations
@@ -23,7 +24,12 @@ PICTURES = "paper_figures"
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are made, and the pictures."""
-    made = {"index.md": _front_page(), "commands.md": _commands(), "api.md": _modules()}
+    made = {
+        "index.md": _page("README.md"),
+        "contributing.md": _page("CONTRIBUTING.md"),
+        "commands.md": _commands(),
+        "api.md": _modules(),
+    }
     for name, text in made.items():
         files.append(File.generated(config, name, content=text))
     for path in sorted(path for path in (ROOT / PICTURES).rglob("*.*") if path.is_file()):
@@ -36,8 +42,10 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     return markdown.replace(f"](../{PICTURES}/", f"]({PICTURES}/").replace("](../README.md", "](index.md")
 
 
-def _front_page() -> str:
-    return (ROOT / "README.md").read_text(encoding="utf-8").replace("](docs/", "](")
+def _page(name: str) -> str:
+    """Return a page of the repository's root, with links as they are within docs/."""
+    text = (ROOT / name).read_text(encoding="utf-8").replace("](docs/", "](")
+    return text.replace("](CONTRIBUTING.md", "](contributing.md")
 
 
 def _commands() -> str:

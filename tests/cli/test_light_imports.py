@@ -1,4 +1,4 @@
-"""What a person waits for: `import pneuma` and `pneuma --help` load nothing heavy (docs/architecture.md)."""
+"""What a person waits for: `import pneuma` and `pneuma --help` load nothing heavy (CONTRIBUTING.md)."""
 
 from __future__ import annotations
 

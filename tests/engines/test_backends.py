@@ -10,9 +10,10 @@ import pytest
 import torch
 
 from pneuma.algorithms import OPTIMIZERS
-from pneuma.config import ACTIVATIONS
+from pneuma.config import ACTIVATIONS, make_run
 from pneuma.engines import mlp, policy
 from pneuma.engines.batched import optimizers, update
+from pneuma.engines.batched.update import run_numbers
 
 DEFINITIONS: dict[str, Callable[[float], float]] = {
     "tanh": math.tanh,
@@ -56,7 +57,7 @@ def test_an_activation_is_what_its_name_says(
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_an_unknown_activation_is_no_other_one(backend: Callable[[str, np.ndarray], np.ndarray]) -> None:
     with pytest.raises(KeyError):
-        backend("gelu", INPUTS)
+        backend("no-such", INPUTS)
 
 
 def test_a_code_without_a_branch_gives_no_numbers() -> None:
@@ -65,9 +66,24 @@ def test_a_code_without_a_branch_gives_no_numbers() -> None:
     assert np.isnan(outputs).all()
 
 
-def test_an_engine_has_the_optimizers_that_are_said_to_be_its() -> None:
+FIRST_STEPS = {"adam": 0.1, "sgd": 0.3, "rmsprop": 1.0, "upgd": 0.1}
+"""How far a weight of 0 moves for a gradient of 3 at a rate of 0.1. Adam divides the gradient by its size,
+RMSProp by a tenth of it; UPGD's weights are equally useful, and its noise is small."""
+
+
+@pytest.mark.parametrize("name", OPTIMIZERS)
+def test_an_optimizer_takes_the_first_step_that_it_should(name: str) -> None:
+    numbers = run_numbers(make_run({"optimizer": name, "learning_rate": 0.1}))
+    weights = (np.zeros(2, np.float32),)
+    take_step, _ = optimizers.OPTIMIZERS[name]
+    (moved,), _ = take_step(
+        (np.array([3, -3], np.float32),), weights, optimizers.initial_state(name, weights), numbers
+    )
+    assert np.asarray(moved) == pytest.approx([-FIRST_STEPS[name], FIRST_STEPS[name]], abs=1e-3)
+
+
+def test_an_optimizers_torch_class_is_one() -> None:
     assert OPTIMIZERS.keys() == optimizers.OPTIMIZERS.keys()
     for optimizer in OPTIMIZERS.values():
-        assert not optimizer.torch_class or issubclass(
-            getattr(torch.optim, optimizer.torch_class), torch.optim.Optimizer
-        )
+        torch_class = getattr(torch.optim, optimizer.torch_class or "Optimizer")
+        assert issubclass(torch_class, torch.optim.Optimizer)
