@@ -16,14 +16,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pneuma.config import OF_WORLDS, Run, as_fields, is_gymnasium_id, make_run
 from pneuma.env.fields import ENVIRONMENTS, make_env_config, read_field
-from pneuma.errors import UserError, counted
+from pneuma.errors import Say, UserError, counted, silent
 from pneuma.schema import plain
 from pneuma.store.last_queries import on_top_of_last
 from pneuma.store.provenance import available_cores, project
@@ -46,10 +46,6 @@ if TYPE_CHECKING:
     from pneuma.engines.sb3_open import LearnedPolicy
 
 Where = str | os.PathLike[str]
-Say = Callable[[str], object]
-
-
-def _silent(message: str) -> None: ...
 
 
 def run_study(
@@ -98,7 +94,7 @@ def run_study(
     return open_data(study, results, preset=spec.LAST, world=world)
 
 
-def plan_study(query: plan.Query, store: Store, say: Say = _silent) -> plan.Plan:
+def plan_study(query: plan.Query, store: Store, say: Say = silent) -> plan.Plan:
     """Plan the runs of a query to train, after `say` was called with the user's own code that they run."""
     study = spec.load_study(query.study, query.world, kept=store.studies)
     if query.preset == spec.LAST:
@@ -127,7 +123,7 @@ def train_plan(
     retry_failed: bool = False,
     quiet: bool = False,
     on_progress: execute.OnProgress | None = None,
-    say: Say = _silent,
+    say: Say = silent,
 ) -> list[execute.CellResult]:
     """Train a plan's missing runs, with `retry_failed` also those that crashed, and show the progress.
 
@@ -155,7 +151,7 @@ def open_data(
     conditions: Sequence[str] = (),
     settings: Mapping[str, Any] | None = None,
     world: str | None = None,
-    say: Say = _silent,
+    say: Say = silent,
 ) -> StudyData:
     """Open the finished runs of a study's cells, stored or published.
 

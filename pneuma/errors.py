@@ -43,10 +43,33 @@ class Hint:
         return self.field if self.value is None else f"{self.field}={self.value!r}"
 
 
-def written(parts: Iterable[str | Hint], write: Callable[[Hint], str] = str) -> str:
-    """Return a message whose hints are written by a function: as in Python unless another is given."""
-    texts = [write(part) if isinstance(part, Hint) else str(part) for part in parts]
-    return "".join(texts)
+class Message(str):
+    """A text with hints in it, which are written as in Python.
+
+    Attributes:
+        parts: texts and hints.
+    """
+
+    parts: tuple[str | Hint, ...]
+
+    def __new__(cls, *parts: str | Hint) -> Message:
+        """Join the parts."""
+        message = super().__new__(cls, "".join(map(str, parts)))
+        message.parts = parts
+        return message
+
+
+Say = Callable[[str], object]
+
+
+def silent(message: str) -> None:
+    """Say nothing."""
+
+
+def written(message: str, write: Callable[[Hint], str]) -> str:
+    """Return a text or message whose hints are written by a function."""
+    parts: Iterable[str | Hint] = getattr(message, "parts", (message,))
+    return "".join(write(part) if isinstance(part, Hint) else part for part in parts)
 
 
 class UserError(Exception):
@@ -56,7 +79,7 @@ class UserError(Exception):
     """
 
     def __str__(self) -> str:
-        return written(self.args)
+        return "".join(map(str, self.args))
 
 
 class StorageError(UserError):

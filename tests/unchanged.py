@@ -20,7 +20,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from pneuma.analysis.export import encode_table
+from pneuma.analysis.export import encode_frame, exported_table
 from pneuma.analysis.runs import open_study
 from pneuma.errors import UserError
 from pneuma.store.index import RunIndex
@@ -102,7 +102,7 @@ def _tables() -> dict[str, str]:
             continue
         for table in TABLES:
             try:
-                encoded, _ = encode_table(data, table, "csv", store)
+                encoded = encode_frame(exported_table(data, table, store), "csv")
                 found[f"{name} {table}"] = _digest(encoded.decode())
             except UserError:
                 found[f"{name} {table}"] = "refused"

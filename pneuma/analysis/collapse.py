@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from pneuma.analysis.intervals import incidence_interval
-from pneuma.analysis.study_data import NAMING, StudyData
+from pneuma.analysis.study_data import RUN_KEY_COLUMNS, StudyData
 from pneuma.store.rows import Row
 from pneuma.store.series import FALL, LOSS, NO_ENTROPY, ONE_ACTION, SIGNS, Stretch, stretches
 
@@ -27,8 +27,8 @@ SHORTEST = 0.05
 """Share of the budget that a single action, or a return below zero, must last to count as collapse."""
 GAP = 0.01
 """Share of the budget for which a sign may be interrupted."""
-MOST = 0.5
-"""Share of a period's updates in which a sign must hold."""
+LEAST_HELD = 0.5
+"""In more than this share of a period's updates a sign must hold."""
 FALLEN_TO = 0.5
 """A run has fallen if it kills at most this share of its best."""
 DEPTH = 0.1
@@ -54,28 +54,34 @@ class Diagnosis:
 
 
 def diagnose(run: Row) -> Diagnosis:
-    played, found, distance = _played(run), run.signs, run.update_steps
-    steps = played[0]
-    gap, shortest = GAP * run.budget + (distance or 0), SHORTEST * run.budget
-    falls, losses = _falls(played), _losses(run)
-    sunk = _lasting(losses or [], gap, shortest)
-    alone = found.get(NO_ENTROPY, [])
-    if ONE_ACTION in found:
-        alone = both(alone, found[ONE_ACTION])
+    signs, update = run.signs, run.update_steps or 0
+    gap, shortest = GAP * run.budget + update, SHORTEST * run.budget
+    stuck = signs.get(NO_ENTROPY, [])
+    if ONE_ACTION in signs:
+        stuck = both(stuck, signs[ONE_ACTION])
     # Repeated single updates are joined, but are no collapse: most updates must show the sign.
-    stuck = [part for part in _lasting(alone, gap, shortest) if share_held(alone, part, distance or 1) > MOST]
-    spells = joined(stuck + falls + sunk, gap)
+    spells = [
+        spell
+        for spell in _lasting(stuck, gap, shortest)
+        if share_held(stuck, spell, update or 1) > LEAST_HELD
+    ]
+    steps, played, random = _played(run)
+    falls, losses = _falls(steps, played, random), _losses(run)
+    sunk = _lasting(losses or [], gap, shortest)
+    spells = joined(spells + falls + sunk, gap)
     if not spells:
-        evaluated = len(steps) and not run.begun  # a fork's best was its parent's
-        return Diagnosis(False if NO_ENTROPY in found or losses is not None or evaluated else None)
+        is_evaluated = len(steps) > 0 and not run.begun  # a fork's best was its parent's
+        is_known = NO_ENTROPY in signs or losses is not None or is_evaluated
+        return Diagnosis(False if is_known else None)
     onset, last = spells[0]
-    fell, lost = ([part for part in parts if onset <= part[0] <= last] for parts in (falls, sunk))
-    present = {sign for sign, parts in found.items() if share_held(parts, spells[0], distance or 1) > MOST}
-    present |= {sign for sign, parts in ((FALL, fell), (LOSS, lost)) if parts}
+    present = [sign for sign in SIGNS if share_held(signs.get(sign, []), spells[0], update or 1) > LEAST_HELD]
+    for sign, periods in ((FALL, falls), (LOSS, sunk)):
+        if any(onset <= first <= last for first, _ in periods):
+            present.append(sign)
     return Diagnosis(
         True,
         onset_step=int(onset),
-        onset_update=round(onset / distance) if distance else None,
+        onset_update=round(onset / update) if update else None,
         signs=tuple(sign for sign in SIGNS if sign in present),
     )
 
@@ -85,37 +91,48 @@ def diagnoses(data: StudyData) -> pd.DataFrame:
 
     `collapsed` is missing where no sign that decides is recorded.
     """
-    found = [diagnose(run) for run in data.rows]
-    table = pd.DataFrame([{**vars(each), "signs": ", ".join(each.signs)} for each in found])
+    table = pd.DataFrame([vars(diagnose(run)) for run in data.rows])
+    table["signs"] = table["signs"].map(", ".join)
     table = table.astype({"collapsed": "boolean", "onset_step": "Int64", "onset_update": "Int64"})
-    return pd.concat([data.runs[[*NAMING, "status"]].reset_index(drop=True), table], axis=1)
+    runs = data.runs[[*RUN_KEY_COLUMNS, "status"]].reset_index(drop=True)
+    return pd.concat([runs, table], axis=1)
 
 
-def incidence(data: StudyData, every: pd.DataFrame) -> pd.DataFrame:
-    """Return how many runs of each condition collapsed, given all `diagnoses`: counts, share, 95 % interval.
+def incidence(data: StudyData, diagnosed: pd.DataFrame) -> pd.DataFrame:
+    """Return how many runs of each condition collapsed: counts, share, 95 % interval.
 
     Runs whose records show no sign that decides are left out; `unknown` counts them.
+
+    Args:
+        data: an opened study.
+        diagnosed: its `diagnoses`.
     """
     rows = []
     for condition in data.conditions:
-        diagnosed = every[every["condition"] == condition]
-        found = diagnosed[diagnosed["collapsed"].notna()]
-        runs, count = len(found), int(found["collapsed"].sum())
-        interval = incidence_interval(count, runs)
+        runs = diagnosed[diagnosed["condition"] == condition]
+        known = runs[runs["collapsed"].notna()]
+        count, collapsed = len(known), int(known["collapsed"].sum())
+        interval = incidence_interval(collapsed, count)
         rows.append({
-            "condition": condition, "runs": runs, "diverged": int((found["status"] == "diverged").sum()),
-            "collapsed": count, "share": count / runs if runs else float("nan"), "low": interval.low,
-            "high": interval.high, "interval": interval.method, "unknown": len(diagnosed) - runs,
+            "condition": condition,
+            "runs": count,
+            "diverged": int((known["status"] == "diverged").sum()),
+            "collapsed": collapsed,
+            "share": collapsed / count if count else float("nan"),
+            "low": interval.low,
+            "high": interval.high,
+            "interval": interval.method,
+            "unknown": len(runs) - count,
         })  # fmt: skip
     return pd.DataFrame(rows)
 
 
-# --- Spells ----------------------------------------------------------------------------------------
+# --- Signs -----------------------------------------------------------------------------------------
 
 
-def _lasting(parts: list[Stretch], gap: float, shortest: float) -> list[Stretch]:
+def _lasting(periods: list[Stretch], gap: float, shortest: float) -> list[Stretch]:
     """Join stretches across gaps and return those that last long enough for a collapse."""
-    return [part for part in joined(parts, gap) if part[1] - part[0] >= shortest]
+    return [(first, last) for first, last in joined(periods, gap) if last - first >= shortest]
 
 
 def _losses(run: Row) -> list[Stretch] | None:
@@ -130,35 +147,31 @@ def _losses(run: Row) -> list[Stretch] | None:
     return stretches(steps, (returns < 0) & (np.maximum.accumulate(returns) > 0))
 
 
-_Played = tuple[np.ndarray, np.ndarray, float | None]
-
-
-def _played(run: Row) -> _Played:
+def _played(run: Row) -> tuple[np.ndarray, np.ndarray, float | None]:
     """Return evaluation steps, how well the run played there, and the random player's level if known.
 
     This is the share of monsters killed. In other environments it is the gain in return over the random
     player, in a unit in which `DEPTH` is twice the standard deviation of that player's returns.
     """
-    _, returned = run.known_evaluations("random_return")
-    if not len(returned):
-        _, random = run.known_evaluations("random_share_killed")
-        return *run.known_evaluations("share_killed"), float(random[0]) if len(random) else None
+    _, random_returns = run.known_evaluations("random_return")
+    if not len(random_returns):
+        steps, shares = run.known_evaluations("share_killed")
+        _, random_shares = run.known_evaluations("random_share_killed")
+        return steps, shares, float(random_shares[0]) if len(random_shares) else None
     _, spreads = run.known_evaluations("random_spread")
     steps, returns = run.known_evaluations("return")
-    unit = 2 * max(spreads[0], 0.01 * abs(returned[0]), 1e-9) / DEPTH
-    return steps, (returns - returned[0]) / unit, 0.0
+    unit = 2 * max(spreads[0], 0.01 * abs(random_returns[0]), 1e-9) / DEPTH
+    return steps, (returns - random_returns[0]) / unit, 0.0
 
 
-def _falls(played: _Played) -> list[Stretch]:
+def _falls(steps: np.ndarray, played: np.ndarray, random: float | None) -> list[Stretch]:
     """Return where two or more consecutive evaluations are far below the best before."""
-    steps, shares, random = played
-    if not len(shares) or random is None:
+    if not len(played) or random is None:
         return []
-    best = np.maximum.accumulate(shares)
-    enough = DEPTH - 1e-9  # whatever the rounding of tenths
-    learned = best - random >= enough
-    fallen = learned & (shares <= FALLEN_TO * best) & (best - shares >= enough)
-    return [(first, last) for first, last in stretches(steps, fallen) if last > first]
+    best = np.maximum.accumulate(played)
+    depth = DEPTH - 1e-9  # whatever the rounding of tenths
+    has_fallen = (best - random >= depth) & (played <= FALLEN_TO * best) & (best - played >= depth)
+    return [(first, last) for first, last in stretches(steps, has_fallen) if last > first]
 
 
 # --- Stretches -------------------------------------------------------------------------------------
@@ -168,17 +181,20 @@ def both(one: list[Stretch], other: list[Stretch]) -> list[Stretch]:
     """Return where two signs of the same updates hold together. Stretches of a sign do not overlap."""
     shared, i, j = [], 0, 0
     while i < len(one) and j < len(other):
-        (a, b), (c, d) = one[i], other[j]
-        if max(a, c) <= min(b, d):
-            shared.append((max(a, c), min(b, d)))
-        i, j = (i + 1, j) if b < d else (i, j + 1)
+        first, last = max(one[i][0], other[j][0]), min(one[i][1], other[j][1])
+        if first <= last:
+            shared.append((first, last))
+        if one[i][1] < other[j][1]:
+            i += 1
+        else:
+            j += 1
     return shared
 
 
-def joined(parts: list[Stretch], gap: float) -> list[Stretch]:
+def joined(periods: list[Stretch], gap: float) -> list[Stretch]:
     """Join stretches that overlap or whose distance is at most `gap`."""
     whole: list[Stretch] = []
-    for first, last in sorted(parts):
+    for first, last in sorted(periods):
         if whole and first - whole[-1][1] <= gap:
             whole[-1] = (whole[-1][0], max(whole[-1][1], last))
         else:
@@ -186,7 +202,7 @@ def joined(parts: list[Stretch], gap: float) -> list[Stretch]:
     return whole
 
 
-def share_held(parts: list[Stretch], within: Stretch, distance: float) -> float:
+def share_held(periods: list[Stretch], within: Stretch, distance: float) -> float:
     """Return the share of a stretch's updates in which a sign holds."""
-    lengths = [last - first + distance for first, last in both(parts, [within])]
-    return sum(lengths) / (within[1] - within[0] + distance)
+    steps = sum(last - first + distance for first, last in both(periods, [within]))
+    return steps / (within[1] - within[0] + distance)

@@ -12,69 +12,73 @@ import pandas as pd
 from pneuma.analysis import EDGED_BANDS, EXPORT_TABLES
 from pneuma.analysis.curves import curve_names, curves_table, study_curves
 from pneuma.analysis.intervals import decimals, shown
-from pneuma.analysis.study_data import NAMING, StudyData
+from pneuma.analysis.study_data import RUN_KEY_COLUMNS, StudyData
 from pneuma.analysis.summaries import summary_table
-from pneuma.errors import UserError
+from pneuma.errors import Hint, UserError
 from pneuma.store.index import RunIndex
 from pneuma.store.published import encode_published
 from pneuma.store.quantities import EPISODE_QUANTITIES
 from pneuma.store.row_builder import record_frame
 from pneuma.store.store import Store
 
+# --- Tables ---------------------------------------------------------------------------------------
 
-def encode_table(
-    data: StudyData,
-    table: str,
-    form: str,
-    store: Store,
-    window: str | None = None,
-    band: str = EDGED_BANDS[0],
-) -> tuple[bytes, int]:
-    """Encode one of `EXPORT_TABLES` as a file of one of `EXPORT_SUFFIXES`; also return its number of rows.
 
-    The same runs give the same bytes, as tables contain no times. `form` is csv, parquet, latex or markdown.
-    `window` and `band` (whose edges are low and high) are for curves.
+def exported_table(
+    data: StudyData, table: str, store: Store, window: str | None = None, band: str = EDGED_BANDS[0]
+) -> pd.DataFrame:
+    """Return one of `EXPORT_TABLES`. It contains no times, so that the same runs give the same table.
+
+    Args:
+        data: an opened study.
+        table: its name.
+        store: the results folder, which has the records of episodes and updates.
+        window: of curves: which episodes a point averages.
+        band: of curves: what low and high are, one of `EDGED_BANDS`.
+
+    Raises:
+        UserError: if the runs do not have such records.
     """
     if table == "curves":
-        frame = _curves(data, window, band)
-    elif table == "summary":
-        frame = summary_table(data)
-    else:
-        frame = _records(data, table, store)
-    return encode_frame(frame, form), len(frame)
-
-
-def _records(data: StudyData, table: str, store: Store) -> pd.DataFrame:
-    """Return a table of records: evaluations from rows, all others from the runs' folders."""
+        return _curves(data, window, band)
+    if table == "summary":
+        return summary_table(data)
     if table == "evaluations" and data.evaluated:
         return data.evaluations
     if table == "evaluations" or (data.averaged_over and table != "metrics"):
-        known = ", ".join(name for name in EXPORT_TABLES if name != table)
-        raise UserError(f"study {data.study.name}: {data.what} holds no {table}; try {known}")
+        other_tables = ", ".join(name for name in EXPORT_TABLES if name != table)
+        raise UserError(f"study {data.study.name}: {data.what} holds no {table}; try {other_tables}")
     if any(run.published for run in data.rows):
-        train = "train the runs, or choose others by --steps"
-        raise UserError(f"study {data.study.name}: published tables hold no {table}; {train}")
+        lack = f"study {data.study.name}: published tables hold no {table}"
+        raise UserError(f"{lack}; train the runs, or choose others by ", Hint("steps"))
     frames = []
-    for named in data.runs[[*NAMING]].to_dict("records"):
-        frame = record_frame(store, str(named["run_id"]), table).drop(columns=[*NAMING], errors="ignore")
-        for place, (key, value) in enumerate(named.items()):
-            frame.insert(place, str(key), value)
+    for keys in data.runs[[*RUN_KEY_COLUMNS]].to_dict("records"):
+        frame = record_frame(store, str(keys["run_id"]), table)
+        frame = frame.drop(columns=list(RUN_KEY_COLUMNS), errors="ignore")
+        for place, name in enumerate(RUN_KEY_COLUMNS):
+            frame.insert(place, name, keys[name])
         frames.append(frame)
     return pd.concat(frames, ignore_index=True)
 
 
 def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
     """Return all curves that every run has. Returns that were averaged when recorded are named so."""
-    window_name = data.checked_window(window)
-    known = curve_names(data)
-    names = [name for name in EPISODE_QUANTITIES if name in known and data.has_curve(name, window_name)]
-    names += ["share_killed"] if "share_killed" in known else []
+    recorded, checked_window = curve_names(data), data.checked_window(window)
+    names = []
+    for name in EPISODE_QUANTITIES:
+        if name in recorded and data.has_curve(name, checked_window):
+            names.append(name)
+    if "share_killed" in recorded:
+        names.append("share_killed")
     if not names:
         raise UserError(f"study {data.study.name}: {data.what} holds no returns, and so no curves")
     table = curves_table(study_curves(data, names, window), band)
     if data.averaged_over is not None:
         table["averaged_over"] = data.averaged_over
     return table
+
+
+# --- Published tables -----------------------------------------------------------------------------
 
 
 class Publication(NamedTuple):
@@ -92,27 +96,31 @@ def publish_runs(store: Store, data: StudyData, curves: Sequence[str]) -> Public
     Rows that the table has already stay in it. The same runs give the same bytes.
     """
     study, path = data.study, store.published_path(data.table_name)
-    with store.publishing_lock(path.stem) as alone:
-        if not alone:
+    new = {run.run_id: run for run in data.rows if not run.published}
+    if not new:
+        raise UserError(f"study {study.name}: its runs are not in {store.root}: nothing is new to publish")
+    about: dict[str, Any] = {
+        "study": study.name,
+        "world": data.world or None,
+        "settings": dict(study.settings),
+    }
+    listing = store.listing(study.name)
+    if study.path is None and listing:
+        about["listing"] = listing
+    with store.publishing_lock(path.stem) as is_alone:
+        if not is_alone:
             raise UserError(f"another command publishes {path}: try again when it has ended")
-        new = {run.run_id: run for run in data.rows if not run.published}
-        if not new:
-            nothing = f"its runs are not in {store.root}: nothing is new to publish"
-            raise UserError(f"study {study.name}: {nothing}")
         before = RunIndex(store).tables.get(path.stem)  # what Pneuma itself publishes stays, too
-        rows = {**(before.rows() if before else {}), **new}
-        about: dict[str, Any] = {
-            "study": study.name,
-            "world": data.world or None,
-            "settings": dict(study.settings),
-        }
-        if listing := store.listing(study.name) if study.path is None else None:
-            about["listing"] = listing
+        rows = new
+        if before:
+            rows = {**before.rows(), **new}
         order = sorted(rows.values(), key=lambda row: (row.config_id, row.budget, row.cell("seed")))
         encoded = encode_published(order, about, curves)
         store.write(path, encoded)
     return Publication(path, len(new), len(rows) - len(new), len(encoded))
 
+
+# --- Files ----------------------------------------------------------------------------------------
 
 LINES_OF_A_PAGE = 40
 """Most rows of a LaTeX table that is not broken over pages."""
@@ -125,6 +133,8 @@ _LATEX = str.maketrans({
     "ϵ": r"$\epsilon$", "ϑ": r"$\vartheta$", "₀": "$_0$", "₁": "$_1$", "₂": "$_2$", "ₜ": "$_t$", "²": "$^2$",
 })  # fmt: skip
 """What pdfLaTeX stops at."""
+_MARKDOWN = {"|": r"\|", "\n": "<br>", "://": "&#58;//", "www.": "www&#46;"}
+"""What ends a cell of Markdown, or makes a link of it."""
 
 
 def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
@@ -134,9 +144,9 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
     if form == "parquet":
         return bytes(frame.to_parquet(index=False))
     cells = pd.DataFrame(_formatted_rows(frame), columns=frame.columns)
-    numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
-    text = _latex(cells, numeric) if form == "latex" else _markdown(cells, numeric)
-    return text.encode()
+    is_numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
+    encode = _latex if form == "latex" else _markdown
+    return encode(cells, is_numeric).encode()
 
 
 def _formatted_rows(frame: pd.DataFrame) -> list[list[str]]:
@@ -147,8 +157,9 @@ def _formatted_rows(frame: pd.DataFrame) -> list[list[str]]:
     rows = []
     for row in frame.to_dict("records"):
         if {"value", "low", "high"} <= row.keys():
-            is_count = row.get("statistic") == "count"
-            places = 0 if is_count else decimals(row["value"], row["low"], row["high"])
+            places = decimals(row["value"], row["low"], row["high"])
+            if row.get("statistic") == "count":
+                places = 0
             for key in ("value", "low", "high"):
                 row[key] = shown(row[key], places)
         rows.append([_formatted(value) for value in row.values()])
@@ -161,22 +172,27 @@ def _formatted(value: object) -> str:
     return "–" if math.isnan(value) else f"{value:.6g}"
 
 
-def _latex(cells: pd.DataFrame, numeric: Sequence[bool]) -> str:
-    columns = []
-    for name, is_numeric in zip(cells, numeric, strict=True):
-        longest = cells[name].str.len().max()
-        column = "r" if is_numeric else "l"
-        columns.append(PARAGRAPH if longest > LONGEST_IN_A_LINE else column)
+def _latex(cells: pd.DataFrame, is_numeric: Sequence[bool]) -> str:
+    columns = ""
+    for name, is_number in zip(cells, is_numeric, strict=True):
+        if cells[name].str.len().max() > LONGEST_IN_A_LINE:
+            columns += PARAGRAPH
+        else:
+            columns += "r" if is_number else "l"
     is_long = len(cells) > LINES_OF_A_PAGE
-    text = cells.to_latex(index=False, escape=True, column_format="".join(columns), longtable=is_long)
+    text = cells.to_latex(index=False, escape=True, column_format=columns, longtable=is_long)
     return text.translate(_LATEX)
 
 
-def _markdown(cells: pd.DataFrame, numeric: Sequence[bool]) -> str:
+def _markdown(cells: pd.DataFrame, is_numeric: Sequence[bool]) -> str:
     """Return a table in Markdown. `to_markdown` of pandas needs another package, and escapes nothing."""
-    rules = ["---:" if is_numeric else "---" for is_numeric in numeric]
+    rules = ["---:" if is_number else "---" for is_number in is_numeric]
     lines = []
     for row in (cells.columns, rules, *cells.to_numpy()):
-        line = " | ".join(str(cell).replace("|", r"\|").replace("\n", "<br>") for cell in row)
-        lines.append(f"| {line} |\n")
+        line = []
+        for cell in map(str, row):
+            for text, code in _MARKDOWN.items():
+                cell = cell.replace(text, code)
+            line.append(cell)
+        lines.append(f"| {' | '.join(line)} |\n")
     return "".join(lines)

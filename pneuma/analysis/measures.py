@@ -2,7 +2,7 @@
 
     Row → float; values → float
 
-They are NaN if the run has no such value.
+They are NaN if the run has no such value. `outcomes.toml` names them.
 """
 
 from __future__ import annotations
@@ -28,20 +28,25 @@ ONE_ACTION = 0.9
 LEAST_NORM = 1e-8
 """Smaller gradient norms count as this, in logarithms."""
 
+# --- Values of evaluations ------------------------------------------------------------------------
 
-def peak(quantity: str) -> Measure:
-    """Return a function that measures the extreme update of a quantity; NaN without a value."""
 
-    def measure(run: Row) -> float:
-        exact = run.exact(quantity, "peak")
-        _, values = run.known_peaks(quantity)
-        return exact if not np.isnan(exact) or not len(values) else float(EXTREMES[quantity].reduce(values))
-
-    return measure
+def evaluated(run: Row, column: str, take: Take) -> float:
+    """Return what a function takes from a column of the evaluations."""
+    _, values = run.known_evaluations(column)
+    return float(take(values)) if len(values) else NAN
 
 
 def last_value(values: np.ndarray) -> float:
     return values[-1]
+
+
+def best(values: np.ndarray) -> float:
+    return values.max()
+
+
+def fall_from_best(values: np.ndarray) -> float:
+    return values.max() - values[-1]
 
 
 def late_mean(values: np.ndarray) -> float:
@@ -49,8 +54,9 @@ def late_mean(values: np.ndarray) -> float:
 
 
 def late_mean_of_known(values: np.ndarray) -> float:
-    """Return the same of the evaluations that have a value; NaN if none has."""
-    known = values[-LATE:][np.isfinite(values[-LATE:])]
+    """Return the mean of the last evaluations that have a value."""
+    late = values[-LATE:]
+    known = late[np.isfinite(late)]
     return known.mean() if len(known) else NAN
 
 
@@ -73,6 +79,26 @@ def late_one_action(values: np.ndarray) -> float:
     return (values[-LATE:] > ONE_ACTION).mean()
 
 
+def rise(values: np.ndarray) -> float:
+    """Return how much a straight line through the last evaluations rises over them; NaN for one."""
+    late = values[-LATE:]
+    if len(late) < 2:
+        return NAN
+    places = np.arange(len(late)) - (len(late) - 1) / 2
+    return (len(late) - 1) * (places @ late) / (places**2).sum()
+
+
+def roughness(values: np.ndarray) -> float:
+    """Return how far a curve goes up and down beyond its net change, per point; 0 if it is monotone."""
+    if len(values) < 3:
+        return NAN
+    travelled = np.abs(np.diff(values)).sum()
+    return (travelled - abs(values[-1] - values[0])) / (len(values) - 1)
+
+
+# --- Evaluations with their steps -----------------------------------------------------------------
+
+
 def lasting_one_action(run: Row) -> float:
     """Return the step of the first of `LATE` evaluations in a row in which one action takes nearly all steps.
 
@@ -88,20 +114,44 @@ def lasting_one_action(run: Row) -> float:
     return np.inf
 
 
-def rise(values: np.ndarray) -> float:
-    """Return how much a straight line through the last evaluations rises over them; NaN for one."""
-    last = values[-LATE:]
-    places = np.arange(len(last)) - (len(last) - 1) / 2
-    squares = (places**2).sum()
-    return (len(last) - 1) * (places @ last) / squares if squares > 0 else NAN
+def share_area(run: Row) -> float:
+    return mean_height(*run.known_evaluations("share_killed"), run.budget)
 
 
-def roughness(values: np.ndarray) -> float:
-    """Return how far a curve goes up and down beyond its net change, per point; 0 if it is monotone."""
-    if len(values) < 3:
+def steps_to(run: Row, least: float, column: str) -> float:
+    """Return the step of the first evaluation that reaches a value; infinite if none does."""
+    steps, values = run.known_evaluations(column)
+    if not len(values):
         return NAN
-    travelled = np.abs(np.diff(values)).sum()
-    return (travelled - abs(values[-1] - values[0])) / (len(values) - 1)
+    reached = steps[values >= least]
+    return float(reached[0]) if len(reached) else np.inf
+
+
+def overestimation(run: Row) -> float:
+    """Return by how much the learner's estimate of its return exceeds the actual return."""
+    steps, estimates = run.known_evaluations("q_estimate")
+    true_steps, returns = run.known_evaluations("q_true")
+    _, estimate_places, return_places = np.intersect1d(steps, true_steps, return_indices=True)
+    if not len(return_places):
+        return NAN
+    return float(estimates[estimate_places[-1]] - returns[return_places[-1]])
+
+
+# --- Training -------------------------------------------------------------------------------------
+
+
+def peak(run: Row, name: str) -> float:
+    """Return the extreme update of a quantity."""
+    exact = run.exact(name, "peak")
+    _, values = run.known_peaks(name)
+    if np.isnan(exact) and len(values):
+        return float(EXTREMES[name].reduce(values))
+    return exact
+
+
+def log_max(run: Row, name: str) -> float:
+    """Return the logarithm of the greatest update of a quantity."""
+    return float(np.log(np.maximum(peak(run, name), LEAST_NORM)))
 
 
 def log_growth(run: Row) -> float:
@@ -114,19 +164,16 @@ def log_growth(run: Row) -> float:
     return float(logs[-tenth:].mean() - logs[:tenth].mean())
 
 
-def log_max(quantity: str) -> Measure:
-    """Return a function that measures the logarithm of the greatest update; NaN without a value."""
-    greatest = peak(quantity)
-    return lambda run: float(np.log(np.maximum(greatest(run), LEAST_NORM)))
-
-
 def low_entropy_share(run: Row) -> float:
     """Return the share of training in which the entropy is below `LEAST_ENTROPY`; NaN if not recorded."""
-    held, update = run.signs.get(NO_ENTROPY), run.update_steps
-    if held is None or update is None:
+    stretches, update = run.signs.get(NO_ENTROPY), run.update_steps
+    if stretches is None or update is None or run.end <= run.begun:
         return NAN
-    steps = sum(min(last, run.end) - first + update for first, last in held if first <= run.end)
-    return steps / (run.end - run.begun) if run.end > run.begun else NAN
+    steps = 0.0
+    for first, last in stretches:
+        if first <= run.end:
+            steps += min(last, run.end) - first + update
+    return steps / (run.end - run.begun)
 
 
 def stuck_share(run: Row) -> float:
@@ -137,38 +184,16 @@ def stuck_share(run: Row) -> float:
 
 def share_of_commonest(run: Row) -> float:
     """Return the share of the most frequent action at the end of training."""
-    shares = [run.statistic(f"action_{i}", "last") for i in range(len(ACTION_NAMES))]
-    most = is_gymnasium_id(run.fields.get("env"))  # whose columns are the most frequent actions
-    others = 0.0 if most else 1 - float(np.sum(shares))  # flame and heal have none: together
-    return max(*shares, others)
+    shares = [run.statistic(f"action_{number}", "last") for number in range(len(ACTION_NAMES))]
+    if not is_gymnasium_id(run.fields.get("env")):  # elsewhere the columns are the most frequent actions
+        shares.append(1 - float(np.sum(shares)))  # flame and heal have no column: together
+    return max(shares)
 
 
-def share_area(run: Row) -> float:
-    return mean_height(*run.known_evaluations("share_killed"), run.budget)
-
-
-def steps_to(run: Row, least: float, column: str) -> float:
-    steps, values = run.known_evaluations(column)
-    reached = steps[values >= least]
-    return float(reached[0]) if len(reached) else np.inf if len(values) else NAN
-
-
-def overestimation(run: Row) -> float:
-    """Return by how much the learner's estimate of its return exceeds the actual return."""
-    steps, estimates = run.known_evaluations("q_estimate")
-    true_steps, true = run.known_evaluations("q_true")
-    _, of_estimate, of_true = np.intersect1d(steps, true_steps, return_indices=True)
-    return float(estimates[of_estimate[-1]] - true[of_true[-1]]) if len(of_true) else NAN
-
-
-def diagnosed(part: str) -> Measure:
+def diagnosed(run: Row, name: str) -> float:
     """Return an attribute of the diagnosis of collapse; NaN if it is None."""
-
-    def measure(run: Row) -> float:
-        value = getattr(diagnose(run), part)
-        return NAN if value is None else float(value)
-
-    return measure
+    value = getattr(diagnose(run), name)
+    return NAN if value is None else float(value)
 
 
 def wall_seconds(run: Row) -> float:
@@ -177,4 +202,5 @@ def wall_seconds(run: Row) -> float:
 
 
 def pace(run: Row) -> float:
+    """Return the steps trained per second."""
     return (run.end - run.begun) / run.wall_seconds if run.wall_seconds else NAN

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import pandas as pd
 
+from pneuma.analysis.environments import environments
 from pneuma.analysis.outcomes import check_outcome, find_outcome, outcome, primary
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 
 
-def ranked_runs(data: StudyData, name: str = "") -> pd.DataFrame:
+def ranked_runs(data: StudyData, name: str = "") -> tuple[str, pd.DataFrame]:
     """Rank the finished runs of a study that are stored here, and not only published, by an outcome.
 
     Args:
@@ -17,17 +18,17 @@ def ranked_runs(data: StudyData, name: str = "") -> pd.DataFrame:
         name: the outcome; default: the study's primary one.
 
     Returns:
-        run_id, condition, seed and value of each run, the best first.
+        The outcome; and run_id, condition, seed and value of each run, the best first.
 
     Raises:
         UserError: for an unknown outcome, or if no run is stored here.
     """
     name = name or primary(data)
-    check_outcome(name, {str(fields.get("env")) for fields in data.fields.values()})
+    check_outcome(name, environments(data))
     stored = data.runs[data.runs["where"] == ""]
     if not len(stored):
         raise UserError(f"{data.label}: none of its runs is stored here")
     values = [outcome(row, name) for row in stored["row"]]
     ranked = stored[["run_id", "condition", "seed"]].assign(value=values)
     is_lower_better = find_outcome(name).better == "lower"
-    return ranked.sort_values("value", ascending=is_lower_better, kind="stable", ignore_index=True)
+    return name, ranked.sort_values("value", ascending=is_lower_better, kind="stable", ignore_index=True)

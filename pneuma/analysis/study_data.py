@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,19 +17,48 @@ import pyarrow as pa
 
 from pneuma.config import Run
 from pneuma.env.fields import are_own_characters, is_own_level
-from pneuma.errors import UserError, counted, unknown_name
+from pneuma.errors import Hint, Message, UserError, counted, unknown_name
 from pneuma.presets import WORLDS
 from pneuma.store.quantities import WINDOWS
 from pneuma.store.rows import Row
 from pneuma.store.series import SLACK, held_curve, make_grid
 from pneuma.store.store import FINISHED
 from pneuma.study.identity import config_id
-from pneuma.study.plan import Plan, Query, query_words
+from pneuma.study.plan import Plan, Query
 from pneuma.study.spec import LAST, Study
 from pneuma.values import settings_name, shown_seeds, shown_settings
 
-NAMING = ("condition", "seed", "run_id")
+RUN_KEY_COLUMNS = ("condition", "seed", "run_id")
 """The first columns of tables of records."""
+
+
+@dataclass(frozen=True)
+class StudyCall(Hint):
+    """A call about a study that a message recommends; `field` is the function of `pneuma.api`.
+
+    Attributes:
+        value: the study's name or file.
+        plan: its query names the runs; None if the study lists its runs.
+        results: the results folder; None for the default.
+        unpublished: whether runs are left out that are finished in a published table.
+    """
+
+    plan: Plan | None = None
+    results: Path | None = None
+    unpublished: bool = False
+
+    def __str__(self) -> str:
+        arguments = [repr(self.value)]
+        if self.plan is not None:
+            query, study = self.plan.query, self.plan.study
+            given: dict[str, Any] = {
+                "preset": self.plan.preset,
+                "world": study.world,
+                "settings": dict(study.settings),
+            }
+            given |= {"conditions": query.conditions, "seeds": query.seeds, "steps": query.steps}
+            arguments += [f"{name}={value!r}" for name, value in given.items() if value]
+        return f"{self.field}({', '.join(arguments)})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +72,7 @@ class StudyData:
             `where`, the table that has it, or empty; of finished runs that were read also `row`, a `Row`.
         configurations: the configuration of each condition; empty if the study lists its runs.
         plan: the cells that the runs are of; None if the study lists its runs.
-        asked: what the command named of it.
+        asked: the query as the user gave it.
         other_presets: how many finished runs the study's other presets have.
     """
 
@@ -68,15 +96,15 @@ class StudyData:
 
     @property
     def conditions(self) -> list[str]:
-        return [*self.fields]
+        return list(self.fields)
 
     @property
     def same(self) -> list[list[str]]:
         """Groups of conditions that are one configuration."""
-        alike: dict[str, list[str]] = {}
+        names_by_id: dict[str, list[str]] = {}
         for name, run in self.configurations.items():
-            alike.setdefault(config_id(run), []).append(name)
-        return [names for names in alike.values() if len(names) > 1]
+            names_by_id.setdefault(config_id(run), []).append(name)
+        return [names for names in names_by_id.values() if len(names) > 1]
 
     @property
     def world(self) -> str:
@@ -84,18 +112,32 @@ class StudyData:
         return self.study.world if len(self.study.worlds) > 1 else ""
 
     @property
+    def steps(self) -> int | None:
+        """Agent steps of each run; None if they differ."""
+        amounts = set(self.runs["steps"].tolist())
+        if self.plan is not None:
+            amounts = {cell.run.steps for cell in self.plan.cells}
+        return amounts.pop() if len(amounts) == 1 else None
+
+    # --- In words -------------------------------------------------------------------------------------
+
+    @property
     def where(self) -> str:
-        """The study with its world and changed fields, for messages."""
-        world = f" in {WORLDS[self.world].title}" if self.world else ""
-        changed = shown_settings(self.study.settings)
-        return f"{self.study.name}{world}" + (f" with {changed}" if changed else "")
+        """The study with its world and changed fields."""
+        text = self.study.name
+        if self.world:
+            text += f" in {WORLDS[self.world].title}"
+        if self.study.settings:
+            text += f" with {shown_settings(self.study.settings)}"
+        return text
 
     @property
     def label(self) -> str:
         """The study with its world, preset, and what is asked for beside the preset."""
         parts = [self.where]
-        query = self.asked if self.plan is None else self.plan.query
+        query = self.asked
         if self.plan is not None:
+            query = self.plan.query
             parts.append(f"preset {self.plan.preset}")
         if query.conditions:
             parts.append(f"{' and '.join(query.conditions)} alone")
@@ -106,40 +148,38 @@ class StudyData:
         return ", ".join(parts)
 
     @property
-    def steps(self) -> int | None:
-        """Agent steps of each run; None if they differ."""
-        if self.plan is not None:
-            amounts = {cell.run.steps for cell in self.plan.cells}
-        else:
-            amounts = {*self.runs["steps"].tolist()}
-        return amounts.pop() if len(amounts) == 1 else None
-
-    def text(self, root: Path) -> str:
-        """Return one line on what is shown of a results folder, and on what else there is."""
+    def coverage(self) -> Message:
+        """A message: how many of the runs have finished, where they are from, and what else there is."""
         finished, planned = self.finished, len(self.runs)
-        published = int((finished["where"] != "").sum())
         if self.plan is not None:
             planned = len(self.plan.cells)
-        count = f"{len(finished)} of {counted(planned, 'run')}"
-        own = {config_id(run) for run in self.configurations.values()}
-        older = int((~finished["config_id"].isin(own)).sum()) if own else 0
+        count = len(finished)
+        published = int((finished["where"] != "").sum())
         origins = []
-        if 0 < published < len(finished):
-            origins.append(f"{len(finished) - published} trained here, {published} published")
+        if 0 < published < count:
+            origins.append(f"{count - published} trained here, {published} published")
         elif published:
             origins.append("published")
-        if older:
-            origins.append(f"{older} by another version")
+        if self.configurations:
+            present = {config_id(run) for run in self.configurations.values()}
+            older = int((~finished["config_id"].isin(present)).sum())
+            if older:
+                origins.append(f"{older} by another version")
+        text = f"{self.label}: {count} of {counted(planned, 'run')}"
         if origins:
-            count += f" ({'; '.join(origins)})"
-        text = f"{self.label}: {count}."
-        if self.plan is not None and published and len(finished) < planned:
-            words = ["pneuma", "study", "run", *query_words(self.plan), "--unpublished"]
-            text += f" The others are trained by `{shlex.join(words)}`."
+            text += f" ({'; '.join(origins)})"
+        parts: list[str | Hint] = [f"{text}."]
+        if self.plan is not None and published and count < planned:
+            parts += [" The others are trained by `", self.call("run_study", unpublished=True), "`."]
         if self.other_presets:
             others = [f"{name} ({counted(runs, 'run')})" for name, runs in self.other_presets.items()]
-            text += f" Also: {', '.join(others)}."
-        return text
+            parts.append(f" Also: {', '.join(others)}.")
+        return Message(*parts)
+
+    def call(self, function: str, results: Path | None = None, unpublished: bool = False) -> StudyCall:
+        """Return a call of a function of `pneuma.api` about these runs."""
+        name = self.study.file if self.study.path else self.study.name
+        return StudyCall(function, name, self.plan, results, unpublished)
 
     @property
     def about(self) -> dict[str, Any]:
@@ -149,13 +189,29 @@ class StudyData:
             "world": self.world or None,
             "preset": self.plan.preset if self.plan else None,
             "steps": self.steps,
-            "seeds": sorted({*self.runs["seed"].tolist()}),
+            "seeds": sorted(set(self.runs["seed"].tolist())),
             "settings": dict(self.study.settings),
         }
 
     @property
-    def narrowed(self) -> list[str]:
-        """The preset, conditions, seeds and steps that were asked for, which figures' names contain."""
+    def full_title(self) -> str:
+        """The title with the world, unless levels or characters in it are others, and with changed fields."""
+        title = self.study.title
+        environments = {str(fields.get("env")) for fields in self.fields.values()}
+        if not any(_has_own_world(run) for run in self.rows):
+            for world in WORLDS.values():
+                if environments == {world.env}:
+                    title += f" in {world.title}"
+        if self.study.settings:
+            title += f" ({shown_settings(self.study.settings)})"
+        return title
+
+    def basename(self, *parts: str) -> str:
+        """Return the name of a figure's files, without its ending.
+
+        It contains the world, changed fields, and the preset, conditions, seeds and steps that were asked
+        for, so that neither a variant nor a part of a study replaces the study's own figure.
+        """
         asked, words = self.asked, []
         if asked.preset not in (None, LAST):
             words.append(str(asked.preset))
@@ -165,102 +221,91 @@ class StudyData:
             words += ["seeds", *map(str, sorted(asked.seeds))]
         if asked.steps:
             words += ["steps", str(asked.steps)]
-        return words
-
-    @property
-    def full_title(self) -> str:
-        """The title with the world, unless levels or characters in it are others, and with changed fields."""
-        own = any(
-            is_own_level(str(run.fields.get("level", "")))
-            or are_own_characters(str(run.fields.get("characters", "")))
-            for run in self.rows
-        )
-        environments = {str(fields.get("env")) for fields in self.fields.values()}
-        worlds = [f" in {each.title}" for each in WORLDS.values() if {each.env} == environments]
-        changed = f" ({shown_settings(self.study.settings)})" if self.study.settings else ""
-        return self.study.title + ("" if own else "".join(worlds)) + changed
-
-    def basename(self, *parts: str) -> str:
-        """Return the name of a figure's files, or of a table, without its ending.
-
-        It contains the world, changed fields, and the preset, conditions, seeds and steps that were asked
-        for, so that neither a variant nor a part of a study replaces the study's own figure.
-        """
-        slug = settings_name(self.study.settings, *filter(None, [*self.narrowed, *parts]))
-        return "-".join(filter(None, [self.study.figure, self.world, slug]))
+        words += [part for part in parts if part]
+        return _joined(self.study.figure, self.world, settings_name(self.study.settings, *words))
 
     @property
     def table_name(self) -> str:
         """The name of its published table."""
-        return "-".join(filter(None, [self.study.name, self.world, settings_name(self.study.settings)]))
-
-    # --- Rows -----------------------------------------------------------------------------------------
-
-    @cached_property
-    def rows(self) -> list[Row]:
-        """The rows of the finished runs, in the table's order."""
-        return [*self.runs["row"]]
-
-    def of_condition(self, condition: str) -> list[Row]:
-        """Return the rows of a condition's finished runs, in the order of their seeds."""
-        return self._by_condition.get(condition, [])
-
-    @cached_property
-    def _by_condition(self) -> dict[str, list[Row]]:
-        return {str(name): [*rows] for name, rows in self.runs.groupby("condition", sort=False)["row"]}
-
-    def renamed(self, names: Mapping[str, str]) -> StudyData:
-        """Return the study with its conditions under new names; those that have none are left out."""
-
-        def of(table: Mapping[str, Any]) -> dict[str, Any]:
-            return {names[name]: value for name, value in table.items() if name in names}
-
-        study = self.study
-        tables = {key: of(getattr(study, key)) for key in ("conditions", "labels", "levels")}
-        tables["labels"] |= {name: label for name, label in study.labels.items() if name in names.values()}
-        tables["colors"] = {names.get(name, name): colour for name, colour in study.colors.items()}
-        baseline = names.get(study.baseline, next(iter(names.values())))
-        runs = self.runs[self.runs["condition"].isin(names)]
-        return replace(
-            self,
-            study=study.model_copy(update={**tables, "baseline": baseline}),
-            fields=of(self.fields),
-            runs=runs.assign(condition=runs["condition"].map(names)),
-            configurations=of(self.configurations),
-        )
-
-    def of_conditions(self, names: str | Sequence[str]) -> StudyData:
-        """Return the study with one or some of its conditions."""
-        names = [names] if isinstance(names, str) else names
-        for name in names:
-            if name not in self.fields:
-                raise unknown_name(f"condition of study {self.study.name}", name, self.fields)
-        return replace(
-            self,
-            fields={name: fields for name, fields in self.fields.items() if name in names},
-            runs=self.runs[self.runs["condition"].isin(names)],
-            configurations={name: run for name, run in self.configurations.items() if name in names},
-        )
+        return _joined(self.study.name, self.world, settings_name(self.study.settings))
 
     @property
     def what(self) -> str:
         """Where the runs are, for messages."""
         return " with ".join(sorted({run.what for run in self.rows}))
 
-    def engines(self, condition: str) -> set[str]:
-        return {str(engine) for run in self.of_condition(condition) if (engine := run.fields.get("engine"))}
-
     @property
     def ends(self) -> str:
-        """Where runs end, for notes; empty if all end alike, but for rounding to whole horizons."""
+        """Where runs end, for notes; empty if all end alike, apart from rounding to whole horizons."""
         least, most = self.runs["steps"].min(), self.runs["steps"].max()
-        unlike = f"Runs end at {least:,} to {most:,} steps, and each counts at its own end."
-        return unlike if most > least * (1 + SLACK) else ""
+        if most <= least * (1 + SLACK):
+            return ""
+        return f"Runs end at {least:,} to {most:,} steps, and each counts at its own end."
+
+    # --- Rows -----------------------------------------------------------------------------------------
+
+    @cached_property
+    def rows(self) -> list[Row]:
+        """The rows of the finished runs, in the table's order."""
+        return list(self.runs["row"])
+
+    def of_condition(self, condition: str) -> list[Row]:
+        """Return the rows of a condition's finished runs, in the order of their seeds."""
+        return self._rows_by_condition.get(condition, [])
+
+    @cached_property
+    def _rows_by_condition(self) -> dict[str, list[Row]]:
+        rows_by_condition: dict[str, list[Row]] = {}
+        for condition, row in zip(self.runs["condition"], self.runs["row"], strict=True):
+            rows_by_condition.setdefault(condition, []).append(row)
+        return rows_by_condition
+
+    def renamed(self, names: Mapping[str, str]) -> StudyData:
+        """Return the study with its conditions under new names; those that have none are left out."""
+
+        def with_new_keys(table: Mapping[str, Any]) -> dict[str, Any]:
+            return {names[name]: value for name, value in table.items() if name in names}
+
+        study = self.study
+        tables: dict[str, Any] = {}
+        for key in ("conditions", "labels", "levels"):
+            tables[key] = with_new_keys(getattr(study, key))
+        new_names = set(names.values())
+        for name, label in study.labels.items():
+            if name in new_names:
+                tables["labels"][name] = label
+        tables["colors"] = {names.get(name, name): color for name, color in study.colors.items()}
+        tables["baseline"] = names.get(study.baseline, next(iter(names.values())))
+        runs = self.runs[self.runs["condition"].isin(names)]
+        return replace(
+            self,
+            study=study.model_copy(update=tables),
+            fields=with_new_keys(self.fields),
+            runs=runs.assign(condition=runs["condition"].map(names)),
+            configurations=with_new_keys(self.configurations),
+        )
+
+    def of_conditions(self, names: str | Sequence[str]) -> StudyData:
+        """Return the study with one or some of its conditions."""
+        selection = [names] if isinstance(names, str) else names
+        for name in selection:
+            if name not in self.fields:
+                raise unknown_name(f"condition of study {self.study.name}", name, self.fields)
+        return replace(
+            self,
+            fields={name: fields for name, fields in self.fields.items() if name in selection},
+            runs=self.runs[self.runs["condition"].isin(selection)],
+            configurations={name: run for name, run in self.configurations.items() if name in selection},
+        )
+
+    def engines(self, condition: str) -> set[str]:
+        engines = {str(run.fields.get("engine") or "") for run in self.of_condition(condition)}
+        return engines - {""}
 
     @cached_property
     def averaged_over(self) -> int | None:
         """Episodes over which returns were averaged when recorded; None if they were not."""
-        return max((episodes for run in self.rows if (episodes := run.averaged_over)), default=None)
+        return max((run.averaged_over or 0 for run in self.rows), default=0) or None
 
     @cached_property
     def evaluated(self) -> bool:
@@ -272,7 +317,7 @@ class StudyData:
         tables = [run.evaluations_table() for run in self.rows]
         frame = pa.concat_tables(tables, promote_options="permissive").to_pandas(use_threads=False)
         counts = [table.num_rows for table in tables]
-        for place, key in enumerate(NAMING):
+        for place, key in enumerate(RUN_KEY_COLUMNS):
             frame.insert(place, key, np.repeat(self.runs[key].to_numpy(), counts))
         return frame
 
@@ -290,7 +335,7 @@ class StudyData:
 
     @cached_property
     def windows(self) -> tuple[str, ...]:
-        """The windows of `WINDOWS` that all returns have, the usual one first."""
+        """The windows of `WINDOWS` that all returns have, the default one first."""
         return tuple(name for name in WINDOWS if all(name in run.windows for run in self.rows))
 
     @cached_property
@@ -300,9 +345,13 @@ class StudyData:
         If some runs come from published tables, these are only the quantities in the tables, because a line
         over some runs of a condition would mislead.
         """
-        published = {run.quantities for run in self.rows if run.published}
-        some = dict.fromkeys(name for run in self.rows for name in run.quantities)
-        return [name for name in some if all(name in names for names in published)]
+        names: dict[str, None] = {}
+        published = []
+        for run in self.rows:
+            names |= dict.fromkeys(run.quantities)
+            if run.published:
+                published.append(run.quantities)
+        return [name for name in names if all(name in quantities for quantities in published)]
 
     def curve(self, run: Row, quantity: str, window: str | None = None) -> np.ndarray:
         """Return a run's training curve on the study's grid, (points,); NaN where it has no value.
@@ -336,23 +385,10 @@ class StudyData:
         return window
 
 
-def join_studies(one: StudyData, other: StudyData) -> tuple[StudyData, dict[str, tuple[str, str]]]:
-    """Return the runs of two studies as one study's, and the two new names of each condition that both have.
+def _has_own_world(run: Row) -> bool:
+    level, characters = run.fields.get("level", ""), run.fields.get("characters", "")
+    return is_own_level(str(level)) or are_own_characters(str(characters))
 
-    Conditions are called CONDITION, STUDY.
-    """
-    words = [
-        each.full_title if one.study.name == other.study.name else each.study.name for each in (one, other)
-    ]
-    both = [
-        data.renamed({name: f"{name}, {word}" for name in data.conditions})
-        for data, word in zip((one, other), words, strict=True)
-    ]
-    fields = {**both[0].fields, **both[1].fields}
-    title = f"{one.study.title}, and {other.study.title}"
-    changed = {"title": title, "conditions": fields, "labels": {}, "colors": {}, "settings": {}, "levels": {}}
-    study = one.study.model_copy(update=changed)
-    runs = pd.concat([each.runs for each in both], ignore_index=True)
-    joined = StudyData(study, fields, runs, asked=one.asked)
-    shared = [name for name in one.conditions if one.of_condition(name) and other.of_condition(name)]
-    return joined, {name: (f"{name}, {words[0]}", f"{name}, {words[1]}") for name in shared}
+
+def _joined(*parts: str) -> str:
+    return "-".join(part for part in parts if part)

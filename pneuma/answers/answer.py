@@ -19,7 +19,7 @@ class Answer:
         about: which runs it concerns, and other facts, for programs.
         tables: its numbers, by their names in a JSON document; the first is the main one.
         cells: tables of text for people; the first also stands in pages and papers.
-        notes: sentences without which the numbers may mislead.
+        notes: messages without which the numbers may mislead.
         legend: lines that explain the cells.
     """
 

@@ -19,13 +19,13 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from pneuma.errors import UserError, plain
+from pneuma.errors import Message, UserError, plain, written
 
 STOPPED = 130
 """The exit code after Ctrl-C; it is 1 if runs failed, and 0 if all is done."""
 COMMANDS = {
     "study": ("study", "Compare conditions over many seeds."),
-    "run": ("runs", "Look at single runs and take them along."),
+    "run": ("runs", "Inspect, export and delete single runs."),
     "search": ("search", "Find hyperparameters, and confirm them on fresh seeds."),
     "env": ("env", "Look at and play environments."),
     "report": ("report", "Write all evidence as one HTML page."),
@@ -107,7 +107,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         words = None if arguments is None else list(arguments)
         code = app(args=words, prog_name="pneuma", standalone_mode=False)
     except UserError as error:
-        return _refuse(str(error))
+        from pneuma.cli.hints import write_hint  # not for `--help`
+
+        return _refuse(written(Message(*error.args), write_hint))
     except typer.TyperException as error:
         return _refuse(error.format_message())
     except (KeyboardInterrupt, typer.Abort):

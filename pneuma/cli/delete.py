@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated
 
@@ -24,40 +24,31 @@ def delete_study(name: opt.Study, picked: opt.RunFilter, yes: Yes = False) -> Re
     Runs of another study that was run here too stay until that one is removed. Published tables are not
     touched.
     """
-    from pneuma.analysis.runs import studies_here
+    from pneuma.analysis.runs import find_study, studies_here
 
-    index, data = picked.index, picked.find(name)
-    study = data.study
-    here = {*data.runs["run_id"][data.runs["where"] == ""]}
-    studies_by_run: dict[str, str] = {}
+    index = picked.index
+    data = find_study(index, picked.query(name))
+    study, store = data.study, index.store
+    stored = set(data.runs["run_id"][data.runs["where"] == ""])
+    kept: dict[str, str] = {}
     for other in studies_here(index):
         if (other.study.name, other.study.world) != (study.name, study.world):
-            studies_by_run |= dict.fromkeys(other.runs["run_id"], other.where)
-    kept = here & studies_by_run.keys()
+            kept |= dict.fromkeys(stored.intersection(other.runs["run_id"]), other.where)
     notes = []
     if kept:
-        notes.append(f"Note: kept, as {studies_by_run[min(kept)]} has them too: {counted(len(kept), 'run')}.")
-    result = _delete(index.store, sorted(here - kept), yes, notes, data.text(index.store.root))
-    if {*result.document["removed"]} != here - kept:
+        notes.append(f"Note: kept, as {kept[min(kept)]} has them too: {counted(len(kept), 'run')}.")
+    result = _delete(store, sorted(stored - kept.keys()), yes, notes, data.coverage)
+    if set(result.document["removed"]) != stored - kept.keys():
         return result  # nobody agreed
+    last = last_query(store, study.name, study.world)
     if study.path is None:
-        if {*data.runs["run_id"]} <= here and not picked.condition and picked.seeds is None:
-            index.store.remove(index.store.listing_path(study.name))
-    elif not _is_any_left(picked, study.name, study.world, here):
-        forget_query(index.store, study.name, study.world)
+        if stored.issuperset(data.runs["run_id"]) and not picked.condition and picked.seeds is None:
+            store.remove(store.listing_path(study.name))
+    elif last is not None:
+        runs = find_study(index, replace(last, preset=LAST)).runs
+        if stored.issuperset(runs["run_id"][runs["where"] == ""]):
+            forget_query(store, study.name, study.world)
     return result
-
-
-def _is_any_left(picked: opt.RunFilter, study: str, world: str, removed: Collection[str]) -> bool:
-    """Return whether a run of a study's last query is stored that was not asked to be removed."""
-    last = last_query(picked.store, study, world)
-    if last is None:
-        return False
-    from pneuma.analysis.runs import plan_to_read
-
-    plan = plan_to_read(picked.index, replace(last, preset=LAST))
-    left = {cell.run_id for cell in plan.cells} - {*removed}
-    return any(picked.store.status(run_id, quick=True).name != "planned" for run_id in left)
 
 
 def delete_run(name: opt.RunId, yes: Yes = False, results: opt.Results = opt.HERE) -> Result:
@@ -67,30 +58,29 @@ def delete_run(name: opt.RunId, yes: Yes = False, results: opt.Results = opt.HER
 
 
 def _delete(
-    store: Store, names: Sequence[str], yes: bool, notes: Sequence[str] = (), about: str = ""
+    store: Store, run_ids: Sequence[str], yes: bool, notes: Sequence[str] = (), about: str = ""
 ) -> Result:
-    if not names and not notes:
+    if not run_ids and not notes:
         raise UserError(f"nothing to remove: no such run is stored in {store.root}")
-    statuses = {name: store.status(name, quick=True) for name in names}
-    if running := [name for name, status in statuses.items() if status.name == "running"]:
-        raise UserError(f"run {running[0]} trains now: stop its study first")
-    if not names:
-        return Result({"removed": []}, ["Nothing was removed."], notes=notes)
-    if not yes and not sys.stdin.isatty():
-        raise UserError("--yes is needed where nobody can be asked")
-    if about:
-        say(about)
-    for name, status in statuses.items():
+    nothing = Result({"removed": []}, ["Nothing was removed."], notes=notes)
+    if not run_ids:
+        return nothing
+    lines = [about] if about else []
+    for run_id in run_ids:
+        status = store.status(run_id, quick=True)
+        if status.name == "running":
+            raise UserError(f"run {run_id} trains now: stop its study first")
         seed = f", seed {status.identity.seed}" if status.identity else ""
-        say(f"  {name}  {status.name}, {status.step:,} steps{seed}")
-    if not yes and not _agreed(f"Remove {counted(len(names), 'run')}? [y/N] "):
-        return Result({"removed": []}, ["Nothing was removed."])
-    for name in names:
-        store.delete_run(name)
-    text = f"Removed {counted(len(names), 'run')} from {store.root}."
-    return Result({"removed": [*names]}, [text], notes=notes)
-
-
-def _agreed(question: str) -> bool:
-    print(question, end="", file=sys.stderr, flush=True)
-    return sys.stdin.readline().strip().lower() in ("y", "yes")
+        lines.append(f"  {run_id}  {status.name}, {status.step:,} steps{seed}")
+    if not yes:
+        if not sys.stdin.isatty():
+            raise UserError("--yes is needed where nobody can be asked")
+        for line in lines:
+            say(line)
+        print(f"Remove {counted(len(run_ids), 'run')}? [y/N] ", end="", file=sys.stderr, flush=True)
+        if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+            return nothing
+    for run_id in run_ids:
+        store.delete_run(run_id)
+    text = f"Removed {counted(len(run_ids), 'run')} from {store.root}."
+    return Result({"removed": list(run_ids)}, [text], notes=notes)

@@ -27,7 +27,7 @@ ABOUT = {
 """A description of each environment."""
 
 CAMERAS = ("map", "follow")
-PLAYERS = ("random", "hunter")
+RANDOM, HUNTER = "random", "hunter"
 BEST = "best:"
 
 Environment = Annotated[str, opt.argument("ID", "An environment's id, as in `pneuma env list`.")]
@@ -42,9 +42,9 @@ def list_() -> Result:
     rows: list[dict[str, Any]] = []
     for name in ENVIRONMENTS:
         with closing(gymnasium.make(name).unwrapped) as env:
-            seen = str(env.observation_space.shape or env.observation_space)
+            observation = str(env.observation_space.shape or env.observation_space)
             actions = int(env.action_space.n)  # type: ignore[attr-defined]
-        rows.append({"id": name, "observation": seen, "actions": actions, "about": ABOUT[name]})
+        rows.append({"id": name, "observation": observation, "actions": actions, "about": ABOUT[name]})
     return rows_result("environments", rows)
 
 
@@ -54,7 +54,7 @@ def render(
     out: Annotated[Path, opt.option("FILE", "A .png, or a .gif of an episode.")],
     player: Annotated[
         str, opt.option("AGENT", "random, hunter, a run's id, or best:STUDY: a study's best run here.")
-    ] = "random",
+    ] = RANDOM,
     camera: Annotated[str | None, opt.choice(CAMERAS, "The whole map, or a player.")] = None,
     seed: Seed = 0,
     seconds: Annotated[float, opt.option("N", "Most seconds of an episode in a .gif.", min=1.0)] = 20.0,
@@ -68,9 +68,22 @@ def render(
     death. A run's policy plays in the environment that it was trained in, --set on top. Environments
     that are not Pneuma's draw themselves.
     """
+    from pneuma.config import is_gymnasium_id
+
+    check_file(out, (".gif", ".png"))
+    is_moving = out.suffix.lower() == ".gif"
+    if player != RANDOM and not is_moving:
+        raise UserError(f"--player {player} is for episodes, and {out} is a picture: name a .gif")
+    if is_gymnasium_id(name):
+        if player == HUNTER or camera or set_:
+            raise UserError(
+                f"--player hunter, --camera and --set are for Pneuma's environments, not for {name}"
+            )
+        return _render_other(name, out, player, seed, seconds, trust, results)
+    if name not in ENVIRONMENTS:
+        raise unknown_name("environment", name, ENVIRONMENTS)
     import numpy as np
 
-    from pneuma.config import is_gymnasium_id
     from pneuma.engines.policy import drawing
     from pneuma.env import watch
     from pneuma.env.fields import make_env_config
@@ -78,30 +91,26 @@ def render(
     from pneuma.env.render import GIF_FACTOR, Renderer
     from pneuma.env.worlds import Worlds
 
-    check_file(out, (".gif", ".png"))
-    moving = out.suffix.lower() == ".gif"
-    if player != "random" and not moving:
-        raise UserError(f"--player {player} is for episodes, and {out} is a picture: name a .gif")
-    if is_gymnasium_id(name):
-        if player == "hunter" or camera or set_:
-            raise UserError(
-                f"--player hunter, --camera and --set are for Pneuma's environments, not for {name}"
-            )
-        return _render_other(name, out, player, seed, seconds, trust, results)
-    _check_drawable(name)
-    policy, own = (None, {}) if player in PLAYERS else _load_player(player, name, results, trust)
-    worlds = Worlds(1, make_env_config({**own, **dict(set_ or ())}, name))
+    policy: Policy | None = None
+    settings: dict[str, Any] = {}
+    if player not in (RANDOM, HUNTER):
+        policy, settings = _load_player(player, name, results, trust)
+    worlds = Worlds(1, make_env_config({**settings, **dict(set_ or ())}, name))
     worlds.seed([seed])
     worlds.reset()
-    draws = np.random.default_rng(seed)
-    scripted = Hunter(worlds).act if player == "hunter" else RandomPlayer(draws).act
-    act = drawing(policy, worlds, draws) if policy else scripted
-    if not moving:
+    generator = np.random.default_rng(seed)
+    if policy is not None:
+        act = drawing(policy, worlds, generator)
+    elif player == HUNTER:
+        act = Hunter(worlds).act
+    else:
+        act = RandomPlayer(generator).act
+    if not is_moving:
         write_file(out, watch.encode_png(Renderer(worlds, camera or "map", env_id=name).frame()))
         return Result({"file": out}, [f"wrote {out}"])
     renderer = Renderer(worlds, camera or "follow", zoom=GIF_FACTOR, env_id=name)
-    most = 1 + round(seconds * watch.FRAME_RATE)  # the first shows the start
-    write_file(out, watch.encode_gif(islice(watch.episode_frames(worlds, act, renderer), most)))
+    most_frames = 1 + round(seconds * watch.FRAME_RATE)  # the first shows the start
+    write_file(out, watch.encode_gif(islice(watch.episode_frames(worlds, act, renderer), most_frames)))
     return Result({"file": out}, [f"wrote {out}: {_story(worlds)}"])
 
 
@@ -117,7 +126,7 @@ def _render_other(
     from pneuma.store.stored_runs import find_run, stored_run, trusted_settings
 
     run, policy = make_run({"env": name}), None
-    if player != "random":
+    if player != RANDOM:
         store = Store(results)
         run_id = find_run(store, player)
         settings = trusted_settings(store, run_id, trust)
@@ -146,11 +155,11 @@ def _load_player(player: str, name: str, results: Path, trust: bool) -> tuple[Po
         run_id = _best_run(player.removeprefix(BEST), name, results) if player.startswith(BEST) else player
         policy, env, settings = load_policy(run_id, results, trust=trust)
     except UserError as error:
-        raise UserError(f"--player {player}: {error}") from None
+        raise UserError(f"--player {player}: ", *error.args) from None
     if env != name or not isinstance(policy, Policy):
         raise UserError(f"--player {player}: was trained in {env}, not in {name}")
-    paid = settings.get("reward") or ()
-    settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in paid] or REWARDS[:1]
+    rewards = settings.get("reward") or REWARDS[:1]
+    settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in rewards]
     return policy, settings
 
 
@@ -159,23 +168,20 @@ def _best_run(study: str, env: str, results: Path) -> str:
     from pneuma.analysis.ranking import ranked_runs
 
     worlds = [name for name, world in WORLDS.items() if world.env == env]
-    data = opt.RunFilter(world=next(iter(worlds), None), results=results).open(study)
-    return str(ranked_runs(data)["run_id"].iloc[0])
+    data = opt.RunFilter(world=worlds[0], results=results).open(study)
+    _, ranked = ranked_runs(data)
+    return str(ranked["run_id"].iloc[0])
 
 
 def _story(worlds: Worlds) -> str:
+    """Return what happened in an episode."""
     from pneuma.env.watch import SECONDS_AFTER_LAST_KILL, agent_steps
 
     count, ending = worlds.monsters.shape[1], worlds.ending(0)
     killed = count - worlds.worlds["monsters_left"][0]
-    played = f"{killed} of {count} monsters killed, {counted(agent_steps(worlds), 'step')}"
+    text = f"{killed} of {count} monsters killed, {counted(agent_steps(worlds), 'step')}"
     if ending != "running":
-        return f"{played}, {ending.replace('-', ' ')}"
+        return f"{text}, {ending.replace('-', ' ')}"
     if killed < count:
-        return f"{played}; the episode goes on: --seconds shows more"
-    return f"{played}; it ends {SECONDS_AFTER_LAST_KILL} s after the last kill, the episode itself goes on"
-
-
-def _check_drawable(name: str) -> None:
-    if name not in ENVIRONMENTS:
-        raise unknown_name("environment", name, ENVIRONMENTS)
+        return f"{text}; the episode goes on: --seconds shows more"
+    return f"{text}; it ends {SECONDS_AFTER_LAST_KILL} s after the last kill, the episode itself goes on"

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, command, say
+from pneuma.cli.hints import command
+from pneuma.cli.output import Result, say
 from pneuma.errors import counted
 from pneuma.store.store import Store
 from pneuma.study.spec import results_words

@@ -40,10 +40,11 @@ class WrongText(typer.BadParameter):
 
 
 def option(
-    metavar: str, help_text: str, read: Callable[[str], Any] | None = None, name: str = "", **more: Any
+    metavar: str, help_text: str, read: Callable[[str], Any] | None = None, name: str = "", **details: Any
 ) -> Any:
     """Return an option, called as its parameter unless it has a name; `read` converts its text."""
-    return typer.Option(*filter(None, [name]), metavar=metavar, help=help_text, parser=read, **more)
+    names = [name] if name else []
+    return typer.Option(*names, metavar=metavar, help=help_text, parser=read, **details)
 
 
 def argument(metavar: str, help_text: str) -> Any:
@@ -63,7 +64,7 @@ def choice(allowed: Iterable[str], help_text: str, metavar: str = "", name: str 
             raise WrongText(f"{text}: must be one of {', '.join(names)}{nearest_name(text, names)}{hint}")
         return text
 
-    return option(metavar or "|".join(names), help_text, read, name, autocompletion=lambda: [*names])
+    return option(metavar or "|".join(names), help_text, read, name, autocompletion=lambda: list(names))
 
 
 def count(help_text: str) -> Any:
@@ -86,20 +87,21 @@ def seeds(help_text: str, first: int = 0) -> Any:
 
     def read(text: str) -> tuple[int, ...]:
         try:
-            seeds = read_seeds(text)
+            numbers = read_seeds(text)
         except ValueError:
             raise WrongText(f"{text}: must be {SEEDS_ALLOWED}") from None
-        is_count = "," not in text and ".." not in text
-        return tuple(first + seed for seed in seeds) if is_count else seeds
+        if "," in text or ".." in text:
+            return numbers
+        return tuple(first + number for number in numbers)
 
     return option("N|LIST", help_text, read)
 
 
 def _read_setting(text: str) -> tuple[str, Any]:
-    key, equals, value = (part.strip() for part in text.partition("="))
-    if not (key and equals):
+    key, equals, value = text.partition("=")
+    if not (key.strip() and equals):
         raise WrongText(f"{text}: must be KEY=VALUE, as in learning_rate=1e-3")
-    return key, read_value(value)
+    return key.strip(), read_value(value.strip())
 
 
 # --- The options -----------------------------------------------------------------------------------
@@ -127,22 +129,22 @@ Conditions = Annotated[Several, option("NAME", "Only this condition (may be repe
 _CHANGE = "Set a field of the run, or of the world (may be repeated)."
 Settings = Annotated[SeveralRead, option("KEY=VALUE", _CHANGE, _read_setting, "--set")]
 """Pairs of a field and its value; use `dict(set_ or ())`."""
-_WHOSE = "Whose rules: the arena (default), the thesis's text, or its published code."
-World = Annotated[str | None, choice(WORLDS, _WHOSE)]
+World = Annotated[str | None, choice(WORLDS, "Rule set: arena (default), text or godot.")]
 _PLANS = "A named plan of the study, such as quick or paper; also NAME@PRESET."
 Preset = Annotated[str | None, option("PRESET", _PLANS)]
 _OF_FIGURES = "Of figures (may be repeated; default: png and svg)."
 Formats = Annotated[SeveralRead, choice(FIGURE_FORMATS, _OF_FIGURES, name="--format")]
 PlotFolder = Annotated[Path | None, option("DIR", "Where to write (default: RESULTS/figures).", name="--out")]
-Outcomes = Annotated[Several, option("NAME", "One of docs/outcomes.md, instead of the usual (repeatable).")]
-Workers = Annotated[Any, count("Runs trained at once (default: one a core).")]
+_OUTCOMES = "Outcome to report instead of the defaults (repeatable; see docs/outcomes.md)."
+Outcomes = Annotated[Several, option("NAME", _OUTCOMES)]
+Workers = Annotated[Any, count("Parallel workers (default: one per core).")]
 _WHERE = "Where runs are trained, as docs/scaling.md says (default: local)."
 _QUEUES = "; docs/scaling.md shows how to use the queue of a cluster"
 Executor = Annotated[str | None, choice(EXECUTORS, _WHERE, hint=_QUEUES)]
 Address = Annotated[str | None, option("HOST:PORT", "The cluster of --executor ray (default: its own).")]
 
 
-# --- What they say together ------------------------------------------------------------------------
+# --- Groups of options -----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -157,17 +159,17 @@ class RunFilter:
     world: World = None
     results: Results = HERE
 
-    def query(self, name: str, world: str | None = None) -> Query:
+    def query(self, name: str) -> Query:
         """Return the query of a study by its name, or by STUDY@PRESET."""
-        asked = Query(
-            world=world or self.world,
+        query = Query(
+            world=self.world,
             preset=self.preset,
             seeds=self.seeds,
             steps=self.steps,
             conditions=tuple(self.condition or ()),
             settings=dict(self.set_ or ()),
         )
-        return asked.named(name)
+        return query.named(name)
 
     @property
     def store(self) -> Store:
@@ -182,20 +184,12 @@ class RunFilter:
             say(f"Note: {self.results} has no results.")
         return RunIndex(self.store)
 
-    def open(self, name: str, world: str | None = None) -> StudyData:
+    def open(self, study: str | Query) -> StudyData:
         """Open the finished runs of a study's cells, and print what is shown."""
-        return self.open_query(self.query(name, world))
-
-    def open_query(self, query: Query) -> StudyData:
         from pneuma.analysis.runs import open_study
 
+        query = self.query(study) if isinstance(study, str) else study
         return open_study(self.index, query, say)
-
-    def find(self, name: str) -> StudyData:
-        """Return the runs of a study's cells, finished or not."""
-        from pneuma.analysis.runs import find_study
-
-        return find_study(self.index, self.query(name))
 
 
 @dataclass(frozen=True)
@@ -224,8 +218,11 @@ class Commands(typer.Typer):
 
     def __init__(self, name: str, help_text: str, **more: Any) -> None:
         """Make a group without commands."""
-        usual = {"no_args_is_help": True, "rich_markup_mode": None, "add_completion": False}
-        super().__init__(name=name, help=help_text, **{**usual, **more})
+        super().__init__(
+            name=name,
+            help=help_text,
+            **{"no_args_is_help": True, "rich_markup_mode": None, "add_completion": False, **more},
+        )
 
     def command(self, name: str | None = None, **more: Any) -> Any:
         add = super().command(name, **more)
@@ -234,33 +231,31 @@ class Commands(typer.Typer):
 
 def _printing(function: Callable[..., Result]) -> Callable[..., int]:
     """Return a command as Typer takes it: it prints its result, has --json, and options one by one."""
-    own = inspect.signature(function, eval_str=True).parameters
-    groups: dict[str, Any] = {
-        name: each.annotation for name, each in own.items() if is_dataclass(each.annotation)
-    }
+    groups: dict[str, Any] = {}
+    options: list[inspect.Parameter] = []
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
+        group = parameter.annotation
+        if not is_dataclass(group):
+            options.append(parameter.replace(kind=keyword))
+            continue
+        groups[name] = group
+        types = get_type_hints(group, include_extras=True)
+        for item in fields(group):
+            annotation = types[item.name]
+            options.append(inspect.Parameter(item.name, keyword, default=item.default, annotation=annotation))
 
     @functools.wraps(function)
-    def called(json: bool, **given: Any) -> int:
+    def called(json: bool, **values: Any) -> int:
         for name, group in groups.items():
-            given[name] = group(**{item.name: given.pop(item.name) for item in fields(group)})
+            values[name] = group(**{item.name: values.pop(item.name) for item in fields(group)})
         with kept_for_the_result():
-            result = function(**given)
+            result = function(**values)
         if json and result.file:
             raise UserError("--json: standard output is for the table; name a file by --out")
-        print_result(result, "json" if json else given.get("format", TABLE))
+        print_result(result, "json" if json else values.get("format", TABLE))
         return result.code
 
-    options: list[inspect.Parameter] = []
-    for name, each in own.items():
-        options += _options_of(groups[name]) if name in groups else [each.replace(kind=each.KEYWORD_ONLY)]
-    json = inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=JSON)
-    called.__signature__ = inspect.Signature([*options, json])  # type: ignore[attr-defined]
+    options.append(inspect.Parameter("json", keyword, default=False, annotation=JSON))
+    called.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
     return called
-
-
-def _options_of(group: Any) -> list[inspect.Parameter]:
-    types, kind = get_type_hints(group, include_extras=True), inspect.Parameter.KEYWORD_ONLY
-    return [
-        inspect.Parameter(item.name, kind, default=item.default, annotation=types[item.name])
-        for item in fields(group)
-    ]

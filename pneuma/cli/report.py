@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from pneuma.cli import options as opt
+from pneuma.cli.hints import write_hint
 from pneuma.cli.output import Result, check_file, nothing_yet, say, write_file
 from pneuma.store.store import Store
 
@@ -23,15 +24,18 @@ def report(
 ) -> Result:
     """Write verdicts, figures, numbers, settings and runs as one HTML page that opens offline."""
     check_file(out, (".html", ".htm"), force)
-    store, tell = Store(results), partial(say, quiet=quiet)
-    if lacking := nothing_yet(store):
-        tell(f"Note: {lacking}.")
-    from pneuma.figures.report import report_page
-    from pneuma.figures.report_data import gather_report
+    store, aside = Store(results), partial(say, quiet=quiet)
+    nothing = nothing_yet(store)
+    if nothing:
+        aside(f"Note: {nothing}.")
+    from pneuma.figures.report import gather_report, report_page
+    from pneuma.store.index import RunIndex
 
-    found = gather_report(store, names or [], tell)
-    page = report_page(**found)
+    contents = gather_report(RunIndex(store), names or [], write_hint, aside)
+    page = report_page(**contents)
     write_file(out, page)
-    studies, claims = len(found["studies"]), len(found["claims"])
-    told = f"wrote {out}: {len(page) / 1e6:.1f} MB; studies: {studies}, claims: {claims}"
-    return Result({"file": out, "bytes": len(page), "studies": studies, "claims": claims}, [told])
+    document = {"file": out, "bytes": len(page)}
+    for name in ("studies", "claims"):
+        document[name] = len(contents[name])
+    amounts = f"studies: {document['studies']}, claims: {document['claims']}"
+    return Result(document, [f"wrote {out}: {len(page) / 1e6:.1f} MB; {amounts}"])

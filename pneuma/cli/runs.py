@@ -22,10 +22,9 @@ from pneuma.store.stored_runs import (
 from pneuma.values import shown_settings, shown_value
 
 if TYPE_CHECKING:
-    from pneuma.analysis.study_data import StudyData
     from pneuma.store.index import RunIndex
 
-app = opt.Commands("run", "Look at single runs and take them along.")
+app = opt.Commands("run", "Inspect, export and delete single runs.")
 app.command("delete", short_help="Remove a stored run.")(delete.delete_run)
 
 
@@ -44,55 +43,55 @@ def list_(
 
     With --study, list the runs of one study, the best first.
     """
-    from pneuma.store.index import RunIndex
-
     if study is not None:
-        return _ranked(opt.RunFilter(world=world, results=results).open(study), sort)
+        from pneuma.analysis.ranking import ranked_runs
+
+        name, ranked = ranked_runs(opt.RunFilter(world=world, results=results).open(study), sort or "")
+        rows = []
+        for run in ranked.to_dict("records"):
+            rows.append((run["run_id"], run["condition"], f"seed {run['seed']}", f"{run['value']:.4g}"))
+        return Result({"outcome": name, "runs": ranked}, [Table(("run", "condition", "", name), rows)])
     if sort is not None:
         raise UserError("--sort requires --study")
+    from pneuma.store.index import RunIndex
+
     index = RunIndex(Store(results))
     labels, here = _labels(index), index.frame[index.frame["where"] == ""]
     here = here.rename(columns={"end": "step"})[["run_id", "status", "step", "seed"]]
     runs = [{**run, "studies": labels.get(run["run_id"], [])} for run in rows_of(here)]
-    rows = []
+    lines = []
     for run in runs:
         studies = ", ".join(f"{label['study']}/{_condition(label)}" for label in run["studies"])
         amount = f"{run['step']:>12,} steps", f"seed {run['seed']}"
-        rows.append((run["run_id"], run["status"], *amount, studies or "of no study"))
-    nothing = f"No run is stored in {results} yet."
-    return Result({"runs": runs}, [Table([""] * 5, rows) if rows else nothing])
-
-
-def _ranked(data: StudyData, sort: str | None) -> Result:
-    from pneuma.analysis.outcomes import primary
-    from pneuma.analysis.ranking import ranked_runs
-
-    name = sort or primary(data)
-    runs = rows_of(ranked_runs(data, name))
-    rows = [(run["run_id"], run["condition"], f"seed {run['seed']}", f"{run['value']:.4g}") for run in runs]
-    return Result({"outcome": name, "runs": runs}, [Table(("run", "condition", "", name), rows)])
+        lines.append((run["run_id"], run["status"], *amount, studies or "of no study"))
+    shown = Table([""] * 5, lines) if lines else f"No run is stored in {results} yet."
+    return Result({"runs": runs}, [shown])
 
 
 def _labels(index: RunIndex) -> dict[str, list[dict[str, Any]]]:
     """Return the studies, worlds and conditions of each run in the results folder, by its id."""
     from pneuma.analysis.runs import studies_here
 
-    found: dict[str, list[dict[str, Any]]] = {}
+    labels: dict[str, list[dict[str, Any]]] = {}
     for data in studies_here(index):
         about: dict[str, Any] = {"study": data.study.name}
-        about |= {"world": data.study.world} if data.study.path else {}
-        about |= {"settings": dict(data.study.settings)} if data.study.settings else {}
-        for run in data.runs.to_dict("records"):
-            label = {**about, "condition": run["condition"], "seed": run["seed"]}
-            found.setdefault(run["run_id"], []).append(label)
-    return found
+        if data.study.path:
+            about["world"] = data.study.world
+        if data.study.settings:
+            about["settings"] = dict(data.study.settings)
+        for run in data.runs[["run_id", "condition", "seed"]].to_dict("records"):
+            run_id = run.pop("run_id")
+            labels.setdefault(run_id, []).append(about | run)
+    return labels
 
 
 def _condition(label: Mapping[str, Any]) -> str:
-    """Return a condition with the fields that were changed, unless its name tells them."""
-    settings, condition = label.get("settings", {}), label["condition"]
-    changed = {key: value for key, value in settings.items() if f"{key}=" not in condition}
-    return condition + (f" with {shown_settings(changed)}" if changed else "")
+    """Return a condition with the fields that were changed, unless its name has them."""
+    condition, changed = str(label["condition"]), {}
+    for key, value in label.get("settings", {}).items():
+        if f"{key}=" not in condition:
+            changed[key] = value
+    return f"{condition} with {shown_settings(changed)}" if changed else condition
 
 
 @app.command(short_help="Show what produced a stored run.")
@@ -102,47 +101,53 @@ def show(
     results: opt.Results = opt.HERE,
 ) -> Result:
     """Show what produced a stored run: configuration, machine, packages, time, files."""
+    from pneuma.store.index import RunIndex
+
     store = Store(results)
     run_id = find_run(store, name)
     status, settings = store.status(run_id), stored_settings(store, run_id)
-    from pneuma.store.index import RunIndex
-
-    held = _labels(RunIndex(store)).get(run_id, [])
-    usual = default_settings(settings)
-    differing = {key: value for key, value in settings.items() if value != usual.get(key)}
-    provenance = store.read_document(run_id, "provenance.json")
-    defaults, files = {key: usual.get(key) for key in differing}, run_files(store, run_id)
-
-    def shown() -> Iterator[str | Table]:
-        detail = f" ({status.detail})" if status.detail else ""
-        yield f"run {run_id}: {status.name}{detail}, {status.step:,} steps trained"
-        for study in held:
-            yield f"study {study['study']}, condition {_condition(study)}, seed {study['seed']}"
-        yield ""
-        yield "Fields" if all_ else "Fields that are not at their defaults (--all shows the others)"
-        for key, value in (settings if all_ else differing).items():
-            default = f"   (default {shown_value(defaults[key])})" if key in defaults else ""
-            yield f"  {key} = {shown_value(value)}{default}"
-        yield ""
-        yield "Provenance" + ("" if provenance else ": none, or damaged; it is written when a run has ended")
-        yield from _provenance_lines(provenance)
-        yield ""
-        yield "Files"
-        rows = [(f"  {file['name']}", f"{file['bytes']:>12,} bytes", file["state"]) for file in files]
-        yield Table([""] * 3, rows)
-
-    head = {"run_id": run_id, "status": status.name, "step": status.step, "studies": held}
-    about = {"settings": settings, "defaults": defaults, "provenance": provenance}
-    return Result({**head, **about, "files": files}, shown())
+    default_fields = default_settings(settings)
+    defaults = {}
+    for key, value in settings.items():
+        if value != default_fields.get(key):
+            defaults[key] = default_fields.get(key)
+    document = {
+        "run_id": run_id,
+        "status": status.name,
+        "step": status.step,
+        "studies": _labels(RunIndex(store)).get(run_id, []),
+        "settings": settings,
+        "defaults": defaults,
+        "provenance": store.read_document(run_id, "provenance.json"),
+        "files": run_files(store, run_id),
+    }
+    detail = f" ({status.detail})" if status.detail else ""
+    head = f"run {run_id}: {status.name}{detail}, {status.step:,} steps trained"
+    return Result(document, [head, *_show(document, all_)])
 
 
-def _provenance_lines(provenance: Mapping[str, Any]) -> Iterator[str]:
-    for key, value in provenance.items():
+def _show(run: Mapping[str, Any], all_fields: bool) -> Iterator[str | Table]:
+    for study in run["studies"]:
+        yield f"study {study['study']}, condition {_condition(study)}, seed {study['seed']}"
+    yield ""
+    yield "Fields" if all_fields else "Fields that are not at their defaults (--all shows the others)"
+    for key, value in run["settings"].items():
+        if key in run["defaults"]:
+            yield f"  {key} = {shown_value(value)}   (default {shown_value(run['defaults'][key])})"
+        elif all_fields:
+            yield f"  {key} = {shown_value(value)}"
+    yield ""
+    yield "Provenance" if run["provenance"] else "Provenance: none, or damaged; it is written at a run's end"
+    for key, value in run["provenance"].items():
         if isinstance(value, dict):
             value = ", ".join(f"{name} {version}" for name, version in value.items())
         if key == "attempts" and isinstance(value, list):
-            value = f"{len(value)} (--json tells the machine of each)"
+            value = f"{len(value)} (--json shows the machine of each)"
         yield f"  {key:<12} {shown_value(value)}"
+    yield ""
+    yield "Files"
+    rows = [(f"  {file['name']}", f"{file['bytes']:>12,} bytes", file["state"]) for file in run["files"]]
+    yield Table([""] * 3, rows)
 
 
 # --- export ----------------------------------------------------------------------------------------

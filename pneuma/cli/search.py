@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import STOPPED
 from pneuma.cli import options as opt
+from pneuma.cli.hints import command
 from pneuma.cli.output import (
     Result,
     Table,
     check_file,
-    command,
     keep_files,
     listed_result,
     read_formats,

@@ -58,7 +58,7 @@ def compare(
         other = replace(picked, condition=None, set_=None)
         answer = comparison.compare(picked.open(name), outcomes=outcome or (), other=other.open(with_))
     elif a and b and not with_:
-        data = picked.open_query(comparison.narrowed(picked.query(name), a, b))
+        data = picked.open(comparison.narrowed(picked.query(name), a, b))
         answer = comparison.compare(data, a, b, outcome or ())
     else:
         raise UserError("name two conditions, A and B, or another study by --with STUDY")

@@ -38,11 +38,10 @@ from pneuma.study.spec import (
     QUICK,
     Preset,
     Study,
-    asked_words,
     does_nothing,
     unread_fields,
 )
-from pneuma.values import read_value, seeds_option, short, split_list
+from pneuma.values import read_value, short, split_list
 
 Swept = Mapping[str, Mapping[str, Any]]
 """The values of each field to sweep, by what the user wrote."""
@@ -165,20 +164,6 @@ def make_plan(study: Study, query: Query, engine: Callable[[Run], str] | None = 
     if query.steps:
         notes = [*rounding_notes((query.steps, run) for run in runs.values()), *notes]
     return Plan(configurations.study, tuple(cells), preset, query, tuple(notes))
-
-
-def query_words(plan: Plan) -> list[str]:
-    """Return the words of a command that name a plan's study and query."""
-    query, words = plan.query, asked_words(plan.study)
-    if plan.preset != default_preset(plan.study):
-        words += ["--preset", plan.preset]
-    for condition in query.conditions:
-        words += ["--condition", condition]
-    if query.seeds is not None:
-        words += ["--seeds", seeds_option(query.seeds)]
-    if query.steps:
-        words += ["--steps", str(query.steps)]
-    return words
 
 
 def _first_capable_engine() -> Callable[[Run], str]:

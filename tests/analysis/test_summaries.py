@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pneuma.analysis.export import encode_table
+from pneuma.analysis.export import encode_frame
 from pneuma.analysis.intervals import shown_with_interval
 from pneuma.analysis.outcomes import reason
 from pneuma.analysis.study_data import StudyData
@@ -92,14 +92,14 @@ def test_intervals_of_five_runs_stay_within_what_their_outcome_can_be(tmp_path: 
 def test_markdown_and_latex_keep_the_digits_that_the_interval_leaves_certain(store: Store) -> None:
     """The standard error is the root of 0.065 / 5, of which 2.776 are 0.317."""
     data = study(store.root.parent, {"a": ARMS["a"]})
-    markdown = encode_table(data, "summary", "markdown", store)[0].decode().splitlines()
+    markdown = encode_frame(summary_table(data), "markdown").decode().splitlines()
     assert markdown[:2] == [
         "| condition | outcome | statistic | value | low | high | interval | runs |",
         "| --- | --- | --- | ---: | ---: | ---: | --- | ---: |",
     ]
     (mean,) = [line for line in markdown if "final-share-killed | mean" in line]
     assert mean == "| a | final-share-killed | mean | 0.50 | 0.18 | 0.82 | t | 5 |"
-    latex = encode_table(data, "summary", "latex", store)[0].decode()
+    latex = encode_frame(summary_table(data), "latex").decode()
     assert r"a & final-share-killed & mean & 0.50 & 0.18 & 0.82 & t & 5 \\" in latex
 
 

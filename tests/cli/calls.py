@@ -65,8 +65,8 @@ def refused(*arguments: object) -> str:
     """Run a command that must be refused; return the one line that it says, after its name."""
     code, out, err = call(*arguments)
     assert (code, out) == (2, "")
-    (line,) = err.splitlines()
-    assert line.startswith("pneuma: ")
+    *notes, line = err.splitlines()
+    assert line.startswith("pneuma: ") and all(note.startswith("Note: ") for note in notes)
     return line.removeprefix("pneuma: ")
 
 

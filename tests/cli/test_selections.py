@@ -9,7 +9,9 @@ import pytest
 
 from pneuma.analysis.runs import find_study, have_same_fields
 from pneuma.api import open_data
+from pneuma.cli.hints import write_hint
 from pneuma.config import as_fields
+from pneuma.errors import written
 from pneuma.store.index import RunIndex
 from pneuma.store.last_queries import last_query
 from pneuma.store.store import Store
@@ -25,7 +27,7 @@ PAIR = ("tanh", "relu")
 def show(store: Store, name: str, world: str | None = None, **query: Any) -> tuple[list[str], str]:
     """Return the ids of the runs of a query, and the line on what is shown."""
     data = find_study(RunIndex(store), Query(world=world, **query).named(name))
-    return [*data.runs["run_id"]], data.text(Path("here"))
+    return [*data.runs["run_id"]], written(data.coverage, write_hint)
 
 
 # --- Which plan is meant ---------------------------------------------------------------------------
@@ -35,7 +37,8 @@ def test_where_nothing_was_run_the_published_preset_is_shown(store: Store) -> No
     """Tables 300 to 329 of the page: 30 runs of tanh, and 30 of ReLU though 60 are published."""
     code, out, err = call("study", "compare", "activation", *PAIR, "--results", store.root)
     assert code == 0 and "30 and 30" in out
-    assert err == "activation in the arena, preset paper, tanh and relu alone: 60 of 60 runs (published).\n"
+    shown = "activation in the arena, preset paper, tanh and relu alone: 60 of 60 runs (published)."
+    assert err.splitlines()[-1] == shown
 
 
 @pytest.mark.usefixtures("unshipped")
@@ -304,14 +307,14 @@ def test_status_is_a_table_of_presets_and_conditions(store: Store) -> None:
     finish_study(store, noted=False, conditions=("relu",))
     words = ("study", "status", "activation", "--results", store.root)
     rows = described(*words, "--json")["presets"]
-    states = [(row["preset"], row["condition"], row.get("done"), row.get("planned")) for row in rows]
+    states = [(row["preset"], row["condition"], row["done"], row["planned"]) for row in rows]
     assert states == [
-        ("as asked", "tanh", 1, None),
-        ("quick", "tanh", None, 3),
-        ("quick", "relu", 3, None),
-        ("quick", "leaky-relu", None, 3),
-        ("standard", "all 3", None, 30),
-        ("paper", "all 3", None, 90),
+        ("as asked", "tanh", 1, 0),
+        ("quick", "tanh", 0, 3),
+        ("quick", "relu", 3, 0),
+        ("quick", "leaky-relu", 0, 3),
+        ("standard", "all 3", 0, 30),
+        ("paper", "all 3", 0, 90),
     ]
     assert len(described(*words, "--runs", "--json")["runs"]) == 1
 

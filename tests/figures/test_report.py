@@ -31,16 +31,14 @@ def _page(name: str = "tanh") -> bytes:
     }
     numbers = (name, ("Condition", *(f"outcome {k}\nmean" for k in range(9))), [[name, *["0.5"] * 9]], 1)
     part = Part(
-        f"activation {name}", f"activation {name}", "In the text's world", notes=[name], fix=name,
+        f"activation {name}", "In the text's world", notes=[name], train=name, more=name,
         picture={"source": PICTURE, "alt": name, "caption": name}, numbers=numbers,
         conditions={"differing": (name, (name,), [[name]], 1), "alike": {name: name}},
         runs=[("0" * 16, name, 0, name, name), ("1" * 16, "relu", 0, "done", "sb3")],
         origins=[({name: name}, 2)],
     )  # fmt: skip
-    again = Part("again", "again", "In the arena", runs=[("0" * 16, "tanh", 0, "done", "sb3")])
-    empty = Part(
-        "optimizer", "optimizer", "In the text's world", ["No runs yet."], "pneuma study run optimizer"
-    )
+    again = Part("again", "In the arena", runs=[("0" * 16, "tanh", 0, "done", "sb3")])
+    empty = Part("optimizer", "In the text's world", ["No runs yet."], "pneuma study run optimizer")
     studies = [
         {"study": f"activation {name}", "title": name, "section": "6.2", "about": name, "parts": [part]},
         {"study": "again", "title": "Again", "section": "", "about": "", "parts": [again]},

@@ -1,0 +1,47 @@
+"""How the command line writes the arguments that messages name: as options, and calls as commands."""
+
+from __future__ import annotations
+
+import shlex
+from typing import Any
+
+from pneuma.errors import plain
+from pneuma.study.plan import Plan, default_preset
+from pneuma.study.spec import asked_words, results_words
+from pneuma.values import seeds_option
+
+OPTIONS = {"conditions": "--condition", "settings": "--set", "outcomes": "--outcome", "formats": "--format"}
+"""The options that are not called as arguments in Python."""
+VERBS = {"run_study": "run", "plot": "plot", "summarize": "summary"}
+"""The commands that are not called as functions in Python."""
+
+
+def command(*words: object) -> str:
+    return plain(shlex.join(["pneuma", *map(str, words)]))
+
+
+def query_words(plan: Plan) -> list[str]:
+    """Return the words of a command that name a plan's study and query."""
+    query, words = plan.query, asked_words(plan.study)
+    if plan.preset != default_preset(plan.study):
+        words += ["--preset", plan.preset]
+    for condition in query.conditions:
+        words += ["--condition", condition]
+    if query.seeds is not None:
+        words += ["--seeds", seeds_option(query.seeds)]
+    if query.steps:
+        words += ["--steps", str(query.steps)]
+    return words
+
+
+def write_hint(hint: Any) -> str:
+    """Return a `Hint` as an option, or a `StudyCall` as a command."""
+    if hint.field in VERBS:
+        words = query_words(hint.plan) if hint.plan else [hint.value]
+        if hint.unpublished:
+            words.append("--unpublished")
+        if hint.results is not None:
+            words += results_words(hint.results)
+        return command("study", VERBS[hint.field], *words)
+    name = OPTIONS.get(hint.field, f"--{hint.field.replace('_', '-')}")
+    return name if hint.value is None else f"{name} {hint.value}"
