@@ -34,5 +34,5 @@ def test_files_exist() -> None:
 )
 def test_pages_name_what_can_be_chosen(page: str, names: list[str]) -> None:
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
-    missing = [name for name in names if not re.search(rf"[` ]{name}[`,]", text)]
+    missing = [name for name in names if not re.search(rf'[` "]{name}[`",]', text)]
     assert not missing, f"docs/{page} does not name {', '.join(missing)}"
