@@ -66,7 +66,8 @@ def stored_file(path: Path) -> Iterator[None]:
     except UserError:
         raise
     except Exception as error:
-        raise UserError(f"{path}: cannot be read ({_reason(error)})") from None
+        file = getattr(error, "filename", None) or path
+        raise UserError(f"{file}: cannot be read ({_reason(error)})") from None
 
 
 def _reason(error: Exception) -> str:

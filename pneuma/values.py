@@ -178,8 +178,8 @@ MOST_SEEDS = 10_000
 SEEDS_ALLOWED = f"a count from 1 to {MOST_SEEDS}, a list of different seeds, or text such as 3,5,8 or 1..5"
 
 
-def read_seeds(value: object) -> tuple[int, ...]:
-    """Read seeds: a count n, for 0 to n - 1; a list; or text with numbers and ranges.
+def read_seeds(value: object, first: int = 0) -> tuple[int, ...]:
+    """Read seeds: a count n, for the n seeds from the first on; a list; or text with numbers and ranges.
 
     As text, `"5"` is a count, `"5,"` is the seed 5 alone, and `"1..5"` includes both ends.
 
@@ -189,7 +189,7 @@ def read_seeds(value: object) -> tuple[int, ...]:
     if isinstance(value, str):
         value = _seeds_of_text(value)
     if type(value) is int and 1 <= value <= MOST_SEEDS:
-        return tuple(range(value))
+        return tuple(range(first, first + value))
     if not isinstance(value, list | tuple) or not value:
         raise ValueError
     if not all(type(seed) is int and 0 <= seed < 2**32 for seed in value):

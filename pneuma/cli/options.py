@@ -87,12 +87,9 @@ def seeds(help_text: str, first: int = 0) -> Any:
 
     def read(text: str) -> tuple[int, ...]:
         try:
-            numbers = read_seeds(text)
+            return read_seeds(text, first)
         except ValueError:
             raise WrongText(f"{text}: must be {SEEDS_ALLOWED}") from None
-        if "," in text or ".." in text:
-            return numbers
-        return tuple(first + number for number in numbers)
 
     return option("N|LIST", help_text, read)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from pneuma.search.log import Record
     from pneuma.search.spec import Search
     from pneuma.study.plan import Plan
+    from pneuma.training.execute import CellResult
 
 app = opt.Commands("search", "Find hyperparameters over several seeds, and confirm them on fresh ones.")
 
@@ -152,7 +153,7 @@ def run(
     """Search for hyperparameters, going on where it was stopped; several processes share the work."""
     from pneuma import api
     from pneuma.search.spec import load_search
-    from pneuma.search.trials import Unfinished, refuse_unfinished, run_search
+    from pneuma.search.trials import Unfinished, run_search
 
     search = load_search(name, location.world)
     if preset not in search.presets:
@@ -164,12 +165,11 @@ def run(
     report = partial(say, quiet=quiet)
     say_once = cache(report)  # notes of a generation are those of the others
 
-    def train(planned: Plan, until: Mapping[str, int]) -> None:
+    def train(planned: Plan, until: Mapping[str, int]) -> Sequence[CellResult]:
         paused = replace(config, until=until)
-        results = api.train_plan(
+        return api.train_plan(
             planned, location.store, paused, retry_failed=retry_failed, quiet=quiet, say=say_once
         )
-        refuse_unfinished(results, until)
 
     progress = _Progress(search, quiet)
     code = 0
@@ -201,21 +201,19 @@ class _Progress:
         from pneuma.search.log import STATES
         from pneuma.search.spec import shown_params
 
-        self.document = record.document()
-        for trial in record.ended:
-            if trial.number in self._printed:
-                continue
+        is_first = not self.document["trials"]
+        self.document, best = record.document(), record.best
+        new_trials = [trial for trial in record.ended if trial.number not in self._printed]
+        for trial in new_trials:
             self._printed.add(trial.number)
-            note = trial.user_attrs.get("note", "")
             text = f"trial {trial.number}: {STATES[trial.state]}, {_value(trial)}"
-            texts = [text, shown_params(trial.params), note]
+            texts = [text, shown_params(trial.params), trial.user_attrs.get("note", "")]
             self._say("; ".join(filter(None, texts)))
-        best = record.best
+        best_text = f"front: {best}" if best else "none is complete yet"
         if isinstance(best, int):
             best_text = f"best: trial {best}, {_value(record.trials[best])}"
-        else:
-            best_text = f"front: {best}" if best else "none is complete yet"
-        self._say(f"{len(self._printed)} of {counted(record.budget.trials, 'trial')}; {best_text}")
+        if new_trials or is_first:
+            self._say(f"{len(self._printed)} of {counted(record.budget.trials, 'trial')}; {best_text}")
 
 
 def _value(trial: FrozenTrial) -> str:

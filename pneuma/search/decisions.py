@@ -2,18 +2,19 @@
 
 They work on a copy of the study in memory, in which the trials of earlier generations have ended. The sampler
 has a seed of the trial's own. So a decision depends neither on the number of workers nor on how often the
-search was stopped.
+search was stopped. Whoever writes it again writes the same.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any
 
 import optuna
+from optuna.exceptions import UpdateFinishedTrialError
 from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from pneuma.config import stream_seed
@@ -37,28 +38,29 @@ def make_cells(record: Record, number: int, params: Mapping[str, Any]) -> list[C
 
 
 def suggest(record: Record, number: int) -> None:
-    """Add the next trial to the log, unless it is there; one that a user enqueued is filled in."""
-    search = record.search
-    while True:
-        trials = record.trials
-        params: dict[str, Any] = {}
-        waiting = None
-        if number < len(trials):
-            waiting = trials[number]
-            if waiting.state != TrialState.WAITING:
-                return
-            params = waiting.system_attrs.get("fixed_params", {})
-        elif number < len(search.start):
-            params = search.params_of(search.start[number])
-        trial = _sample(record, number, params)
-        with record.writing():
-            if len(record.trials) != len(trials):
-                continue  # something was added meanwhile
-            if waiting is None:
-                record.study.add_trial(trial)
-            elif record.trials[number].state == TrialState.WAITING:
-                _fill(record, waiting, trial)
-            return
+    """Give a trial its parameters, unless it has them; those that a user enqueued stay.
+
+    A trial waits in the log until it has all of them. If this is cut short, it gets the same again.
+    """
+    if number == len(record.trials):
+        record.study.enqueue_trial({})
+    waiting = record.trials[number]
+    if waiting.state != TrialState.WAITING:
+        return
+    params = waiting.system_attrs.get("fixed_params")
+    if not params and number < len(record.search.start):
+        params = record.search.params_of(record.search.start[number])
+    trial = _sample(record, number, params or {})
+    storage = record.study._storage
+    with suppress(UpdateFinishedTrialError):  # another process was faster
+        for name, distribution in trial.distributions.items():
+            value = distribution.to_internal_repr(trial.params[name])
+            storage.set_trial_param(waiting._trial_id, name, value, distribution)
+        for key, value in trial.user_attrs.items():
+            storage.set_trial_user_attr(waiting._trial_id, key, value)
+        for key, value in trial.system_attrs.items():
+            storage.set_trial_system_attr(waiting._trial_id, key, value)
+        storage.set_trial_state_values(waiting._trial_id, TrialState.RUNNING)
 
 
 def _sample(record: Record, number: int, enqueued: dict[str, Any]) -> FrozenTrial:
@@ -70,8 +72,7 @@ def _sample(record: Record, number: int, enqueued: dict[str, Any]) -> FrozenTria
             attributes["note"] = f"was enqueued with {name} = {shown(value)}, which is not in its space"
             return create_trial(state=TrialState.RUNNING, user_attrs=attributes)
     study = _copy_study(record, number)
-    if enqueued:
-        study.enqueue_trial(enqueued)
+    study.enqueue_trial(enqueued)
     stream = search.name
     if search.sampler_seed:
         stream += f"/{search.sampler_seed}"
@@ -87,24 +88,10 @@ def _sample(record: Record, number: int, enqueued: dict[str, Any]) -> FrozenTria
         attributes["note"] = str(error)
     for key, value in attributes.items():
         trial.set_user_attr(key, value)
-    storage = study._storage
-    noted = storage.get_study_system_attrs(study._study_id)
+    noted = study._storage.get_study_system_attrs(study._study_id)
     if noted:
-        storage.set_trial_system_attr(trial._trial_id, STUDY_ATTRIBUTES, noted)
-    return storage.get_trial(trial._trial_id)
-
-
-def _fill(record: Record, waiting: FrozenTrial, trial: FrozenTrial) -> None:
-    """Write a trial over one that waits; if this is cut short, that one waits on, and gets the same again."""
-    storage, trial_id = record.study._storage, waiting._trial_id
-    for name, distribution in trial.distributions.items():
-        value = distribution.to_internal_repr(trial.params[name])
-        storage.set_trial_param(trial_id, name, value, distribution)
-    for key, value in trial.user_attrs.items():
-        storage.set_trial_user_attr(trial_id, key, value)
-    for key, value in trial.system_attrs.items():
-        storage.set_trial_system_attr(trial_id, key, value)
-    storage.set_trial_state_values(trial_id, TrialState.RUNNING)
+        study._storage.set_trial_system_attr(trial._trial_id, STUDY_ATTRIBUTES, noted)
+    return study._storage.get_trial(trial._trial_id)
 
 
 def prune(record: Record, trial: FrozenTrial, reports: Mapping[int, float]) -> tuple[bool, dict[str, Any]]:
@@ -156,7 +143,7 @@ def _as_suggested(trial: FrozenTrial, system_attributes: dict[str, Any]) -> Froz
 
 @contextmanager
 def _explained(record: Record, name: str) -> Iterator[None]:
-    """Say in a line what a sampler or pruner, which may be anybody's, cannot do."""
+    """Explain in a line what a sampler or pruner, which may be anybody's, cannot do."""
     try:
         with warnings.catch_warnings(action="ignore"):  # of what is experimental
             yield

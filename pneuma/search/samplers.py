@@ -38,19 +38,19 @@ class Choice(Table):
     name: str
     arguments: dict[str, Any]
 
+    def load(self) -> Any:
+        """Return its class."""
+        module, _, attribute = {**SAMPLERS, **PRUNERS}.get(self.name, self.name).rpartition(":")
+        return getattr(load_module(module), attribute)
+
     def create(self, seed: int | None = None) -> Any:
         """Return the sampler or pruner, with a seed if its class takes one."""
-        created = _load_class(self.name)
+        loaded = self.load()
         arguments = {**DEFAULTS.get(self.name, {}), **self.arguments}
-        if seed is not None and "seed" in inspect.signature(created).parameters:
+        if seed is not None and "seed" in inspect.signature(loaded).parameters:
             arguments["seed"] = seed
         with warnings.catch_warnings(action="ignore"):  # of arguments that are experimental
-            return created(**arguments)
-
-
-def _load_class(name: str) -> Any:
-    module, _, attribute = {**SAMPLERS, **PRUNERS}.get(name, name).rpartition(":")
-    return getattr(load_module(module), attribute)
+            return loaded(**arguments)
 
 
 def _read_choice(names: Mapping[str, str], base: type, table: Any) -> Any:
@@ -58,21 +58,19 @@ def _read_choice(names: Mapping[str, str], base: type, table: Any) -> Any:
     if not isinstance(table, Mapping):
         return table
     arguments = dict(table)
-    name = arguments.pop("name", "")
-    if not isinstance(name, str) or not (":" in name or name in names):
-        raise wrong(f"{unknown_name('name', str(name), names)}; any other is named as module:Class", "name")
+    name = str(arguments.pop("name", ""))
+    if ":" not in name and name not in names:
+        raise wrong(f"{unknown_name('name', name, names)}; any other is named as module:Class", "name")
     choice = Choice(name=name, arguments=arguments)
     try:
-        loaded = _load_class(name)
-        is_of_base = isinstance(loaded, type) and issubclass(loaded, base)
-        if is_of_base:
-            choice.create()
+        loaded = choice.load()
+        if not issubclass(loaded, base):
+            raise TypeError(f"it is not a class of Optuna's {base.__name__}")
+        if issubclass(loaded, CmaEsSampler):
+            raise TypeError("it keeps its state as a pickle, which is never loaded")
+        choice.create()
     except Exception as error:  # a user's class may raise anything
-        raise wrong(f"{name} cannot be created: {error}", "name") from None
-    if not is_of_base:
-        raise wrong(f"{name} is not a class of Optuna's {base.__name__}", "name")
-    if issubclass(loaded, CmaEsSampler):
-        raise wrong(f"{name} is not allowed: it keeps its state as a pickle, which is never loaded", "name")
+        raise wrong(f"{name} cannot be used: {error}", "name") from None
     return choice
 
 

@@ -1,4 +1,4 @@
-"""The parameters of a search: fields of a run, each with a range or a list of values.
+"""The parameters of a search: fields of a run, each with one of Optuna's distributions.
 
 A *parameter* is what Optuna suggests for a field. It is the field's value, or text for values that Optuna
 does not take, such as lists.
@@ -9,92 +9,50 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Annotated, Any
 
 from annotated_types import MinLen
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution, IntDistribution
-from pydantic import AfterValidator, BeforeValidator, model_validator
+from pydantic import BeforeValidator
 
 from pneuma.config import Run
 from pneuma.env.fields import read_field
 from pneuma.errors import UserError, unknown_name
-from pneuma.schema import Table, plain, shown, wrong
+from pneuma.schema import plain, wrong
 from pneuma.study.spec import PLANNED
 
 SEARCHABLE = tuple(item.name for item in fields(Run) if item.name not in PLANNED and item.name != "engine")
 
 
-class Parameter(Table):
+@dataclass(frozen=True)
+class Parameter:
     """[space.NAME]: a range of a run's field, which includes both ends, or a list of its values.
 
     Attributes:
-        step: a range has only whole steps from its low end.
-        choices: values of the field, by the parameters that stand for them.
+        name: the field's name.
+        distribution: it as Optuna has it.
+        choices: values of the field, by the parameters that stand for them; empty for a range.
         when: earlier parameters or other fields, with the values for which this one is searched.
     """
 
     name: str
-    low: int | float | None = None
-    high: int | float | None = None
-    step: int | float | None = None
-    log: bool = False
-    choices: dict[Any, Any] = {}
-    when: dict[str, Any] = {}
-
-    @model_validator(mode="before")
-    @classmethod
-    def _read_values(cls, table: dict[str, Any]) -> dict[str, Any]:
-        """Read the range, or the list, and `when` in the types of the fields."""
-        read = dict(table)
-        for key in ("low", "high"):
-            if key in read:
-                read[key] = _read(read["name"], read[key], key)
-        if "choices" in read:
-            read["choices"] = _read_choices(read)
-        if isinstance(read.get("when"), Mapping):
-            when: dict[str, Any] = {}
-            for name, values in read["when"].items():
-                listed = values if isinstance(values, tuple) else (values,)
-                when[name] = tuple(plain(_read(name, value, "when")) for value in listed)
-            read["when"] = when
-        return read
-
-    @model_validator(mode="after")
-    def _check_range(self) -> Parameter:
-        """Refuse a range that Optuna refuses, or would change."""
-        if self.choices:
-            return self
-        if self.low is None or self.high is None:
-            raise wrong(f"{self.name} needs low and high, two numbers, or choices")
-        if isinstance(self.low, int) and isinstance(self.step, float):
-            raise wrong(f"step = {shown(self.step)} is not allowed: a whole number", "step")
-        try:
-            with warnings.catch_warnings(action="error"):
-                _ = self.distribution
-        except (ValueError, UserWarning) as error:
-            raise wrong(str(error), "low" if self.step is None else "step") from None
-        return self
+    distribution: BaseDistribution
+    choices: Mapping[Any, Any]
+    when: Mapping[str, tuple[Any, ...]]
 
     @property
     def extremes(self) -> list[Any]:
         """The parameters at the ends of a range, or all choices."""
-        return list(self.choices) or [self.low, self.high]
-
-    @property
-    def distribution(self) -> BaseDistribution:
-        """It as Optuna has it."""
-        if self.low is None or self.high is None:
-            return CategoricalDistribution(list(self.choices))
-        if isinstance(self.low, int):
-            step = 1 if self.step is None else int(self.step)
-            return IntDistribution(low=self.low, high=int(self.high), log=self.log, step=step)
-        return FloatDistribution(low=self.low, high=self.high, log=self.log, step=self.step)
+        if isinstance(self.distribution, IntDistribution | FloatDistribution):
+            return [self.distribution.low, self.distribution.high]
+        return list(self.choices)
 
     def contains(self, parameter: Any) -> bool:
-        if self.choices:
-            return parameter in self.choices
-        return isinstance(parameter, int | float) and self.distribution._contains(parameter)
+        try:
+            return self.distribution._contains(self.distribution.to_internal_repr(parameter))
+        except ValueError:
+            return False
 
     def value(self, parameter: Any) -> Any:
         """Return the field's value for a parameter."""
@@ -112,50 +70,56 @@ def as_parameter(value: Any) -> Any:
     return json.dumps(value)
 
 
-def _read(name: str, value: Any, key: str) -> Any:
-    try:
-        if name not in SEARCHABLE:
-            raise unknown_name("parameter", name, SEARCHABLE)
-        return read_field(Run, name, value)
-    except UserError as error:
-        raise wrong(str(error), key) from None
+def _read(name: str, value: Any) -> Any:
+    if name not in SEARCHABLE:
+        raise unknown_name("parameter", name, SEARCHABLE)
+    return read_field(Run, name, value)
 
 
-def _read_choices(table: Mapping[str, Any]) -> dict[Any, Any]:
-    values = table["choices"]
-    if not isinstance(values, tuple) or len(values) < 2:
-        raise wrong("choices: a list of two values or more", "choices")
-    if table.keys() & {"low", "high", "log", "step"}:
-        raise wrong("choices stand for themselves: leave out low, high, step and log", "choices")
-    choices = {}
-    for value in values:
-        read = _read(table["name"], value, "choices")
-        choices[as_parameter(read)] = read
-    if len(choices) < len(values):
-        raise wrong("choices: two values are equal", "choices")
-    return choices
+def _read_parameter(name: str, table: Mapping[str, Any]) -> Parameter:
+    """Read a table by Optuna's own checks of its distributions.
+
+    Raises:
+        UserError: for a value that its field cannot have.
+        ValueError: for a range that Optuna refuses; also TypeError, or UserWarning where it would change it.
+    """
+    arguments = dict(table)
+    when: dict[str, tuple[Any, ...]] = {}
+    for condition, values in arguments.pop("when", {}).items():
+        listed = values if isinstance(values, tuple) else (values,)
+        when[condition] = tuple(plain(_read(condition, value)) for value in listed)
+    choices: dict[Any, Any] = {}
+    for value in arguments.get("choices", ()):
+        choice = _read(name, value)
+        choices[as_parameter(choice)] = choice
+    for end in arguments.keys() & {"low", "high"}:
+        arguments[end] = _read(name, arguments[end])
+    kind: Any = IntDistribution if isinstance(arguments.get("low"), int) else FloatDistribution
+    if "choices" in arguments:
+        kind, arguments["choices"] = CategoricalDistribution, list(choices)
+        if len(choices) < 2:
+            raise ValueError("choices must be a list of two different values or more")
+    if kind is IntDistribution and not isinstance(arguments.get("step", 1), int):
+        raise ValueError(f"step = {arguments['step']} is not allowed: a whole number")
+    with warnings.catch_warnings(action="error"):
+        return Parameter(name, kind(**arguments), choices, when)
 
 
-def with_names(tables: Any) -> Any:
-    """Give each table its name as a field."""
+def _read_space(tables: Any) -> Any:
+    """Read all of [space], in the order in which parameters are suggested."""
     if not isinstance(tables, Mapping):
         return tables
-    tables_with_names = {}
+    space: dict[str, Parameter] = {}
     for name, table in tables.items():
-        tables_with_names[name] = {**table, "name": name} if isinstance(table, Mapping) else table
-    return tables_with_names
-
-
-def _check_order(space: dict[str, Parameter]) -> dict[str, Parameter]:
-    """Refuse a parameter that depends on a later one."""
-    names = list(space)
-    for index, parameter in enumerate(space.values()):
-        for name in parameter.when:
-            if name in names[index:]:
-                message = f"{name} is searched, too: [space.{name}] must stand before it"
-                raise wrong(f"{parameter.name}.when: {message}", parameter.name)
+        try:
+            space[name] = _read_parameter(name, table)
+        except (UserError, ValueError, TypeError, AttributeError, UserWarning) as error:
+            raise wrong(f"{name}: {error}", name) from None
+        for condition in space[name].when:
+            if condition in tables and condition not in space:
+                message = f"{condition} is searched, too: [space.{condition}] must stand before it"
+                raise wrong(f"{name}.when: {message}", name)
     return space
 
 
-Space = Annotated[dict[str, Parameter], MinLen(1), BeforeValidator(with_names), AfterValidator(_check_order)]
-"""All of [space], in the order in which parameters are suggested."""
+Space = Annotated[dict[str, Any], MinLen(1), BeforeValidator(_read_space)]

@@ -18,18 +18,18 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Interval, MinLen
 from optuna.study import StudyDirection
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import Field
 
 from pneuma.analysis.intervals import interquartile_mean
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.config import Run, Steps, as_fields, make_run
 from pneuma.env.fields import ENVIRONMENTS
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError
 from pneuma.presets import ARENA, BASES, NO_BASE, TEXT, checked_world, world_fields
-from pneuma.schema import Table, passes, read_model, read_toml, shown, wrong
+from pneuma.schema import Table, passes, read_model, read_toml, shown
 from pneuma.search import FIRST_SEED
 from pneuma.search.samplers import TPE, Pruner, Sampler
-from pneuma.search.space import Parameter, Space, as_parameter, with_names
+from pneuma.search.space import Parameter, Space, as_parameter
 from pneuma.study.identity import files_beside
 from pneuma.study.shipped import find_file, studies_folder
 from pneuma.study.spec import PRESETS, Fields, does_nothing, join_fields, unread_fields
@@ -51,32 +51,17 @@ CORNERS = 128
 class Objective(Table):
     """[objectives.NAME]: an outcome, combined over a trial's seeds."""
 
-    name: str
     outcome: Annotated[str, passes(find_outcome)]
     over_seeds: Annotated[str, OneOf(tuple(OVER_SEEDS))] = "mean"
     direction: Annotated[str, OneOf(DIRECTIONS)] = "maximize"
-
-
-def _read_search_seeds(value: object) -> tuple[int, ...]:
-    """Read seeds: a list, or a count n for the n seeds from `FIRST_SEED` on; else ValueError."""
-    seeds = read_seeds(value)
-    if isinstance(value, list | tuple):
-        return seeds
-    return tuple(FIRST_SEED + seed for seed in seeds)
 
 
 class Budget(Table):
     """[presets.NAME]: the size of a search: trials, the seeds of each, and agent steps of each run."""
 
     trials: Annotated[int, Interval(ge=1)]
-    seeds: Annotated[tuple[int, ...], Reads(_read_search_seeds, SEEDS_ALLOWED)]
+    seeds: Annotated[tuple[int, ...], Reads(partial(read_seeds, first=FIRST_SEED), SEEDS_ALLOWED)]
     steps: Steps
-
-
-def _check_base(value: Any) -> Any:
-    if isinstance(value, str) and value not in BASES:
-        raise wrong(f"{unknown_name('base', value, BASES)}; or a table of values")
-    return value
 
 
 class Search(Table):
@@ -92,12 +77,12 @@ class Search(Table):
 
     title: Annotated[str, MinLen(1)]
     section: str = ""
-    about: Annotated[str, AfterValidator(lambda text: " ".join(text.split()))] = ""
+    about: str = ""
     base: Annotated[str, OneOf((NO_BASE, *BASES))] = NO_BASE
-    start: tuple[Annotated[Fields | str, BeforeValidator(_check_base)], ...] = ()
+    start: tuple[Annotated[str, OneOf(tuple(BASES))] | Fields, ...] = ()
     generation: Annotated[int, Interval(ge=1, le=256)] = 8
     run: Fields = {}
-    objectives: Annotated[dict[str, Objective], MinLen(1), BeforeValidator(with_names)]
+    objectives: Annotated[dict[str, Objective], MinLen(1)]
     space: Space
     sampler: Sampler = TPE
     sampler_seed: Annotated[int, Interval(ge=0)] = 0
@@ -108,12 +93,6 @@ class Search(Table):
     name: str = Field("", exclude=True)
     path: Path = Field(Path(), exclude=True)
     world: str = Field(TEXT, exclude=True)
-
-    @model_validator(mode="after")
-    def _check_pruner(self) -> Search:
-        if self.pruner and len(self.objectives) > 1:
-            raise wrong(f"{self.pruner.name} requires a single objective", "pruner")
-        return self
 
     @property
     def label(self) -> str:
@@ -182,27 +161,15 @@ class Search(Table):
             except UserError as error:
                 raise UserError(f"{error}, with {shown_params(params)}") from None
 
-    def in_world(self, world: str) -> Search:
-        """Return the search in one of `WORLDS`.
-
-        All trials get the world's environment, and its other fields unless the search sets them itself.
-        """
-        if not self.has_worlds:
-            raise UserError(f"search {self.name} is in one environment alone; leave the world {world} out")
-        if world == self.world:
-            return self
-        run_fields = {**self.run, **world_fields(world, {*self.space, *self.run})}
-        changed = self.model_copy(update={"run": run_fields, "world": world})
-        changed.check()
-        return changed
-
-    def check(self, shared: Iterable[str] = ()) -> None:
+    def check(self, shared: Iterable[str]) -> None:
         """Refuse a space whose corners make no valid run, or that has parameters without effect.
 
         `shared` fields of all trials are refused, too, if no run reads them.
         """
         for key in self.run.keys() & self.space.keys():
             raise UserError(f"{key} is searched by [space.{key}]")
+        if self.pruner and len(self.objectives) > 1:
+            raise UserError(f"pruner: {self.pruner.name} requires a single objective")
         for start in self.start:
             params = self.params_of(start)
             if isinstance(start, dict) and params.keys() < start.keys():
@@ -231,19 +198,21 @@ def shown_params(params: Mapping[str, Any]) -> str:
 def load_search(name: str, world: str | None = None) -> Search:
     """Load a shipped search by its name, or any search by the path of its file.
 
-    The world is one of `pneuma.presets.WORLDS`; default: the arena.
+    All trials get the environment of the world, and its other fields unless the search sets them itself. The
+    world is one of `pneuma.presets.WORLDS`; default: the arena.
     """
-    search = _read_search(find_file("search", name, studies_folder() / "search"))
-    world = checked_world(world)
-    if world is None and not search.has_worlds:
-        return search
-    return search.in_world(world or ARENA)
-
-
-def _read_search(path: Path) -> Search:
+    path = find_file("search", name, studies_folder() / "search")
     search = read_model(Search, read_toml(path)).model_copy(update={"name": path.stem, "path": path})
+    own_fields = search.run
+    checked_world(world)
+    if search.has_worlds:
+        world = world or ARENA
+        run_fields = {**own_fields, **world_fields(world, {*search.space, *own_fields})}
+        search = search.model_copy(update={"run": run_fields, "world": world})
+    elif world:
+        raise UserError(f"search {search.name} is in one environment alone; leave the world {world} out")
     try:
-        search.check(search.run)
+        search.check(own_fields)
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
     return search

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from contextlib import suppress
 
+from optuna.exceptions import UpdateFinishedTrialError
 from optuna.trial import TrialState
 
 from pneuma.analysis.outcomes import check_outcome
 from pneuma.config import Run, round_up
 from pneuma.engines.loop import EVALUATIONS, evaluation_steps
 from pneuma.errors import UserError
+from pneuma.files import write_error
 from pneuma.search.decisions import make_cells, prune, suggest
 from pneuma.search.log import Record, open_record
 from pneuma.search.spec import DEVIATION, Budget, Search
@@ -26,26 +28,13 @@ from pneuma.study.plan import Cell, Plan
 from pneuma.study.spec import Study
 from pneuma.training.execute import CellResult, check_environments
 
-Train = Callable[[Plan, Mapping[str, int]], None]
-"""Trains runs of a plan, by id, up to a step each, or to the end if that is 0; raises `Unfinished`."""
+Train = Callable[[Plan, Mapping[str, int]], Sequence[CellResult]]
+"""Trains runs of a plan, by id, up to a step each, or to the end if that is 0."""
 Say = Callable[[str], None]
 
 
 class Unfinished(Exception):
     """A run did not finish, so that its trial has no value and the search cannot go on."""
-
-
-def refuse_unfinished(results: Sequence[CellResult], until: Mapping[str, int]) -> None:
-    """Raise `Unfinished` if a run is not where `until` says."""
-    for result in results:
-        cell, status = result.cell, result.status
-        step = until.get(cell.run_id)
-        if step is None or status.finished or 0 < step <= status.step:
-            continue
-        message = f"{cell.condition} seed {cell.seed} {status.name} (run {cell.run_id})"
-        if result.reason:
-            message += f": {result.reason}"
-        raise Unfinished(message)
 
 
 def run_search(search: Search, budget: Budget, store: Store, train: Train, say: Say) -> Iterator[Record]:
@@ -59,9 +48,9 @@ def run_search(search: Search, budget: Budget, store: Store, train: Train, say: 
     """
     runs = [search.make_run({}), *(run for _, run in search.corners())]
     check_environments(runs)
-    for objective in search.objectives.values():
+    for name, objective in search.objectives.items():
         if objective.over_seeds == DEVIATION and len(budget.seeds) < 2:
-            raise UserError(f"objective {objective.name}: a deviation needs 2 seeds at least")
+            raise UserError(f"objective {name}: a deviation needs 2 seeds at least")
         for env in sorted({run.env for run in runs}):
             check_outcome(objective.outcome, [env])
     steps = common_steps(runs, budget.steps)
@@ -69,14 +58,17 @@ def run_search(search: Search, budget: Budget, store: Store, train: Train, say: 
         say(f"Note: {budget.steps:,} steps are rounded up to {steps:,} for all trials and the base.")
     elif any(round_up(run, steps) != steps for run in runs):
         say(f"Note: {steps:,} steps are rounded up to whole updates, which differ from trial to trial.")
-    record = open_record(store, search, budget.model_copy(update={"steps": steps}), say)
+    record = open_record(store, search, budget.model_copy(update={"steps": steps}))
     yield record
-    for first in range(0, budget.trials, search.generation):
-        for number in range(first, first + search.generation):  # so that a longer search has the same trials
-            suggest(record, number)
-        last = min(first + search.generation, budget.trials)
-        _run_generation(record, store, range(first, last), train, say)
-        yield record
+    try:
+        for first in range(0, budget.trials, search.generation):
+            generation = range(first, first + search.generation)
+            for number in generation:  # all of them, so that a longer search has the same trials
+                suggest(record, number)
+            _run_generation(record, store, generation[: budget.trials - first], train, say)
+            yield record
+    except OSError as error:
+        raise write_error(record.path, error) from None
 
 
 def common_steps(runs: Iterable[Run], steps: int) -> int:
@@ -90,14 +82,17 @@ def common_steps(runs: Iterable[Run], steps: int) -> int:
 
 
 def _run_generation(record: Record, store: Store, numbers: range, train: Train, say: Say) -> None:
-    """Train and report the trials of a generation, stop some early, and store their values."""
+    """Train the trials of a generation, stop some early, and store their values."""
     cells: dict[int, list[Cell]] = {}
     for number in numbers:
         trial = record.trials[number]
-        if trial.user_attrs.get("run_ids"):
+        run_ids = trial.user_attrs.get("run_ids")
+        if run_ids:
             cells[number] = make_cells(record, number, trial.params)
+        elif run_ids is not None:  # it has a note of why it can have no runs
+            record.study.tell(number, state=TrialState.FAIL, skip_if_finished=True)
     for pause in [*_pauses(record.search), EVALUATIONS]:
-        running = [number for number in cells if _is_running(record, number)]
+        running = [number for number in cells if record.trials[number].state == TrialState.RUNNING]
         planned: list[Cell] = []
         until: dict[str, int] = {}
         for number in running:
@@ -106,14 +101,26 @@ def _run_generation(record: Record, store: Store, numbers: range, train: Train, 
             step = 0 if EVALUATIONS in steps else max(steps.values())
             until |= dict.fromkeys((cell.run_id for cell in cells[number]), step)
         if running:
-            train(_make_plan(record, planned), until)
+            _refuse_unfinished(train(_make_plan(record, planned), until), until)
         for number in running:
-            _report(record, store, number, cells[number], pause)
+            with suppress(UpdateFinishedTrialError):  # another process was faster
+                _tell(record, store, number, cells[number], pause)
         pruned = [str(number) for number in running if record.trials[number].state == TrialState.PRUNED]
         if pruned:
             say(f"Stopped early: trial {', '.join(pruned)}.")
-    for number in numbers:
-        _finish(record, store, number, cells.get(number, []))
+
+
+def _refuse_unfinished(results: Sequence[CellResult], until: Mapping[str, int]) -> None:
+    """Raise `Unfinished` if a run is not where `until` says."""
+    for result in results:
+        cell, status = result.cell, result.status
+        step = until.get(cell.run_id)
+        if step is None or status.finished or 0 < step <= status.step:
+            continue
+        message = f"{cell.condition} seed {cell.seed} {status.name} (run {cell.run_id})"
+        if result.reason:
+            message += f": {result.reason}"
+        raise Unfinished(message)
 
 
 def _pauses(search: Search) -> list[int]:
@@ -136,12 +143,6 @@ def _evaluations(run: Run, pause: int) -> dict[int, int]:
     return {number: step for number, step in steps.items() if number <= last}
 
 
-def _is_running(record: Record, number: int) -> bool:
-    """Return whether a trial is this search's and has not ended; another program may have asked for it."""
-    trial = record.trials[number]
-    return trial.state == TrialState.RUNNING and "run_ids" in trial.user_attrs
-
-
 def _make_plan(record: Record, cells: Sequence[Cell]) -> Plan:
     search = record.search
     conditions = [cell.condition for cell in cells]
@@ -152,63 +153,48 @@ def _make_plan(record: Record, cells: Sequence[Cell]) -> Plan:
 # --- Values ----------------------------------------------------------------------------------------
 
 
-def _report(record: Record, store: Store, number: int, cells: Sequence[Cell], pause: int) -> None:
-    """Report a trial's values at its evaluations up to a pause, and stop it if its pruner says so."""
-    if len(record.search.objectives) > 1:
-        return  # Optuna reports single values alone
-    (objective,) = record.search.objectives.values()
-    trial = record.trials[number]
+def _tell(record: Record, store: Store, number: int, cells: Sequence[Cell], pause: int) -> None:
+    """Report a trial's values at its evaluations up to a pause; end it at the last, or if its pruner does."""
+    trial, study = record.trials[number], record.study
     evaluations = _evaluations(cells[0].run, pause)
-    reports: dict[int, float] = {}
-    for evaluation, step in evaluations.items():
-        if evaluation in trial.intermediate_values:
-            value = trial.intermediate_values[evaluation]
-        else:
-            value = trial_value(objective, read_rows(store, cells, step))
-        if math.isfinite(value):
-            reports[evaluation] = value
-    pruned, attributes = False, dict[str, Any]()
-    if EVALUATIONS not in evaluations:
-        pruned, attributes = prune(record, trial, reports)
-    with record.writing():
-        if not _is_running(record, number):
-            return  # another process was faster
-        storage = record.study._storage
-        for evaluation in sorted(reports.keys() - trial.intermediate_values.keys()):
-            storage.set_trial_intermediate_value(trial._trial_id, evaluation, reports[evaluation])
-        for key, value in attributes.items():
-            if trial.system_attrs.get(key) != value:
-                storage.set_trial_system_attr(trial._trial_id, key, value)
-        if pruned:
-            latest = reports[max(reports)]
-            storage.set_trial_state_values(trial._trial_id, TrialState.PRUNED, [latest])
+    reports = dict(trial.intermediate_values)
+    if len(record.search.objectives) == 1:  # Optuna reports single values alone
+        (objective,) = record.search.objectives.values()
+        for evaluation, step in evaluations.items():
+            if evaluation not in reports:
+                value = trial_value(objective, read_rows(store, cells, step))
+                if math.isfinite(value):
+                    reports[evaluation] = value
+    has_ended = EVALUATIONS in evaluations
+    pruned, attributes = (False, {}) if has_ended else prune(record, trial, reports)
+    for evaluation in sorted(reports.keys() - trial.intermediate_values.keys()):
+        study._storage.set_trial_intermediate_value(trial._trial_id, evaluation, reports[evaluation])
+    for key, value in attributes.items():
+        if trial.system_attrs.get(key) != value:
+            study._storage.set_trial_system_attr(trial._trial_id, key, value)
+    if pruned:  # its value is the last that was reported
+        study.tell(number, state=TrialState.PRUNED, skip_if_finished=True)
+    if has_ended:
+        _end(record, store, number, cells)
 
 
-def _finish(record: Record, store: Store, number: int, cells: Sequence[Cell]) -> None:
-    """Store the values of a trial, or that it failed, unless it has ended."""
-    if not _is_running(record, number):
-        return
+def _end(record: Record, store: Store, number: int, cells: Sequence[Cell]) -> None:
+    """Store the values of a trial whose runs have ended, or that it failed."""
+    rows = read_rows(store, cells)
     notes: list[str] = []
     values: list[float] = []
-    if cells:  # else the trial has a note of why it can have no runs
-        rows = read_rows(store, cells)
-        for objective in record.search.objectives.values():
-            value = trial_value(objective, rows)
-            values.append(value)
-            if not math.isfinite(value):
-                notes.append(f"a run has no {objective.outcome}, or none that is finite")
-        diverged = sum(row.status == "diverged" for row in rows)
-        if diverged:
-            notes.append(f"{diverged} of {len(rows)} runs diverged")
-    is_complete = bool(values) and all(map(math.isfinite, values))
-    trial_id = record.trials[number]._trial_id
-    with record.writing():
-        if not _is_running(record, number):
-            return  # another process was faster
-        storage = record.study._storage
-        if notes:
-            storage.set_trial_user_attr(trial_id, "note", "; ".join(notes))
-        if is_complete:
-            storage.set_trial_state_values(trial_id, TrialState.COMPLETE, values)
-        else:
-            storage.set_trial_state_values(trial_id, TrialState.FAIL)
+    for objective in record.search.objectives.values():
+        value = trial_value(objective, rows)
+        values.append(value)
+        if not math.isfinite(value):
+            notes.append(f"a run has no {objective.outcome}, or none that is finite")
+    state = TrialState.FAIL if notes else TrialState.COMPLETE
+    diverged = sum(row.status == "diverged" for row in rows)
+    if diverged:
+        notes.append(f"{diverged} of {len(rows)} runs diverged")
+    if notes:
+        trial_id = record.trials[number]._trial_id
+        record.study._storage.set_trial_user_attr(trial_id, "note", "; ".join(notes))
+    record.study.tell(
+        number, values if state == TrialState.COMPLETE else None, state=state, skip_if_finished=True
+    )

@@ -34,29 +34,29 @@ def run_lock(folder: Path) -> Iterator[bool]:
     path = folder / LOCK_FILE
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        file = open(path, "a+b", opener=_open)  # noqa: SIM115 (it is held outside `try`)
+        file = open(path, "a+b", opener=open_lock)  # noqa: SIM115 (it is held outside `try`)
     except OSError as error:
         raise write_error(path, error) from None
     with file:
-        yield _take(file.fileno())
+        yield take_lock(file.fileno())
 
 
 def is_held(folder: Path) -> bool:
     """Return whether some process trains the run in this folder now."""
     try:
-        with open(folder / LOCK_FILE, "rb", opener=_open) as file:
+        with open(folder / LOCK_FILE, "rb", opener=open_lock) as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError as error:
         return isinstance(error, BlockingIOError)
     return False
 
 
-def _open(path: str, flags: int) -> int:
+def open_lock(path: str, flags: int) -> int:
     """Open a lock's file, which a link must not lead out of the results."""
     return os.open(path, flags | os.O_NOFOLLOW, 0o666)  # less the umask
 
 
-def _take(descriptor: int) -> bool:
+def take_lock(descriptor: int) -> bool:
     """Lock a file for this process; wait briefly for others that only look (`is_held`)."""
     for _ in range(ATTEMPTS):
         try:

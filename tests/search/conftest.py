@@ -18,6 +18,7 @@ from pneuma.search.spec import Budget, Search, load_search
 from pneuma.search.trials import Train, run_search
 from pneuma.store.store import Store
 from pneuma.study.plan import Cell, Plan
+from pneuma.training.execute import CellResult
 
 SPACE = """
 title = "A formula"
@@ -97,9 +98,10 @@ class Task:
     """How far runs were to be trained, by id, in each round."""
     notes: list[str] = field(default_factory=list)
 
-    def train(self, plan: Plan, until: Mapping[str, int]) -> None:
+    def train(self, plan: Plan, until: Mapping[str, int]) -> list[CellResult]:
         """Note what is to be trained."""
         self.asked.append(until)
+        return []
 
     def record(self, store: Store | None = None, train: Train | None = None) -> Record:
         """Run the search, by default in a new folder."""

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -61,7 +60,6 @@ def test_another_budget_has_a_log_of_its_own_and_the_latest_is_read(
     first = make_task(4).record(store)
     other = make_task(4, steps=4096)
     assert other.record(store).path != first.path
-    assert any(f"The search in {first.path} had other steps" in note for note in other.notes)
     assert read_record(store, "formula", "text").budget.steps == 4096
     assert make_task(5).record(store).path == first.path
     assert read_record(store, "formula", "text").budget.steps == 2048
@@ -95,9 +93,10 @@ HOLD = """
 import time
 from pathlib import Path
 from pneuma.search.log import LogLock
-with LogLock(Path("results/x.log")):
-    print("held", flush=True)
-    time.sleep(1000)
+lock = LogLock(Path("results/x.log"))
+lock.acquire()
+print("held", flush=True)
+time.sleep(1000)
 """
 
 
@@ -109,54 +108,47 @@ def test_a_lock_ends_with_its_process_and_is_not_taken_from_one_that_is_stopped(
     monkeypatch.setattr(LogLock, "WAIT_SECONDS", 0.1)
     Path("results").mkdir()
 
-    def wait() -> None:
-        with LogLock(Path("results/x.log")):
-            pass
+    Path("results/x.log").touch()
 
-    waiting = threading.Thread(target=wait)
+    lock = LogLock(Path("results/x.log"))
+
+    waiting = threading.Thread(target=lock.acquire, daemon=True)
     with subprocess.Popen([sys.executable, "-c", HOLD], stdout=subprocess.PIPE, text=True) as holder:
         assert holder.stdout and holder.stdout.readline() == "held\n"
         holder.send_signal(signal.SIGSTOP)
         waiting.start()
         waiting.join(0.5)
-        assert waiting.is_alive()
-        assert capsys.readouterr().err.count(f"Waiting for process {holder.pid} on ") == 1
+        is_waiting, message = waiting.is_alive(), capsys.readouterr().err
         holder.kill()
+        assert is_waiting and message.count(f"Waiting for process {holder.pid} on ") == 1
         waiting.join(10)
         assert not waiting.is_alive()
+    lock.release()
 
 
 def test_a_torn_line_is_cut_off_before_anything_is_written(tmp_path: Path) -> None:
     log = tmp_path / "x.log"
     for text, kept in (("", ""), ("{}\n", "{}\n"), ('{}\n{"op', "{}\n"), ('{"op', "")):
         log.write_text(text)
-        with LogLock(log):
-            assert log.read_text() == kept
-
-
-def test_a_line_that_another_program_is_writing_stays(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    log = tmp_path / "x.log"
-    log.write_text('{"op')
-    monkeypatch.setattr(time, "sleep", lambda seconds: log.write_text('{"op": 1}\n'))
-    with LogLock(log):
-        assert log.read_text() == '{"op": 1}\n'
+        lock = LogLock(log)
+        lock.acquire()
+        assert log.read_text() == kept
+        lock.release()
 
 
 # --- What is not read ------------------------------------------------------------------------------
 
 REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
-    "an unknown operation": (lambda log: log + '{"op_code": 99}\n', "not a whole log of search formula"),
-    "no operation": (lambda log: log + "[1]\n", "not a whole log of search formula"),
-    "no log": (lambda log: "dear diary\n\n", "not a whole log of search formula"),
+    "an unknown operation": (lambda log: log + '{"op_code": 99}\n', "cannot be read"),
+    "no operation": (lambda log: log + "[1]\n", "cannot be read"),
+    "no log": (lambda log: "dear diary\n\n", "cannot be read"),
     "another study": (
         lambda log: log.replace('"study_name":"formula"', '"study_name":"mine"'),
-        "not a whole log of search formula",
+        "cannot be read",
     ),
     "attributes of anybody": (
         lambda log: log.replace('"pneuma":{', '"pneuma":"mine","x":{'),
-        "not a whole log of search formula",
+        "cannot be read",
     ),
     "choices that were text": (
         lambda log: log.replace("[0.5, null]", '[\\"0.5\\", \\"none\\"]'),
@@ -164,7 +156,7 @@ REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
     ),
     "an infinite value": (
         lambda log: log.replace('"values":[0.', '"values":[Infinity,0.'),
-        "not a whole log of search formula",
+        "cannot be read",
     ),
 }
 
@@ -191,7 +183,8 @@ def test_untrusted_a_log_or_its_lock_that_is_a_link_is_not_written(
     elsewhere.write_text("mine\n")
     folder = store.root / "searches"
     folder.mkdir(parents=True)
-    for name in ("formula-text.log", ".formula-text.log.lock"):
+    log = task.record(Store(tmp_path / "other")).path.name
+    for name in (log, f".{log}.lock"):
         (folder / name).symlink_to(elsewhere)
         with pytest.raises(UserError, match=name):
             task.record(store)

@@ -20,6 +20,7 @@ from pneuma.search import trials
 from pneuma.search.log import read_record
 from pneuma.store.store import Store
 from pneuma.study.plan import Cell, Plan
+from pneuma.training.execute import CellResult
 
 from .conftest import Formula, FormulaRow, MakeTask, Task, height
 
@@ -220,18 +221,20 @@ def test_processes_that_search_together_find_what_one_would(make_task: MakeTask,
     """Whenever this one trains, another goes on with the same search for some rounds, and is killed then."""
     lives = 0
 
-    def train(plan: Plan, until: Mapping[str, int]) -> None:
+    def train(plan: Plan, until: Mapping[str, int]) -> list[CellResult]:
         nonlocal lives
         if lives < 5:
             lives += 1
             rounds = iter(range(lives))
 
-            def train_or_die(plan: Plan, until: Mapping[str, int]) -> None:
+            def train_or_die(plan: Plan, until: Mapping[str, int]) -> list[CellResult]:
                 if next(rounds, None) is None:
                     raise Killed
+                return []
 
             with suppress(Killed):
                 make_task(12, more=MEDIAN).solve(store, train_or_die)
+        return []
 
     assert make_task(12, more=MEDIAN).solve(store, train) == make_task(12, more=MEDIAN).solve()
     assert lives == 5

@@ -44,7 +44,7 @@ def test_a_diverged_run_counts_with_the_worst_that_can_be(
     monkeypatch: pytest.MonkeyPatch, outcome: str, over_seeds: str, direction: str, value: float
 ) -> None:
     monkeypatch.setattr(values, "outcome", lambda row, name: row.value)
-    objective = Objective(name="x", outcome=outcome, over_seeds=over_seeds, direction=direction)
+    objective = Objective(outcome=outcome, over_seeds=over_seeds, direction=direction)
     rows = [_Row(0.5), _Row(0.7, "diverged")]
     assert trial_value(objective, rows) == pytest.approx(value)  # type: ignore[arg-type]
 
