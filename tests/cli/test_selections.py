@@ -54,11 +54,11 @@ def test_what_was_run_last_is_shown_exactly_and_other_presets_are_counted(store:
     assert show(store, "activation", steps=512, seeds=(0, 1))[0] == first
     assert show(store, "activation@quick") == (
         quick,
-        "activation in the arena, preset quick: 9 of 9 runs.",
+        "activation in the arena, preset quick: 15 of 15 runs. Also: standard (15 runs).",
     )
     assert show(store, "activation@last")[0] == last
     assert show(store, "activation@paper")[1] == (
-        "activation in the arena, preset paper: 0 of 90 runs. Also: quick (9 runs)."
+        "activation in the arena, preset paper: 0 of 90 runs. Also: quick (15 runs), standard (15 runs)."
     )
     data = open_data("activation", store.root, seeds=[2], conditions="relu")
     assert [run.run_id for run in data.rows] == [last[3]]
@@ -310,10 +310,12 @@ def test_status_is_a_table_of_presets_and_conditions(store: Store) -> None:
     states = [(row["preset"], row["condition"], row["done"], row["planned"]) for row in rows]
     assert states == [
         ("as asked", "tanh", 1, 0),
-        ("quick", "tanh", 0, 3),
-        ("quick", "relu", 3, 0),
-        ("quick", "leaky-relu", 0, 3),
-        ("standard", "all 3", 0, 30),
+        ("quick", "tanh", 0, 5),
+        ("quick", "relu", 5, 0),
+        ("quick", "leaky-relu", 0, 5),
+        ("standard", "tanh", 0, 10),
+        ("standard", "relu", 5, 5),
+        ("standard", "leaky-relu", 0, 10),
         ("paper", "all 3", 0, 90),
     ]
     assert len(described(*words, "--runs", "--json")["runs"]) == 1
