@@ -49,7 +49,8 @@ def test_what_was_run_last_is_shown_exactly_and_other_presets_are_counted(store:
     shown, text = show(store, "activation")
     assert shown == last
     assert text == (
-        "activation in the arena, preset quick, tanh and relu alone, seeds 1..2, 2,048 steps: 4 of 4 runs."
+        "activation in the arena, preset quick, tanh and relu alone, seeds 1..2, 2,048 steps: 4 of 4 runs. "
+        "Also: standard (15 runs)."
     )
     assert show(store, "activation", steps=512, seeds=(0, 1))[0] == first
     assert show(store, "activation@quick") == (

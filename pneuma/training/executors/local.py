@@ -250,7 +250,7 @@ class Supervisor:
         else:
             self._on_event(event)
         if kind in ("busy", "end"):
-            worker.task = None
+            worker.end_task()
 
     def _reap(self, worker: _Worker) -> None:
         """Reap a worker, and try the run that crashed or was lost with it once more, or store its end."""
@@ -340,8 +340,11 @@ class _Worker(subprocess.Popen[bytes]):
 
     def begin(self, task: _Task, job: Job) -> None:
         self.task = task
-        self._errors_start = os.fstat(self._errors.fileno()).st_size
         self.send(job.to_json())
+
+    def end_task(self) -> None:
+        self.task = None
+        self._errors_start = os.fstat(self._errors.fileno()).st_size
 
     def send(self, line: str) -> None:
         data = line.encode() + b"\n"
@@ -351,7 +354,7 @@ class _Worker(subprocess.Popen[bytes]):
                 data = data[self.orders.write(data) :]
 
     def wait_and_read_stderr(self) -> tuple[int, bytes]:
-        """Wait for its end; return its exit code, and what it wrote since its run began."""
+        """Wait for its end; return its exit code, and what it wrote since its last run ended."""
         code = self.wait()
         self.orders.close()
         self.events.close()
