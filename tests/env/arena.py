@@ -22,19 +22,19 @@ from pneuma.env import rules
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
 from pneuma.env.worlds import Worlds
 
+from .oracle import Pair as Place
 from .oracle_arrays import Pair
-from .oracle_maps import KINDS, Map
+from .oracle_cases import CODES, Map
 
 THESIS, GODOT, ARENA = ENVIRONMENTS
 DOWN, LEFT, UP, RIGHT, ATTACK = rules.DOWN, rules.LEFT, rules.UP, rules.RIGHT, rules.ATTACK
 FLAME, HEAL = rules.FLAME, rules.HEAL
 STAND = ATTACK  # whoever swings stands still
 
-Place = tuple[float, float]
 CORNERS = [*itertools.product((-540.0, 540.0), repeat=2)]
 EMPTY = Map(20, 20, origin=(10, 10), starts=((0.0, 0.0),))
 FIELD = replace(EMPTY, monsters=tuple(("bamboo", x, y) for x, y in CORNERS))
-ZOO = replace(EMPTY, monsters=tuple((kind, x, y) for kind, (x, y) in zip(KINDS, CORNERS, strict=True)))
+ZOO = replace(EMPTY, monsters=tuple((name, x, y) for name, (x, y) in zip(CODES, CORNERS, strict=True)))
 
 
 def characters_file(folder: Path, text: str) -> str:

@@ -1,35 +1,292 @@
-"""The oracle: the rules of one world, told slowly and tick by tick, in plain Python, to be read.
+"""The oracle: the rules of one world, slowly and tick by tick, in plain Python, to be read.
 
-The compiled kernel (`pneuma/env/rules.py`) plays the same game; `test_oracle.py` holds it to this
-telling, bit for bit. Nothing here is fast, and nothing is left out: every monster lives through every
-tick, every move is checked tile by tile and body by body.
-
-A tick goes:
+The compiled kernel (`pneuma/env/rules.py`) plays the same game; `test_oracle.py` compares them bit for bit.
+Every monster lives through every tick, and every move is checked tile by tile and body by body. A tick:
 
 1. Every living player acts, in order.
 2. Every living monster, in order, is struck by the players' swords and flames, in their order; if it
    lives, it looks for every player and bites those within reach; then it flies or chases.
-3. Every player who was there gets what the tick brought: first what kills heal, then the bites. Who has
+3. Every player who was present gets what the tick brought: first what kills heal, then the bites. Who has
    no HP left is dead from the next tick on; until then he stands in the way.
 
-Bodies are boxes around points beside which they may lie; who observes, chases or is knocked goes by the
-points. The living stop each other as walls do; nobody pushes.
-
-An agent step is 8 of them with the same actions, or as many as `settings.ticks` says. Its end may be the
-episode's.
-
-Inputs are the configuration itself, and what `Worlds` made of levels and characters (`oracle_arrays.py` reads
-it); what players see is in `oracle_view.py`. Units: pixels, ticks of 1/60 s, pixels a tick; y points down.
+Living bodies stop each other as walls do; nobody pushes. Inputs are the configuration, and what `Worlds` made
+of levels and characters (`oracle_arrays.py`). Units: pixels, ticks of 1/60 s; y points down. Axis 0 is x.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import NamedTuple
 
-from pneuma.env.rules import CLEARED, KILLED, RUNNING, TIME_LIMIT
+from pneuma.env.fields import EnvConfig
+from pneuma.env.rules import CLEARED, DOWN, KILLED, LEFT, RIGHT, RUNNING, TIME_LIMIT, UP
 
-from .oracle_moves import Box, Ground, Pair, move
-from .oracle_parts import WAYS, Blow, Events, Gain, Monster, Player, Rulebook
+Pair = tuple[float, float]
+"""A number along x and one along y."""
+Row = SimpleNamespace
+"""Fields of a row of the arrays of `Worlds` that do not change; lists go by facing."""
+DIRECTIONS = {DOWN: (0.0, 1.0), LEFT: (-1.0, 0.0), UP: (0.0, -1.0), RIGHT: (1.0, 0.0)}
+CONTACT_EPS = 2**-10
+"""Bodies that overlap by less only touch: what rounding leaves of a contact stops nobody from turning off."""
+
+# --- Boxes and moves -------------------------------------------------------------------------------
+
+
+class Box(NamedTuple):
+    """A body, or what strikes one: its centre and half its sides, x first."""
+
+    centre: Pair
+    half: Pair
+
+    def meets(self, other: Box) -> bool:
+        """Return whether two boxes overlap; touching is no overlap."""
+        apart = [abs(self.centre[axis] - other.centre[axis]) for axis in (0, 1)]
+        return apart[0] < self.half[0] + other.half[0] and apart[1] < self.half[1] + other.half[1]
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The tiles of a level: `tiles[row][column]`."""
+
+    corner: Pair
+    tile: float
+    tiles: list[list[int]]
+
+    def is_closed(self, column: int, row: int, closed: Collection[int]) -> bool:
+        """Return whether a tile is of a closed code; everything off the grid is closed."""
+        if not (0 <= row < len(self.tiles) and 0 <= column < len(self.tiles[0])):
+            return True
+        return self.tiles[row][column] in closed
+
+    def covered(self, body: Box, axis: int) -> range:
+        """Return the columns or rows that a body lies in, without one that it only touches."""
+        low = body.centre[axis] - body.half[axis] - self.corner[axis]
+        high = body.centre[axis] + body.half[axis] - self.corner[axis]
+        return range(math.floor(low / self.tile), math.ceil(high / self.tile))
+
+    def stop(self, body: Box, axis: int, step: float, closed: Collection[int]) -> float:
+        """Return how far along an axis a body's centre gets: flush to a closed tile, or anywhere.
+
+        It looks at the column or row of tiles that the leading edge would enter, as far as the body is wide.
+        """
+        corner, half = self.corner[axis], body.half[axis]
+        if step > 0:
+            line = math.ceil((body.centre[axis] + step + half - corner) / self.tile) - 1
+            flush = corner + line * self.tile - half
+        else:
+            line = math.floor((body.centre[axis] + step - half - corner) / self.tile)
+            flush = corner + (line + 1) * self.tile + half
+        for across in self.covered(body, 1 - axis):
+            column, row = (line, across) if axis == 0 else (across, line)
+            if self.is_closed(column, row, closed):
+                return flush
+        return math.copysign(math.inf, step)
+
+
+def move(
+    place: Pair, offset: Pair, half: Pair, steps: Pair, ground: Ground, closed: Collection[int],
+    others: Sequence[Box],
+) -> Pair:  # fmt: skip
+    """Return where a body gets, first along x, then along y, among tiles and the bodies of others.
+
+    On each axis it goes its whole step, or up to the first thing that stops it, and never back. `offset` is
+    the centre of its box from its place.
+    """
+    position = list(place)
+    for axis, step in enumerate(steps):
+        if step == 0.0:
+            continue
+        body = Box((position[0] + offset[0], position[1] + offset[1]), half)
+        limits = [ground.stop(body, axis, step, closed), *_stops_at_bodies(body, axis, step, others)]
+        end = body.centre[axis] + step
+        if step > 0 and end > min(limits):
+            position[axis] = max(position[axis], min(limits) - offset[axis])
+        elif step < 0 and end < max(limits):
+            position[axis] = min(position[axis], max(limits) - offset[axis])
+        else:
+            position[axis] += step
+    return position[0], position[1]
+
+
+def _stops_at_bodies(body: Box, axis: int, step: float, others: Sequence[Box]) -> list[float]:
+    """Return where a body's centre touches each body that is ahead, not beside it or around it."""
+    across, direction = 1 - axis, math.copysign(1.0, step)
+    stops = []
+    for other in others:
+        touching = body.half[axis] + other.half[axis]
+        aside = abs(body.centre[across] - other.centre[across])
+        ahead = (other.centre[axis] - body.centre[axis]) * direction
+        if aside < body.half[across] + other.half[across] - CONTACT_EPS and ahead >= touching - CONTACT_EPS:
+            stops.append(other.centre[axis] - touching * direction)
+    return stops
+
+
+# --- Players and monsters --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Rulebook:
+    """Everything that does not change while a world is played; the last four go by level."""
+
+    config: EnvConfig
+    actions: tuple[str, ...]
+    rewards: tuple[str, ...]  # of each player
+    closed_to_players: frozenset[int]  # the codes of tiles that stop them
+    closed_to_monsters: frozenset[int]
+    settings: Row  # ticks, and scales of observations
+    stats: list[Row]
+    kinds: list[list[Row]]
+    grounds: list[Ground]
+    starts: list[list[Pair]]
+    homes: list[list[Pair]]  # of the monsters
+
+
+@dataclass
+class Events:
+    """What one step did to a player."""
+
+    reward: float = 0.0
+    xp_gained: float = 0.0
+    hp_lost: float = 0.0
+    hp_gained: float = 0.0
+    hits: int = 0
+    kills: int = 0
+    notices: int = 0
+    contacts: int = 0
+    distance: float = math.inf  # to the nearest living monster at the end of the step
+    died: int = 0
+    present: int = 0
+
+
+@dataclass
+class Gain:
+    """What one tick brings a player, until it is settled at the end of the tick."""
+
+    kill_heal: float = 0.0
+    bitten: float = 0.0
+    xp: float = 0.0
+    hits: int = 0
+    kills: int = 0
+    notices: int = 0
+    contacts: int = 0
+    paying_deaths: int = 0  # of monsters
+
+
+class Blow(NamedTuple):
+    """What a player strikes with in one tick."""
+
+    number: int
+    strike: Row
+    box: Box
+    hilt: Pair  # what it knocks away from
+
+
+def box_of(body: Player | Monster, stats: Row) -> Box:
+    return Box((body.x + stats.body_x, body.y + stats.body_y), (stats.half_width, stats.half_height))
+
+
+@dataclass
+class Player:
+    """A player; dead without HP."""
+
+    stats: Row
+    reward: str
+    x: float = 0.0
+    y: float = 0.0
+    hp: float = 0.0
+    xp: float = 0.0
+    energy: float = 0.0
+    facing: int = DOWN
+    busy: int = 0
+    action_kind: int = 0
+    attack: int = 0
+    safe: int = 0
+    kills: int = 0
+    events: Events = field(default_factory=Events)
+
+    @property
+    def box(self) -> Box:
+        return box_of(self, self.stats)
+
+    def gap_squared(self, x: float, y: float) -> float:
+        """Return the squared distance from a point to the body."""
+        body = self.box
+        across = max(abs(body.centre[0] - x) - body.half[0], 0.0)
+        down = max(abs(body.centre[1] - y) - body.half[1], 0.0)
+        return across * across + down * down
+
+    def heal(self, hp: float) -> None:
+        self.events.hp_gained += hp - self.hp
+        self.hp = hp
+
+    def blow(self, strike: Row) -> Blow:
+        """Return what a sword or flame does in this tick; a swing bears its attack's number."""
+        facing = self.facing
+        half = (strike.half_width[facing], strike.half_height[facing])
+        box = Box((self.x + strike.x[facing], self.y + strike.y[facing]), half)
+        hilt = (self.x + strike.hilt_x[facing], self.y + strike.hilt_y[facing])
+        return Blow(self.attack, strike, box, hilt)
+
+    def formula(self) -> float:
+        """Return the reward for a step."""
+        events = self.events
+        if self.reward == "thesis":
+            return self.xp - self.hp / self.stats.hp
+        if self.reward == "pygame":
+            return self.xp + self.hp / self.stats.hp
+        if self.reward == "kills":
+            return events.xp_gained - events.hp_lost / self.stats.hp
+        if self.reward == "distance-sigmoid":
+            if events.distance == math.inf:
+                return events.xp_gained + 0.0
+            z = (150.0 - events.distance) / 50.0
+            return events.xp_gained + (0.5 + 0.5 * z / math.sqrt(1.0 + z * z))
+        assert self.reward == "godot"
+        return events.reward  # kept event by event
+
+
+@dataclass
+class Monster:
+    """A monster; lists and sets go by player."""
+
+    kind: Row
+    x: float
+    y: float
+    hp: float
+    bite: list[int]
+    struck_by: list[int]
+    noticed: set[int] = field(default_factory=set)
+    knock_x: float = 0.0
+    knock_y: float = 0.0
+    knocked: int = 0
+    safe: int = 0
+    inside: set[int] = field(default_factory=set)  # whose strikes met it in the last tick
+
+    @property
+    def box(self) -> Box:
+        return box_of(self, self.kind)
+
+    def knock_back(self, blow: Blow) -> None:
+        """Fly from the hilt, unless it flies already; one that is right there stays there."""
+        if blow.strike.knock_ticks < 0 or self.knocked > 0:
+            return
+        source = self.kind if self.kind.knock_ticks >= 0 else blow.strike
+        away_x, away_y = self.x - blow.hilt[0], self.y - blow.hilt[1]
+        length = math.sqrt(away_x * away_x + away_y * away_y)
+        self.knocked, self.knock_x, self.knock_y = source.knock_ticks, 0.0, 0.0
+        if length > 0.0:
+            self.knock_x = away_x / length * source.knock_speed
+            self.knock_y = away_y / length * source.knock_speed
+
+    def approach(self, offset: float) -> float:
+        """Return a chasing monster's step on one axis: its full pace, or none within its stand-off."""
+        if abs(offset) <= self.kind.stand_off:
+            return 0.0
+        return math.copysign(self.kind.speed, offset)
+
 
 # --- The world -------------------------------------------------------------------------------------
 
@@ -60,23 +317,27 @@ class Oracle:
     def reset(self, start: int) -> None:
         """Begin an episode at a start place, or at a random one if `start` is below zero."""
         book = self.book
-        self.steps, self.ending = 0, RUNNING
-        self.level = self._draw_below(len(book.starts)) if len(book.starts) > 1 else 0
+        self.steps, self.ending, self.level, self.start = 0, RUNNING, 0, start
+        if len(book.starts) > 1:
+            self.level = self._draw_below(len(book.starts))
         places = book.starts[self.level]
-        self.start = start if start >= 0 else self._draw_below(len(places))
-        for p, player in enumerate(self.players):
-            xp = 0.0 if book.config.xp_scope == "episode" else player.xp
-            (x, y), stats = places[(self.start + p) % len(places)], player.stats
-            given = stats, player.reward, x, y, stats.hp, xp, stats.energy
-            self.players[p] = Player(*given, events=player.events)
-        self.monsters = [
-            Monster(kind, *home, kind.hp, [0] * len(self.players), [0] * len(self.players))
-            for kind, home in zip(book.kinds[self.level], book.homes[self.level], strict=True)
-        ]
+        if start < 0:
+            self.start = self._draw_below(len(places))
+        for index, player in enumerate(self.players):
+            x, y = places[(self.start + index) % len(places)]
+            fresh = Player(player.stats, player.reward, x, y, events=player.events)
+            fresh.hp, fresh.energy = player.stats.hp, player.stats.energy
+            if book.config.xp_scope == "forever":
+                fresh.xp = player.xp
+            self.players[index] = fresh
+        self.monsters = []
+        for kind, (x, y) in zip(book.kinds[self.level], book.homes[self.level], strict=True):
+            none_yet = [0] * len(self.players)
+            self.monsters.append(Monster(kind, x, y, kind.hp, none_yet, none_yet.copy()))
         self.monsters_left, self.players_left = len(self.monsters), len(self.players)
 
     def step(self, actions: list[int]) -> bool:
-        """Play one agent step; tell whether the episode ended with it. After its end nothing happens."""
+        """Play one agent step; return whether the episode ended with it. After its end nothing happens."""
         for player in self.players:
             player.events = Events()
         if self.ending != RUNNING:
@@ -88,35 +349,24 @@ class Oracle:
         return self.ending != RUNNING
 
     def reward(self) -> None:
-        """Pay those who were there, once they have seen how the step ended."""
-        for player in self.players:
-            events = player.events
-            if events.present:
-                events.reward = player.formula()
+        """Pay those who were present, once they have observed how the step ended."""
+        present = [player for player in self.players if player.events.present]
+        for player in present:
+            player.events.reward = player.formula()
         if self.book.config.shared_reward:
             total = 0.0  # not by `sum`, which rounds differently from Python 3.12 on
             for player in self.players:
                 total += player.events.reward
-            mean = total / len(self.players)
-            for player in self.players:
-                if player.events.present:
-                    player.events.reward = mean
-
-    # --- Random numbers --------------------------------------------------------------------------
-
-    def _draw(self) -> int:
-        """Return 64 random bits: splitmix64 (Steele, Lea and Flood 2014), from key and counter."""
-        self.draws += 1
-        z = (self.key + self.draws * 0x9E3779B97F4A7C15) % 2**64
-        z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) % 2**64
-        z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) % 2**64
-        return z ^ (z >> 31)
+            for player in present:
+                player.events.reward = total / len(self.players)
 
     def _draw_below(self, bound: int) -> int:
-        """Return a random whole number in [0, bound), from the upper 32 of 64 bits."""
-        return (self._draw() >> 32) * bound >> 32
-
-    # --- The end of a step -----------------------------------------------------------------------
+        """Return a random number below a bound, by splitmix64 (Steele, Lea and Flood 2014)."""
+        self.draws += 1
+        bits = (self.key + self.draws * 0x9E3779B97F4A7C15) % 2**64
+        bits = ((bits ^ (bits >> 30)) * 0xBF58476D1CE4E5B9) % 2**64
+        bits = ((bits ^ (bits >> 27)) * 0x94D049BB133111EB) % 2**64
+        return ((bits ^ (bits >> 31)) >> 32) * bound >> 32
 
     def _end(self) -> None:
         """Decide whether the episode is over, and charge the living for an ending."""
@@ -142,29 +392,27 @@ class Oracle:
             player.events.xp_gained -= cost
             player.events.reward = player.xp
 
-    # --- A tick ----------------------------------------------------------------------------------
-
     def _tick(self, actions: list[int]) -> None:
         gains = [Gain() for _ in self.players]
         blows: dict[int, Blow] = {}
-        for p, player in enumerate(self.players):
+        for index, player in enumerate(self.players):
             if player.hp > 0.0:
-                struck = self._act(player, actions[p])
-                if struck:
-                    blows[p] = struck
-        there = [p for p, player in enumerate(self.players) if player.hp > 0.0]
+                blow = self._act(player, actions[index])
+                if blow:
+                    blows[index] = blow
+        present = [index for index, player in enumerate(self.players) if player.hp > 0.0]
         for monster in self.monsters:
             if monster.hp > 0.0:
-                self._live(monster, there, blows, gains)
-        for p in there:
-            self._settle(self.players[p], gains[p])
+                self._live(monster, present, blows, gains)
+        for index in present:
+            self._settle(self.players[index], gains[index])
 
     # --- A tick: players act ---------------------------------------------------------------------
 
     def _act(self, player: Player, action: int) -> Blow | None:
         """Let a player act, unless an attack or spell still lasts; return what strikes in this tick."""
         stats, name = player.stats, self.book.actions[action]
-        struck = None
+        blow = None
         if player.busy == 0:
             if name == "attack":
                 player.busy, player.action_kind = stats.swing, 1
@@ -173,121 +421,122 @@ class Oracle:
                 player.energy -= stats.flame_cost
                 player.busy, player.action_kind = stats.flame_ticks, 2
                 player.attack += 1
-                struck = player.blow(player.stats.flame)
+                blow = player.blow(stats.flame)
             elif name == "heal" and player.energy >= stats.heal_cost:
                 player.energy -= stats.heal_cost
                 player.busy, player.action_kind = stats.heal_ticks, 3
-                for other in self.players:
-                    dx, dy = other.x - player.x, other.y - player.y
+                for patient in self.players:
+                    dx, dy = patient.x - player.x, patient.y - player.y
                     near = dx * dx + dy * dy <= stats.heal_reach * stats.heal_reach and stats.heal_reach > 0.0
-                    if other is player or (near and other.hp > 0.0):
-                        other.heal(stats.heal, capped=True)
-            elif action in WAYS:
-                self._walk(player, action)
+                    if patient is player or (near and patient.hp > 0.0):
+                        patient.heal(max(patient.hp, min(patient.hp + stats.heal, patient.stats.hp)))
+            elif action in DIRECTIONS:
+                player.facing = action
+                player.x, player.y = self.walked(player, self._others(player))
         if player.busy > 0:
             player.busy -= 1
             if player.action_kind == 1:
-                struck = player.blow(stats.sword)
+                blow = player.blow(stats.sword)
         player.energy = min(player.energy + stats.energy_gain, stats.energy)
-        return struck
+        return blow
 
-    def _walk(self, player: Player, way: int) -> None:
-        """Turn a player and take it one tick that way."""
-        player.facing = way
-        player.x, player.y = self.walked(player, way, self._others(player))
-
-    def walked(self, player: Player, way: int, others: list[Box]) -> Pair:
-        """Return where one tick of walking takes a player among others."""
-        stats = player.stats
-        dx, dy = (part * stats.speed for part in WAYS[way])
-        offset = stats.body_x, stats.body_y
+    def walked(self, player: Player, others: list[Box]) -> Pair:
+        """Return where one tick of walking the way it faces takes a player among others."""
+        stats, (x, y) = player.stats, DIRECTIONS[player.facing]
+        steps, offset = (x * stats.speed, y * stats.speed), (stats.body_x, stats.body_y)
         closed = self.book.closed_to_players
-        return move((player.x, player.y), offset, player.box.half, (dx, dy), self.ground, closed, others)
+        return move((player.x, player.y), offset, player.box.half, steps, self.ground, closed, others)
 
     def _others(self, mover: Player | Monster) -> list[Box]:
         """Return the bodies that stop one: of all others who live."""
-        players = [player.box for player in self.players if player is not mover and player.hp > 0.0]
-        return players + [m.box for m in self.monsters if m is not mover and m.hp > 0.0]
+        bodies: list[Player | Monster] = [*self.players, *self.monsters]
+        return [body.box for body in bodies if body is not mover and body.hp > 0.0]
 
     # --- A tick: monsters live -------------------------------------------------------------------
 
-    def _live(self, monster: Monster, there: list[int], blows: dict[int, Blow], gains: list[Gain]) -> None:
-        """Let a monster live one tick among the players who are `there`."""
+    def _live(self, monster: Monster, present: list[int], blows: dict[int, Blow], gains: list[Gain]) -> None:
+        """Let a monster live one tick among the players who are present."""
         monster.safe = max(monster.safe - 1, 0)
-        for p in range(len(self.players)):
-            if p not in there:
-                monster.noticed.discard(p)
-                monster.bite[p] = 0
-        met = {p for p in blows if monster.box.meets(blows[p].box)}
-        on_entry = self.book.config.blow == "entry"
-        swords = {p for p in blows if on_entry and self.players[p].action_kind == 1}
-        for p in sorted(met):
-            enters = p in swords
-            hit = p not in monster.inside if enters else monster.struck_by[p] != blows[p].number
+        for index in range(len(self.players)):
+            if index not in present:
+                monster.noticed.discard(index)
+                monster.bite[index] = 0
+        meeting = {index for index, blow in blows.items() if monster.box.meets(blow.box)}
+        swords = {index for index in blows if self.players[index].action_kind == 1}
+        if self.book.config.blow == "attack":
+            swords = set()
+        for index in sorted(meeting):
+            hit = monster.struck_by[index] != blows[index].number
+            if index in swords:
+                hit = index not in monster.inside
             if hit and monster.hp > 0.0 and monster.safe == 0:
-                self._strike(monster, p, blows[p], there, gains)
-            elif hit and enters:
-                monster.struck_by[p] = 0
-        monster.inside = met & swords
+                self._strike(monster, index, blows[index], present, gains)
+            elif hit and index in swords:
+                monster.struck_by[index] = 0
+        monster.inside = meeting & swords
         if monster.hp <= 0.0:
             return
-        target = self._sense(monster, there, gains)
-        dx = dy = 0.0
+        target = self._sense(monster, present, gains)
+        steps = (0.0, 0.0)
         if monster.knocked > 0:
             monster.knocked -= 1
-            dx, dy = monster.knock_x, monster.knock_y
+            steps = monster.knock_x, monster.knock_y
         elif target is not None:
-            dx = monster.approach(target.x - monster.x)
-            dy = monster.approach(target.y - monster.y)
+            steps = monster.approach(target.x - monster.x), monster.approach(target.y - monster.y)
         place, offset = (monster.x, monster.y), (monster.kind.body_x, monster.kind.body_y)
-        closed, others, steps = self.book.closed_to_monsters, self._others(monster), (dx, dy)
+        closed, others = self.book.closed_to_monsters, self._others(monster)
         monster.x, monster.y = move(place, offset, monster.box.half, steps, self.ground, closed, others)
 
-    def _strike(self, monster: Monster, p: int, blow: Blow, there: list[int], gains: list[Gain]) -> None:
+    def _strike(
+        self, monster: Monster, striker: int, blow: Blow, present: list[int], gains: list[Gain]
+    ) -> None:
         """Strike a living monster that a blow meets for the first time."""
         kind = monster.kind
-        monster.struck_by[p] = blow.number
+        monster.struck_by[striker] = blow.number
         monster.safe = kind.safe
-        monster.hp = max(monster.hp - blow.damage, 0.0)
-        gains[p].hits += 1
+        monster.hp = max(monster.hp - blow.strike.damage, 0.0)
+        gains[striker].hits += 1
         if monster.hp > 0.0:
             monster.knock_back(blow)
             return
-        gains[p].kills += 1
-        for q in there:
-            # Within the attack circle is who was when the monster last looked, a tick ago.
-            earns = monster.bite[q] > 0 if self.book.config.kill_credit == "near" else q == p
+        gains[striker].kills += 1
+        for index in present:
+            earns = index == striker
+            if (
+                self.book.config.kill_credit == "near"
+            ):  # within the attack circle when it last looked, a tick ago
+                earns = monster.bite[index] > 0
             if earns:
-                gains[q].deaths += 1
-                gains[q].xp += kind.xp
-                gains[q].kill_heal += kind.heal
+                gains[index].paying_deaths += 1
+                gains[index].xp += kind.xp
+                gains[index].kill_heal += kind.heal
 
-    def _sense(self, monster: Monster, there: list[int], gains: list[Gain]) -> Player | None:
+    def _sense(self, monster: Monster, present: list[int], gains: list[Gain]) -> Player | None:
         """Let a monster look for all players, and bite; return the nearest that it notices.
 
         In flight it does not bite: what is due then comes when it has landed.
         """
         kind, target, nearest = monster.kind, None, math.inf
         flies = monster.knocked > 0
-        for p in there:
-            player, gain = self.players[p], gains[p]
+        for index in present:
+            player, gain = self.players[index], gains[index]
             gap = player.gap_squared(monster.x + kind.notice_x, monster.y + kind.notice_y)
             if gap > kind.notice_squared:
-                monster.noticed.discard(p)
+                monster.noticed.discard(index)
             else:
-                gain.notices += p not in monster.noticed
-                monster.noticed.add(p)
+                gain.notices += index not in monster.noticed
+                monster.noticed.add(index)
                 if gap < nearest:
                     target, nearest = player, gap
             gap = player.gap_squared(monster.x + kind.attack_x, monster.y + kind.attack_y)
             if gap > kind.attack_squared:
-                monster.bite[p] = 0
-            elif monster.bite[p] > 1:
-                monster.bite[p] -= 1
+                monster.bite[index] = 0
+            elif monster.bite[index] > 1:
+                monster.bite[index] -= 1
             else:
-                gain.contacts += monster.bite[p] == 0
-                monster.bite[p] = 1 if flies else kind.bite_ticks
-                # Who is safe after a bite gets one a tick.
+                gain.contacts += monster.bite[index] == 0
+                monster.bite[index] = 1 if flies else kind.bite_ticks
+                # A player who is safe after a bite gets one a tick.
                 if not flies and (player.stats.safe == 0 or gain.bitten == 0.0):
                     gain.bitten += kind.damage
         return target
@@ -296,25 +545,23 @@ class Oracle:
 
     def _settle(self, player: Player, gain: Gain) -> None:
         """Give a player what a tick brought: XP, what kills heal, then the bites."""
-        stats, events = player.stats, player.events
+        events = player.events
         events.present += 1
         player.xp += gain.xp
         player.kills += gain.kills
         events.xp_gained += gain.xp
-        events.hits += gain.hits
-        events.kills += gain.kills
-        events.notices += gain.notices
-        events.contacts += gain.contacts
-        if gain.deaths:
+        for name in ("hits", "kills", "notices", "contacts"):
+            setattr(events, name, getattr(events, name) + getattr(gain, name))
+        if gain.paying_deaths:
             events.reward = player.xp
         events.reward += gain.notices + gain.contacts
-
         player.safe = max(player.safe - 1, 0)
-        player.heal(gain.kill_heal, capped=False)
+        player.heal(player.hp + gain.kill_heal)
         if gain.bitten > 0.0 and player.safe == 0:
-            left = max(player.hp - gain.bitten, 0.0)
-            events.hp_lost += player.hp - left
-            player.hp, player.safe = left, stats.safe
+            hp = max(player.hp - gain.bitten, 0.0)
+            events.hp_lost += player.hp - hp
+            player.hp, player.safe = hp, player.stats.safe
             if player.hp <= 0.0:
-                player.die()
+                player.busy = player.action_kind = 0
+                events.died = 1
                 self._charge(player)

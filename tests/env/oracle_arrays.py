@@ -1,7 +1,7 @@
-"""Between `Worlds` and the oracle: reads what the oracle is given, plays both, and compares what they say.
+"""Between `Worlds` and the oracle: reads what the oracle is given, plays both, and compares them.
 
 Everything is compared field by field and bit by bit (0.0 is not -0.0, 1 is not 1.0), observations as
-float32. Of the eight places that a monster keeps for players, those of existing players count.
+float32. Of the eight entries that a monster keeps for players, those of existing players count.
 """
 
 from __future__ import annotations
@@ -14,9 +14,7 @@ import numpy as np
 from pneuma.env.rules import COAST, SOLID
 from pneuma.env.worlds import Worlds
 
-from .oracle import Oracle
-from .oracle_moves import Ground
-from .oracle_parts import Events, Row, Rulebook
+from .oracle import Events, Ground, Oracle, Row, Rulebook
 from .oracle_view import mask, observe
 
 SETS = ("noticed", "inside")
@@ -26,35 +24,40 @@ SETS = ("noticed", "inside")
 def read_rulebook(worlds: Worlds) -> Rulebook:
     """Read what does not change: the configuration, and numbers from the arrays that `Worlds` made.
 
-    The kernel's switches and shortcuts, which `Worlds` makes of the configuration, go unread.
+    The kernel's switches and shortcuts, which `Worlds` makes of the configuration, are not read.
     """
-    config, row = worlds.config, worlds.settings[0]
-    left, top = row["corner"].tolist()
-    trees = {SOLID} if config.trees == "wall" else set()
+    config, settings = worlds.config, _read_row(worlds.settings[0])
+    closed = {COAST}
+    if config.trees == "wall":
+        closed.add(SOLID)
+    closed_to_monsters = closed
+    if config.terrain_stops == "players":
+        closed_to_monsters = set()
+    rewards = config.reward
+    if len(rewards) == 1:
+        rewards *= config.players
+    left, top = settings.corner
     return Rulebook(
         config=config,
         actions=worlds.action_names,
-        rewards=config.reward if len(config.reward) > 1 else config.reward * config.players,
-        closed_to_players=frozenset(trees | {COAST}),
-        closed_to_monsters=frozenset(trees | {COAST} if config.terrain_stops == "all" else ()),
-        settings=_read_row(row),
+        rewards=rewards,
+        closed_to_players=frozenset(closed),
+        closed_to_monsters=frozenset(closed_to_monsters),
+        settings=settings,
         stats=[_read_row(stats) for stats in worlds.player_stats],
-        kinds=[[_read_row(kind) for kind in level] for level in worlds.monster_stats],
-        grounds=[Ground(left, top, float(row["tile"]), level.terrain.tolist()) for level in worlds.levels],
+        kinds=[[_read_row(kind) for kind in level_stats] for level_stats in worlds.monster_stats],
+        grounds=[Ground((left, top), settings.tile, level.terrain.tolist()) for level in worlds.levels],
         starts=[[(x, y) for x, y in level.starts.tolist()] for level in worlds.levels],
         homes=[[(x, y) for _, x, y in level.monsters] for level in worlds.levels],
     )
 
 
 def _read_row(row: Any) -> Row:
-    fields = {name: row[name] for name in row.dtype.names}
-    return Row(**{name: _read_row(of) if of.dtype.names else of.tolist() for name, of in fields.items()})
-
-
-def _read_fields(target: Any, row: Any) -> None:
+    fields = {}
     for name in row.dtype.names:
-        if hasattr(target, name):
-            setattr(target, name, row[name].tolist())
+        value = row[name]
+        fields[name] = _read_row(value) if value.dtype.names else value.tolist()
+    return Row(**fields)
 
 
 class Pair:
@@ -63,7 +66,7 @@ class Pair:
     Attributes:
         worlds: the kernel's.
         oracles: one for each of them.
-        seen: what each oracle's players saw last, and which actions they may take.
+        views: what each oracle's players observed last, and which actions they may take.
     """
 
     def __init__(self, worlds: Worlds, seed: int = 0) -> None:
@@ -71,36 +74,36 @@ class Pair:
         worlds.seed(range(seed, seed + len(worlds)))
         book = read_rulebook(worlds)
         self.oracles = [Oracle(book, int(key)) for key in worlds.worlds["key"]]
-        self.seen: list[list[tuple[list[float], list[int]]]] = [[] for _ in self.oracles]
+        self.views: list[list[tuple[list[float], list[int]]]] = [[] for _ in self.oracles]
         self.reset(range(len(worlds)))
 
-    def reset(self, chosen: Iterable[int], start: int | None = None, seed: int | None = None) -> None:
-        """Begin an episode in some worlds, seeded anew if asked for."""
-        mask = np.zeros(len(self.worlds), bool)
-        mask[list(chosen)] = True
-        starts = None if start is None else np.full(len(self.worlds), start)
+    def reset(self, indices: Iterable[int], start: int | None = None, seed: int | None = None) -> None:
+        """Begin an episode in some worlds, seeded again if asked for."""
+        worlds = self.worlds
+        resets = np.zeros(len(worlds), bool)
+        resets[list(indices)] = True
         if seed is not None:
-            self.worlds.seed(range(seed, seed + len(self.worlds)), mask)
-        self.worlds.reset(mask, starts)
-        usual = -1 if self.worlds.config.start == "random" else 0
-        for index in np.flatnonzero(mask).tolist():
+            worlds.seed(range(seed, seed + len(worlds)), resets)
+        if start is None:
+            start = -1 if worlds.config.start == "random" else 0
+        worlds.reset(resets, np.full(len(worlds), start))
+        for index in np.flatnonzero(resets).tolist():
             if seed is not None:
-                self.oracles[index].seed(int(self.worlds.worlds["key"][index]))
-            self.oracles[index].reset(usual if start is None else start)
+                self.oracles[index].seed(int(worlds.worlds["key"][index]))
+            self.oracles[index].reset(start)
             self._look(index)
         self.compare("after a reset")
 
     def step(self, actions: np.ndarray) -> None:
         """Play one step in all worlds; actions (N, P)."""
         ended = self.worlds.step(actions)
-        count = 0
         for index, world in enumerate(self.oracles):
             running = world.ending == 0
-            count += world.step(actions[index].tolist())
+            ended -= world.step(actions[index].tolist())
             if running:
                 self._look(index)
                 world.reward()
-        assert ended == count, "another number of episodes ended"
+        assert ended == 0, "another number of episodes ended"
         self.compare(f"after actions {actions.tolist()}")
 
     def play(self, *actions: int | Sequence[int]) -> None:
@@ -108,9 +111,11 @@ class Pair:
         for action in actions:
             self.step(np.broadcast_to(action, self.worlds.players.shape))
 
-    def told(self, name: str) -> list[Any]:
+    def player(self, name: str) -> list[Any]:
         """Return a field of the first world's players, or of their events."""
-        array = self.worlds.events if name in (self.worlds.events.dtype.names or ()) else self.worlds.players
+        array = self.worlds.players
+        if name in (self.worlds.events.dtype.names or ()):
+            array = self.worlds.events
         return list(array[name][0].tolist())
 
     def monster(self, *names: str) -> tuple[Any, ...]:
@@ -119,10 +124,10 @@ class Pair:
 
     def put(self, monsters: bool = False, **fields: Any) -> None:
         """Write fields of the first world's players, or monsters, by hand: a number for all, or a list."""
+        bodies = self.worlds.monsters if monsters else self.worlds.players
         for name, values in fields.items():
-            bodies = self.worlds.monsters if monsters else self.worlds.players
-            many = np.atleast_1d(np.asarray(values))
-            bodies[name][0, : len(many) if np.ndim(values) else None] = many
+            count = len(values) if np.ndim(values) else None
+            bodies[name][0, :count] = values
         self.take_over()
 
     def take_over(self) -> None:
@@ -131,49 +136,58 @@ class Pair:
         worlds.events[:] = np.zeros((), worlds.events.dtype)
         worlds.observe()
         for index, world in enumerate(self.oracles):
-            _read_fields(world, worlds.worlds[index])
+            _copy_fields(world, worlds.worlds[index])
             for player, row in zip(world.players, worlds.players[index], strict=True):
-                _read_fields(player, row)
+                _copy_fields(player, row)
                 player.events = Events()
             for monster, row in zip(world.monsters, worlds.monsters[index], strict=True):
-                _read_fields(monster, row)
+                _copy_fields(monster, row)
                 for name in SETS:
                     players = range(len(world.players))
-                    setattr(monster, name, {p for p in players if int(row[name]) >> p & 1})
+                    setattr(monster, name, {player for player in players if int(row[name]) >> player & 1})
             self._look(index)
         self.compare("after a change by hand")
 
     def compare(self, when: str) -> None:
         """Assert that everything that can be read is equal."""
-        different = [line for index in range(len(self.oracles)) for line in self._differences(index)]
-        assert not different, "\n".join([f"{when} (kernel, oracle):", *different])
+        differences: list[str] = []
+        for index in range(len(self.oracles)):
+            differences += self._differences(index)
+        assert not differences, "\n".join([f"{when} (kernel, oracle):", *differences])
 
     def _look(self, index: int) -> None:
         world = self.oracles[index]
-        self.seen[index] = [(observe(world, player), mask(world, player)) for player in world.players]
+        self.views[index] = [(observe(world, player), mask(world, player)) for player in world.players]
 
     def _differences(self, index: int) -> Iterator[str]:
         worlds, world = self.worlds, self.oracles[index]
         yield from _unlike(f"worlds[{index}]", worlds.worlds[index], vars(world))
-        for p, player in enumerate(world.players):
-            place = f"[{index}, {p}]"
-            yield from _unlike(f"players{place}", worlds.players[index, p], vars(player))
-            yield from _unlike(f"events{place}", worlds.events[index, p], vars(player.events))
-            numbers, allowed = self.seen[index][p]
+        for player_index, player in enumerate(world.players):
+            slot = (index, player_index)
+            yield from _unlike(f"players{slot}", worlds.players[slot], vars(player))
+            yield from _unlike(f"events{slot}", worlds.events[slot], vars(player.events))
+            numbers, allowed = self.views[index][player_index]
             view = np.array(numbers, np.float32)
-            if view.tobytes() != worlds.observations[index, p].tobytes():
-                yield f"observations{place}: {worlds.observations[index, p].tolist()}, {view.tolist()}"
-            if allowed != worlds.masks[index, p].tolist():
-                yield f"masks{place}: {worlds.masks[index, p].tolist()}, {allowed}"
-        for m, monster in enumerate(world.monsters):
-            bits = {name: sum(1 << p for p in getattr(monster, name)) for name in SETS}
-            yield from _unlike(f"monsters[{index}, {m}]", worlds.monsters[index, m], vars(monster) | bits)
+            if view.tobytes() != worlds.observations[slot].tobytes():
+                yield f"observations{slot}: {worlds.observations[slot].tolist()}, {view.tolist()}"
+            if allowed != worlds.masks[slot].tolist():
+                yield f"masks{slot}: {worlds.masks[slot].tolist()}, {allowed}"
+        for monster_index, monster in enumerate(world.monsters):
+            bits = {name: sum(1 << player for player in getattr(monster, name)) for name in SETS}
+            row = worlds.monsters[index, monster_index]
+            yield from _unlike(f"monsters{index, monster_index}", row, vars(monster) | bits)
 
 
-def _unlike(name: str, row: Any, told: dict[str, Any]) -> Iterator[str]:
-    """Tell the fields of a row that the oracle tells otherwise."""
+def _copy_fields(target: Any, row: Any) -> None:
+    for name in row.dtype.names:
+        if hasattr(target, name):
+            setattr(target, name, row[name].tolist())
+
+
+def _unlike(name: str, row: Any, expected: dict[str, Any]) -> Iterator[str]:
+    """Yield the fields of a row that differ from the oracle's."""
     for field, value in zip(row.dtype.names, row.tolist(), strict=True):
         if isinstance(value, (np.ndarray, list)):
-            value = [int(item) for item in value][: len(told[field])]
-        if repr(value) != repr(told[field]):
-            yield f"{name}.{field}: {value}, {told[field]}"
+            value = [int(item) for item in value][: len(expected[field])]
+        if repr(value) != repr(expected[field]):
+            yield f"{name}.{field}: {value}, {expected[field]}"

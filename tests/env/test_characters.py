@@ -14,7 +14,7 @@ from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
 from .arena import EMPTY, RIGHT, UP, characters_file, stage
-from .oracle_maps import KINDS
+from .oracle_cases import CODES
 
 # facts.md section 2, in its own units: points, milliseconds and pixels a tick.
 CLASSES = {  # HP, energy, attack, magic, speed
@@ -31,56 +31,46 @@ MONSTERS = {  # HP, XP, attack, speed, knock-back, attack radius, notice radius
 }
 
 
-def player_row(**settings: object) -> Any:
-    """Return the stats of the first player of a world with these settings."""
-    return Worlds(1, make_env_config(settings)).player_stats[0]
+def make_worlds(**settings: object) -> Worlds:
+    return Worlds(1, make_env_config(settings))
 
 
-def numbers(row: Any, *names: str) -> list[float]:
-    return [row[name].item() for name in names]
-
-
-# --- The published numbers -----------------------------------------------------------------------
+def numbers(row: Any, names: str) -> list[float]:
+    return [row[name].item() for name in names.split()]
 
 
 def test_every_number_of_a_class_and_a_weapon_reaches_the_rules(tmp_path: Path) -> None:
     for name, (hp, energy, attack, magic, speed) in CLASSES.items():
-        row = player_row(classes=name)
-        assert numbers(row, "hp", "energy", "speed", "heal", "safe") == [hp, energy, speed, 20, 18]  # 300 ms
+        stats = make_worlds(classes=name).player_stats[0]
+        assert numbers(stats, "hp energy speed heal safe") == [hp, energy, speed, 20, 18]  # 300 ms
         # With the sword; a flame's strength is 5.
-        assert (row["sword"]["damage"], row["flame"]["damage"]) == (attack + 15, 5 + magic)
+        assert (stats["sword"]["damage"], stats["flame"]["damage"]) == (attack + 15, 5 + magic)
     for name, (damage, cooldown) in WEAPONS.items():
         file = characters_file(tmp_path, f'[players.mage]\nweapon = "{name}"\n')
-        row = player_row(classes="mage", characters=file)
-        assert (row["sword"]["damage"], row["swing"]) == (7 + damage, round((400 + cooldown) * 0.06))
+        stats = make_worlds(classes="mage", characters=file).player_stats[0]
+        assert (stats["sword"]["damage"], stats["swing"]) == (7 + damage, round((400 + cooldown) * 0.06))
 
 
 def test_every_number_of_a_monster_reaches_the_rules(zoo: str) -> None:
-    worlds = Worlds(1, make_env_config({"level": zoo, "characters": "pygame"}))
-    for name, row in zip(KINDS, worlds.monster_stats[0], strict=True):
-        hp, xp, attack, speed, knock_back, attack_radius, notice_radius = MONSTERS[name]
-        found = numbers(row, "hp", "xp", "damage", "speed", "knock_speed", "safe")
-        assert found == [hp, xp, attack, speed, knock_back, 18]
-        assert numbers(row, "attack_squared", "notice_squared") == [attack_radius**2, notice_radius**2]
+    worlds = make_worlds(level=zoo, characters="pygame")
+    for name, stats in zip(CODES, worlds.monster_stats[0], strict=True):
+        *expected, attack_radius, notice_radius = MONSTERS[name]
+        assert numbers(stats, "hp xp damage speed knock_speed safe") == [*expected, 18]
+        assert numbers(stats, "attack_squared notice_squared") == [attack_radius**2, notice_radius**2]
 
 
 def test_base_and_bamboo_are_those_of_the_godot_version(arena: str) -> None:
     # facts.md section 1: 0.4 s, damage 20, 120 px/s for 0.5 s; 150 px/s, circles of 300 and 40 px, 7 HP
-    # every second, 1 XP and 7 HP for the kill.
-    worlds = Worlds(1, make_env_config({"level": arena}))
+    # every second, 1 XP and 7 HP for the kill; knocked back as the striker's weapon does.
+    worlds = make_worlds(level=arena)
     base, bamboo = worlds.player_stats[0], worlds.monster_stats[0, 0]
-    assert numbers(base, "hp", "speed", "swing", "safe") == [100, 5, 24, 0]
-    assert numbers(base, "half_width", "half_height", "body_x", "body_y") == [23.5, 24, -1.5, 2]
-    assert numbers(base["sword"], "damage", "knock_speed", "knock_ticks") == [20, 2, 30]
-    assert numbers(bamboo, "hp", "speed", "damage", "bite_ticks") == [40, 2.5, 7, 60]
-    assert numbers(bamboo, "half_width", "half_height", "stand_off") == [12, 25, 30]
-    assert numbers(bamboo, "notice_squared", "attack_squared") == [300**2, 40**2]
-    assert numbers(bamboo, "xp", "heal", "safe", "knock_ticks") == [
-        1,
-        7,
-        0,
-        -1,
-    ]  # as the striker's weapon has it
+    assert numbers(base, "hp speed swing safe half_width half_height") == [100, 5, 24, 0, 23.5, 24]
+    assert numbers(base, "body_x body_y") == [-1.5, 2]
+    assert numbers(base["sword"], "damage knock_speed knock_ticks") == [20, 2, 30]
+    assert numbers(bamboo, "hp speed damage bite_ticks") == [40, 2.5, 7, 60]
+    assert numbers(bamboo, "half_width half_height stand_off") == [12, 25, 30]
+    assert numbers(bamboo, "notice_squared attack_squared") == [300**2, 40**2]
+    assert numbers(bamboo, "xp heal safe knock_ticks") == [1, 7, 0, -1]
 
 
 # --- A file of one's own -------------------------------------------------------------------------
@@ -103,20 +93,20 @@ def test_a_file_may_add_a_class_a_weapon_and_a_monster_that_levels_then_know(tmp
     level = replace(EMPTY, monsters=(("bamboo", 200.0, 0.0), ("bamboo", 300.0, 0.0))).write(tmp_path / "den")
     objects = tmp_path / "den" / "objects.csv"
     objects.write_text(objects.read_text().replace("390,200", "500,200"))
-    worlds = Worlds(1, make_env_config({"level": level, "characters": file, "classes": "rogue"}))
-    row, wolf = worlds.player_stats[0], worlds.monster_stats[0, 0]
-    assert numbers(row, "hp", "energy", "speed", "safe", "energy_gain") == [80, 50, 6, 30, 1.0 * 3 / 60]
-    assert numbers(row, "half_width", "half_height", "body_x", "body_y", "swing") == [20, 22, 3, -4, 60]
-    sword = row["sword"]
-    assert numbers(sword, "damage", "knock_speed", "knock_ticks") == [9 + 33, 4, 15]
+    worlds = make_worlds(level=level, characters=file, classes="rogue")
+    stats, wolf = worlds.player_stats[0], worlds.monster_stats[0, 0]
+    assert numbers(stats, "hp energy speed safe energy_gain") == [80, 50, 6, 30, 1.0 * 3 / 60]
+    assert numbers(stats, "half_width half_height body_x body_y swing") == [20, 22, 3, -4, 60]
+    sword = stats["sword"]
+    assert numbers(sword, "damage knock_speed knock_ticks") == [9 + 33, 4, 15]
     assert sword["x"].tolist() == [0, -41, 0, 43] and sword["y"].tolist() == [40, 6, -42, 0]
     assert np.array_equal(sword["hilt_x"], sword["x"]) and np.array_equal(sword["hilt_y"], sword["y"])
     assert sword["half_width"].tolist() == [25, 30, 25, 30]  # 60 along the way faced, 50 across
     worlds.reset()
     assert worlds.monsters[0, 0][["x", "y", "hp"]].tolist() == (200, 0, 12)
-    assert numbers(wolf, "speed", "bite_ticks", "safe", "knock_ticks") == [1.5, 30, 6, -1]
+    assert numbers(wolf, "speed bite_ticks safe knock_ticks") == [1.5, 30, 6, -1]
     with pytest.raises(UserError, match="unknown code 500; known are"):
-        Worlds(1, make_env_config({"level": level}))
+        make_worlds(level=level)
 
 
 def test_a_body_of_any_size_slides_along_a_wall(tmp_path: Path) -> None:
@@ -126,11 +116,11 @@ def test_a_body_of_any_size_slides_along_a_wall(tmp_path: Path) -> None:
     pair = stage(level, characters=file)
     pair.put(x=-544.0, y=48.0)
     pair.play(RIGHT, RIGHT, UP)
-    assert pair.told("x") + pair.told("y") == pytest.approx([-512 + 2 - 5.1 / 2, 48 - 40], abs=1e-3)
+    assert pair.player("x") + pair.player("y") == pytest.approx([-512 + 2 - 5.1 / 2, 48 - 40], abs=1e-3)
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("[monsters.bamboo]\nbody_at = [12, 0]", "the position must lie inside"),
         ('[players.base]\nweapon = "swrod"', "unknown weapon 'swrod' (did you mean sword?)"),
@@ -138,9 +128,9 @@ def test_a_body_of_any_size_slides_along_a_wall(tmp_path: Path) -> None:
         ("[monsters.bamboo]\nknock_back = 9", "knock_back and knock_back_time go"),
     ],
 )
-def test_a_mistake_is_one_line_with_file_table_key_and_value(tmp_path: Path, text: str, told: str) -> None:
+def test_a_mistake_is_one_line_with_file_table_key_and_value(tmp_path: Path, text: str, message: str) -> None:
     file = characters_file(tmp_path, text)
     with pytest.raises(UserError) as caught:
-        Worlds(1, make_env_config({"characters": file}))
-    message = str(caught.value)
-    assert message.startswith(file) and told in message and "\n" not in message
+        make_worlds(characters=file)
+    assert str(caught.value).startswith(file) and message in str(caught.value)
+    assert "\n" not in str(caught.value)

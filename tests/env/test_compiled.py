@@ -28,8 +28,8 @@ layers = (  # one unit, tanh(1), then logits
 )
 filled = rollout.empty_rollout(1, 1, features)
 draws = np.full(1, 0.5, np.float32)
-chosen = np.zeros((1, 1), np.int64)
-rollout._choose(worlds.handle, network(layers, "tanh"), draws, filled, 0, chosen)
+selected = np.zeros((1, 1), np.int64)
+rollout._choose(worlds.handle, network(layers, "tanh"), draws, filled, 0, selected)
 print(filled.actions[0, 0], *rollout._choose.stats.cache_hits.values())
 """
 
@@ -41,7 +41,7 @@ def copy(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def said(code: str, copy: Path) -> str:
+def output_of(code: str, copy: Path) -> str:
     """Return what code prints that imports the copy; it keeps its programs beside it."""
     env = {**os.environ, "NUMBA_CACHE_DIR": str(copy / "numba")}
     command = [sys.executable, "-c", code]
@@ -62,30 +62,30 @@ def test_a_change_is_compiled_and_programs_kept_from_before_stop_nobody(copy: Pa
 
     An index of old programs names the class `Rollout`, and numba reads it before it sees that it is old.
     """
-    assert said(CHOOSE, copy) == "0"
-    assert said(CHOOSE, copy) == "0 1"  # from the cache
+    assert output_of(CHOOSE, copy) == "0"
+    assert output_of(CHOOSE, copy) == "0 1"  # from the cache
     change(copy / "pneuma/engines/mlp.py", "= tanh(x[j])", "= -tanh(x[j])")
-    assert said(CHOOSE, copy) == "1"
+    assert output_of(CHOOSE, copy) == "1"
     change(copy / "pneuma/engines/batched/rollout.py", "Rollout", "Rolling")  # as long: no line moves
-    assert said(CHOOSE, copy) == "1"
+    assert output_of(CHOOSE, copy) == "1"
 
 
 @pytest.mark.slow
 def test_a_change_of_any_file_with_kernels_is_a_change_of_the_handle(copy: Path) -> None:
     """Also of how the state is laid out, which is told in state.py alone."""
-    names = [said(HANDLE, copy)]
+    names = [output_of(HANDLE, copy)]
     for source in KERNEL_SOURCES:
         with (copy / "pneuma" / source).open("a", encoding="utf-8") as file:
             file.write("# changed\n")
-        names.append(said(HANDLE, copy))
+        names.append(output_of(HANDLE, copy))
     assert len(set(names)) == len(KERNEL_SOURCES) + 1
 
 
 def test_every_file_with_kernels_is_listed() -> None:
-    makes_kernels = {"env/layouts.py", "env/state.py"}  # whose constants they hold
+    files_with_kernels = {"env/layouts.py", "env/state.py"}  # whose constants they hold
     for path in PACKAGE.rglob("*.py"):
         lines = path.read_text(encoding="utf-8").splitlines()
         imports = [line for line in lines if re.match(r" *from (numba|pneuma\.env\.compiling) import", line)]
         if re.search(r"\b(njit|cached|entry|kernel|inlined)\b", " ".join(imports)):
-            makes_kernels.add(path.relative_to(PACKAGE).as_posix())
-    assert makes_kernels == set(KERNEL_SOURCES)
+            files_with_kernels.add(path.relative_to(PACKAGE).as_posix())
+    assert files_with_kernels == set(KERNEL_SOURCES)

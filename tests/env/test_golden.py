@@ -30,15 +30,15 @@ def held_actions(world: int, steps: int) -> list[int]:
     turn = world
     while len(actions) < steps:
         turn = (turn * 1103515245 + 12345) % 2**31
-        way, length = (turn >> 16) % 4, (turn >> 20) % 6
-        actions += [way] * length + [ATTACK] * (3 * ((turn >> 24) % 3))
+        direction, length = (turn >> 16) % 4, (turn >> 20) % 6
+        actions += [direction] * length + [ATTACK] * (3 * ((turn >> 24) % 3))
     return actions[:steps]
 
 
 def trace(worlds: Worlds, actions: np.ndarray, masks: bool) -> tuple[str, dict[str, float]]:
-    """Return the SHA-256 of observations and rewards, and masks, of some steps, and what happened in them."""
+    """Return the SHA-256 of observations and rewards, and masks, of some steps, and what counts in them."""
     digest = hashlib.sha256()
-    happened = dict.fromkeys((*HAPPENINGS, "endings"), 0.0)
+    counts = dict.fromkeys((*HAPPENINGS, "endings"), 0.0)
     for row in actions:
         digest.update(worlds.observations.astype("<f4").tobytes())
         if masks:
@@ -46,12 +46,12 @@ def trace(worlds: Worlds, actions: np.ndarray, masks: bool) -> tuple[str, dict[s
         ended = worlds.step(np.ascontiguousarray(row))
         digest.update(worlds.events["reward"].astype("<f8").tobytes())
         for name in HAPPENINGS:
-            happened[name] += float(worlds.events[name].sum())
-        happened["endings"] += ended
+            counts[name] += float(worlds.events[name].sum())
+        counts["endings"] += ended
         if ended:
             worlds.reset(worlds.worlds["ending"] != 0)
     digest.update(worlds.observations.astype("<f4").tobytes())
-    return digest.hexdigest(), happened
+    return digest.hexdigest(), counts
 
 
 def trace_text(_: Path) -> tuple[str, dict[str, float]]:
@@ -71,8 +71,8 @@ def trace_everything(folder: Path) -> tuple[str, dict[str, float]]:
         episode_steps=120,
     )  # fmt: skip
     actions = np.array([held_actions(slot, 300) for slot in range(12)]).T  # (steps, slots)
-    for place, spell in ((5, FLAME), (11, HEAL)):
-        actions[place::13][actions[place::13] == ATTACK] = spell
+    for offset, spell in ((5, FLAME), (11, HEAL)):
+        actions[offset::13][actions[offset::13] == ATTACK] = spell
     return trace(worlds, actions.reshape(300, 4, 3), masks=True)
 
 
@@ -84,7 +84,7 @@ def test_the_rules_are_those_of_their_version(name: str, tmp_path: Path) -> None
     pneuma/config.py and record the new hash under it; never replace the hash of an old version. Runs
     are stored under the version: without raising it, old results would be taken for new ones.
     """
-    digest, happened = {"text": trace_text, "everything": trace_everything}[name](tmp_path)
+    digest, counts = {"text": trace_text, "everything": trace_everything}[name](tmp_path)
     expected = (*HAPPENINGS, "endings") if name == "everything" else ("kills", "hits", "hp_lost", "endings")
-    assert min(happened[what] for what in expected) > 0, happened  # the trace passes through what it guards
+    assert min(counts[name] for name in expected) > 0, counts  # the trace passes through what it guards
     assert GOLDEN[RULES_VERSION][name] == digest

@@ -1,9 +1,10 @@
-"""The four interfaces: they tell the same story, are copied alike, and do as Gymnasium's own and SB3's do."""
+"""The four interfaces: they play the same episodes, copy alike, and do as Gymnasium's own and SB3's do."""
 
 from __future__ import annotations
 
 import copy
 import pickle
+import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -11,10 +12,13 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
+from gymnasium.utils.env_checker import check_env as gymnasiums_check
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
+from stable_baselines3.common.env_checker import check_env as sb3s_check
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
+from pneuma.env.fields import ENVIRONMENTS
 from pneuma.env.gym import PneumaEnv
 from pneuma.env.gym_vector import PneumaVectorEnv
 from pneuma.env.pettingzoo import PneumaParallelEnv
@@ -29,7 +33,7 @@ INTERFACES: dict[str, Callable[..., Any]] = {
     "learner": lambda **settings: PneumaVecEnv(3, seed=5, **settings),
     "parallel": lambda **settings: PneumaParallelEnv(**{"players": 3, **settings}),
 }
-each_interface = pytest.mark.parametrize("kind", INTERFACES)
+each_interface = pytest.mark.parametrize("interface", INTERFACES)
 
 
 def reset(env: Any, options: dict[str, Any] | None = None) -> Any:
@@ -50,46 +54,50 @@ def step(env: Any, actions: np.ndarray) -> tuple[Any, ...]:
 
 # --- All of them ---------------------------------------------------------------------------------
 
-Story = Iterator[dict[int, tuple[Any, ...]]]
-"""What each step told every slot that was playing: what it saw last, reward, termination, truncation."""
+Steps = Iterator[dict[int, tuple[Any, ...]]]
+"""Of each step and each slot that was playing: its last observation, reward, termination, truncation."""
 
 
-def slots_story(env: Any, players: int, moves: np.ndarray) -> Story:
-    """Yield what each step told the slots; moves (steps, slots)."""
+def play_slots(env: Any, players: int, moves: np.ndarray) -> Steps:
+    """Yield what each step returns to the slots; moves (steps, slots)."""
     reset(env)
     playing = np.ones(env.num_envs, bool)
-    for chosen in moves:
-        seen, rewards, *rest = env.step(chosen)
+    for actions in moves:
         if isinstance(env, PneumaVecEnv):
-            dones, infos = rest
-            last = {slot: infos[slot]["terminal_observation"] for slot in np.flatnonzero(dones).tolist()}
-            cut = np.array([bool(info.get("TimeLimit.truncated")) for info in infos])
-            ended = dones & ~cut
+            observations, rewards, dones, infos = env.step(actions)
+            truncated = np.array([bool(info.get("TimeLimit.truncated")) for info in infos])
+            terminated = dones & ~truncated
+            finals = [info.get("terminal_observation") for info in infos]
         else:
-            ended, cut, infos = rest
-            last = {slot: infos["final_obs"][slot] for slot in np.flatnonzero(ended | cut).tolist()}
-        assert all(each.base is None for each in last.values()), "who keeps one keeps all slots'"
-        slots = np.flatnonzero(playing).tolist()
-        yield {slot: (last.get(slot, seen[slot]), rewards[slot], ended[slot], cut[slot]) for slot in slots}
-        playing &= ~(ended | cut)
+            observations, rewards, terminated, truncated, infos = env.step(actions)
+            finals = infos.get("final_obs", [None] * env.num_envs)
+        ended = terminated | truncated
+        result = {}
+        for slot in np.flatnonzero(playing).tolist():
+            last = finals[slot] if ended[slot] else observations[slot]
+            assert not ended[slot] or last.base is None, "who keeps one keeps all slots'"
+            result[slot] = (last, rewards[slot], terminated[slot], truncated[slot])
+        yield result
+        playing &= ~ended
         worlds = playing.reshape(-1, players)
         worlds[~worlds.any(axis=1)] = True
 
 
-def parallel_story(settings: dict[str, Any], moves: np.ndarray) -> Story:
+def play_parallel(settings: dict[str, Any], moves: np.ndarray) -> Steps:
     """Yield the same of PettingZoo's worlds, one beside the other."""
     envs = [PneumaParallelEnv(**settings) for _ in range(3)]
     for world, env in enumerate(envs):
         env.reset(seed=5 + world)
-    for chosen in moves:
-        told = {}
-        for world, (env, actions) in enumerate(zip(envs, chosen.reshape(3, -1), strict=True)):
-            answer = step(env, actions)
-            for name in answer[0]:
-                told[world * actions.size + int(name[-1])] = tuple(part[name] for part in answer[:4])
+    for actions in moves:
+        result = {}
+        for world, (env, world_actions) in enumerate(zip(envs, actions.reshape(3, -1), strict=True)):
+            returned = step(env, world_actions)
+            for agent in returned[0]:
+                slot = world * world_actions.size + int(agent[-1])
+                result[slot] = tuple(values[agent] for values in returned[:4])
             if not env.agents:
                 env.reset()
-        yield told
+        yield result
 
 
 @pytest.mark.parametrize(
@@ -100,28 +108,28 @@ def parallel_story(settings: dict[str, Any], moves: np.ndarray) -> Story:
     ],
     ids=str,
 )
-def test_the_interfaces_tell_the_same_story(settings: dict[str, Any]) -> None:
-    """Three worlds, in episodes of 20 steps: what players see, what they are paid, and how it ends."""
-    settings = {"players": 1, "episode_steps": 20, **settings}
+def test_the_interfaces_play_the_same_episodes(settings: dict[str, Any]) -> None:
+    """Three worlds, in episodes of 20 steps: what players observe, what they are paid, and how it ends."""
+    settings = {"episode_steps": 20, **settings}
     players = settings["players"]
     moves = np.random.default_rng(0).integers(5, size=(150, 3 * players))
     vector = PneumaVectorEnv(3 * players, autoreset_mode=AutoresetMode.SAME_STEP, **settings)
     learner = PneumaVecEnv(3 * players, seed=5, **settings)
-    expected = parallel_story(settings, moves)
-    told_slots = (slots_story(env, players, moves) for env in (vector, learner))
-    for right, *others in zip(expected, *told_slots, strict=True):
-        for told in others:
-            assert right.keys() == told.keys()
-            for slot, (seen, reward, *ends) in right.items():
-                assert np.array_equal(seen, told[slot][0]) and np.float32(reward) == np.float32(told[slot][1])
-                assert ends == [*told[slot][2:]]
+    slots = [play_slots(env, players, moves) for env in (vector, learner)]
+    for expected, *results in zip(play_parallel(settings, moves), *slots, strict=True):
+        for result in results:
+            assert expected.keys() == result.keys()
+            for slot, (observation, reward, *ends) in expected.items():
+                assert np.array_equal(observation, result[slot][0])
+                assert np.float32(reward) == np.float32(result[slot][1])
+                assert ends == list(result[slot][2:])
 
 
 @each_interface
-def test_what_cannot_be_done_is_refused(kind: str) -> None:
-    env = INTERFACES[kind]()
+def test_what_cannot_be_done_is_refused(interface: str) -> None:
+    env = INTERFACES[interface]()
     with pytest.raises(ResetNeeded):
-        env.step({}) if kind == "parallel" else step(env, np.zeros(3, np.int64))
+        env.step({}) if interface == "parallel" else step(env, np.zeros(3, np.int64))
     with pytest.raises(ValueError, match="start 9"):
         reset(env, options={"start": 9})
     with pytest.raises(UserError, match="unknown option of reset 'starts' .did you mean start"):
@@ -133,26 +141,26 @@ def test_what_cannot_be_done_is_refused(kind: str) -> None:
 
 
 def play_on(env: Any, seed: int, steps: int) -> list[bytes]:
-    """Play drawn actions through all endings and return everything that is told."""
-    told = []
-    for chosen in np.random.default_rng(seed).choice([0, 1, 2, 3, ATTACK, ATTACK], size=(steps, 3)):
+    """Play drawn actions through all endings and return everything that is returned."""
+    returned = []
+    for actions in np.random.default_rng(seed).choice([0, 1, 2, 3, ATTACK, ATTACK], size=(steps, 3)):
         if isinstance(env, PneumaParallelEnv) and not env.agents:
-            told.append(repr(env.reset()).encode())
-        answer = step(env, chosen)
-        told.append(pickle.dumps([np.asarray(part).tolist() for part in answer[:4]]))
-        if isinstance(env, PneumaEnv) and (answer[2] or answer[3]):
-            told.append(env.reset()[0].tobytes())
-    return told
+            returned.append(repr(env.reset()).encode())
+        values = step(env, actions)
+        returned.append(pickle.dumps([np.asarray(value).tolist() for value in values[:4]]))
+        if isinstance(env, PneumaEnv) and (values[2] or values[3]):
+            returned.append(env.reset()[0].tobytes())
+    return returned
 
 
-@pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 @each_interface
-def test_copied_environments_go_on_alike_and_apart(pit: str, kind: str, how: Callable[[Any], Any]) -> None:
-    env = INTERFACES[kind](level=pit, episode_steps=30)
+def test_copies_go_on_alike_and_apart(pit: str, interface: str, copied: Callable[[Any], Any]) -> None:
+    env = INTERFACES[interface](level=pit, episode_steps=30)
     reset(env)
     play_on(env, 0, 25)
-    copied = how(env)
-    assert play_on(copied, 1, 80) == play_on(env, 1, 80)
+    twin = copied(env)
+    assert play_on(twin, 1, 80) == play_on(env, 1, 80)
 
 
 # --- Gymnasium's -----------------------------------------------------------------------------------
@@ -192,10 +200,10 @@ def test_every_autoreset_mode_does_what_gymnasiums_vector_does(pit: str, mode: A
     ends = np.zeros(2)
     for _ in range(300):
         actions = pit_actions(generator)
-        told = theirs.step(actions)
-        assert_same(ours.step(actions), told)
-        over = told[2] | told[3]
-        ends += told[2].sum(), told[3].sum()
+        expected = theirs.step(actions)
+        assert_same(ours.step(actions), expected)
+        over = expected[2] | expected[3]
+        ends += expected[2].sum(), expected[3].sum()
         if mode == AutoresetMode.DISABLED and over.any():
             by_hand, infos = ours.reset(options={"reset_mask": over.copy()})
             assert infos["_action_mask"].all()  # Gymnasium's vector has those of the worlds reset only
@@ -207,8 +215,8 @@ def test_every_autoreset_mode_does_what_gymnasiums_vector_does(pit: str, mode: A
 def test_seeds_may_be_listed_and_a_mask_leaves_the_other_worlds_streams_alone() -> None:
     env = PneumaVectorEnv(3, autoreset_mode=AutoresetMode.DISABLED)
     observations, _ = env.reset(seed=[7, 2, 7])
-    for i, seed in enumerate([7, 2, 7]):
-        assert np.array_equal(observations[i], PneumaEnv().reset(seed=seed)[0])
+    for index, seed in enumerate([7, 2, 7]):
+        assert np.array_equal(observations[index], PneumaEnv().reset(seed=seed)[0])
     before = env.state.worlds.copy()
     env.reset(seed=50, options={"reset_mask": np.array([True, False, False])})
     assert env.state.worlds["key"][0] != before["key"][0]
@@ -224,27 +232,28 @@ def test_xp_outlives_an_unseeded_reset_and_not_a_seeded_one() -> None:
     assert (env.reset()[0][3], env.reset(seed=0)[0][3]) == (-7.0, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("name", "steps", "terminated"),
-    [(THESIS, 7, False), (THESIS, 1200, False), (GODOT, 7, True)],
-)
-def test_a_limit_is_the_worlds_own(name: str, steps: int, terminated: bool, arena: str) -> None:
+@pytest.mark.parametrize(("name", "steps"), [(THESIS, 7), (THESIS, 1200), (GODOT, 7)])
+def test_a_limit_is_the_worlds_own(name: str, steps: int, arena: str) -> None:
+    """Also where the environment is made again by its `spec`, in Gymnasium's limit of as many steps."""
     settings: dict[str, Any] = {"level": arena, "episode_steps": steps}
-    env = wrapped = gymnasium.make(name, **settings)
+    by_id = gymnasium.make(name, **settings)
+    assert by_id.spec is not None
+    by_spec = gymnasium.make(by_id.spec)
+    assert isinstance(by_spec, TimeLimit) and not isinstance(by_id, TimeLimit)
     vector: Any = gymnasium.make_vec(name, 2, **settings)
     learner = PneumaVecEnv(2, env_id=name, **settings)
-    for spec in (env.spec, vector.spec, gymnasium.make_vec(vector.spec).spec, *learner.get_attr("spec")):
+    specs = [by_id.spec, by_spec.spec, vector.spec, gymnasium.make_vec(vector.spec).spec]
+    for spec in (*specs, *learner.get_attr("spec")):
         assert (spec.id, spec.max_episode_steps) == (name, steps)
-    while isinstance(wrapped, gymnasium.Wrapper):
-        assert not isinstance(wrapped, TimeLimit)
-        wrapped = wrapped.env
-    env.reset(seed=0)
-    for number in range(1, steps + 1):
-        *_, ended, cut, info = env.step(ATTACK)
-        assert (ended, cut) == (number == steps and terminated, number == steps and not terminated)
-    assert (info["ending"], info["xp"]) == ("time-limit", -1.0 if name == GODOT else 0.0)
-    with pytest.raises(ResetNeeded):
-        env.step(ATTACK)
+    for env in (by_id, by_spec):
+        env.reset(seed=0)
+        for number in range(1, steps + 1):
+            *_, terminated, truncated, info = env.step(ATTACK)
+            is_last = number == steps
+            assert (terminated, truncated) == (is_last and name == GODOT, is_last and name == THESIS)
+        assert (info["ending"], info["xp"]) == ("time-limit", -1.0 if name == GODOT else 0.0)
+        with pytest.raises(ResetNeeded):
+            env.step(ATTACK)
 
 
 # --- Several players -------------------------------------------------------------------------------
@@ -261,10 +270,10 @@ def test_a_slot_whose_player_dies_ends_at_once_and_idles_till_its_world_ends(mod
     observations, rewards, terminated, truncated, infos = env.step(stand)
     assert terminated.tolist() == [False, True, False, False] and not truncated.any()
     assert rewards.tolist() == [-1, 0, -1, -1]
-    same = mode == AutoresetMode.SAME_STEP
-    assert infos["_final_obs" if same else "_ending"].tolist() == terminated.tolist()
-    assert (infos["final_info"] if same else infos)["ending"][1] == "killed"
-    last = infos["final_obs"][1] if same else observations[1]
+    last, final_infos, flags = observations[1], infos, infos.get("_ending")
+    if mode == AutoresetMode.SAME_STEP:
+        last, final_infos, flags = infos["final_obs"][1], infos["final_info"], infos["_final_obs"]
+    assert flags.tolist() == terminated.tolist() and final_infos["ending"][1] == "killed"
     assert last[2] == 0.0 and last[4] > 0.0  # without HP; it still sees
     for _ in range(4):  # steps 2 to 5
         observations, rewards, terminated, truncated, infos = env.step(stand)
@@ -295,7 +304,7 @@ def test_each_has_a_class_a_reward_and_a_view_of_its_own() -> None:
         env.step({"player_0": np.int64(ATTACK)})
 
 
-# --- Stable-Baselines3's ---------------------------------------------------------------------------
+# --- Stable-Baselines3's, and the checkers of all three libraries ----------------------------------
 
 
 def test_it_steps_and_notes_episodes_as_a_monitored_dummy_vec_env_of_single_environments(pit: str) -> None:
@@ -309,16 +318,32 @@ def test_it_steps_and_notes_episodes_as_a_monitored_dummy_vec_env_of_single_envi
     episodes: list[tuple[float, ...]] = []
     for number in range(1, 301):
         actions = pit_actions(generator)
-        *told, infos = ours.step(actions)
+        *values, infos = ours.step(actions)
         *expected, their_infos = theirs.step(actions)
-        assert_same(tuple(told), tuple(expected))
-        for slot in np.flatnonzero(np.asarray(told[2])).tolist():
-            episode = their_infos[slot].pop("episode")
-            episodes.append((slot, N * number, episode["l"], episode["r"]))
-            del infos[slot]["episode"], their_infos[slot]["action_mask"]
-            assert_same(infos[slot], their_infos[slot])
-        assert not any(info for info, done in zip(infos, told[2], strict=True) if not done)
-    noted = [(e["slot"], e["step"], e["length"], e["return"]) for e in env.finished]
+        assert_same(tuple(values), tuple(expected))
+        for slot, is_done in enumerate(np.asarray(expected[2]).tolist()):
+            if is_done:
+                episode = their_infos[slot].pop("episode")
+                episodes.append((slot, N * number, episode["l"], episode["r"]))
+                del infos[slot]["episode"], their_infos[slot]["action_mask"]
+                assert_same(infos[slot], their_infos[slot])
+            else:
+                assert not infos[slot]
+    noted = [(row["slot"], row["step"], row["length"], row["return"]) for row in env.finished]
     assert np.allclose(noted, episodes, atol=1e-3)  # VecMonitor adds in float32
-    limits = sum(e["ending"] == "time-limit" for e in env.finished)
+    limits = sum(row["ending"] == "time-limit" for row in env.finished)
     assert 10 < limits < len(noted) - 10
+
+
+@pytest.mark.parametrize("env_id", ENVIRONMENTS)
+def test_the_checkers_of_three_libraries_find_nothing(env_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    env: Any = gymnasium.make(env_id, disable_env_checker=True).unwrapped
+    sb3s_check(env)
+    gymnasiums_check(env)  # in every render mode
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # PettingZoo's tests import deprecated games
+        from pettingzoo.test import parallel_api_test, parallel_seed_test
+    for settings in ({}, {"magic": True, "shared_reward": True}):
+        parallel_api_test(PneumaParallelEnv(env_id, players=3, **settings), num_cycles=100)
+    parallel_seed_test(lambda: PneumaParallelEnv(env_id, players=3), num_cycles=100)

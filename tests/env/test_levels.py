@@ -1,26 +1,32 @@
-"""Levels: the shipped one, folders of tables, and what is said of bad ones."""
+"""Levels: the shipped one, folders of tables, random ones, and what is refused."""
 
 from __future__ import annotations
 
+import hashlib
+import itertools
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.ndimage import label
 
 from pneuma.env import rules
-from pneuma.env.fields import make_env_config
+from pneuma.env.fields import SCALES, make_env_config
 from pneuma.env.level import Level
-from pneuma.env.load_level import load_level
+from pneuma.env.load_level import load_level, load_levels
+from pneuma.env.random_level import random_level
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import EMPTY, Place, begin
+from .arena import EMPTY, begin
+from .oracle import Pair as Place
+from .oracle_cases import Tile
 
 CODES = {390: "bamboo", 391: "spirit"}
 SOLID, COAST = rules.SOLID, rules.COAST
-Tile = tuple[int, int]
 
 # Places by facts.md, section 1.
 STARTS = [(204, -105), (389, 348), (-239, -798), (-517, 897), (-918, -35), (-47, 201)]
@@ -30,17 +36,13 @@ MONSTERS = [
 ]  # fmt: skip
 
 
-def load(path: Path) -> Level:
-    return load_level(str(path), CODES)
-
-
 def layer(tiles: np.ndarray) -> str:
     """Return a layer as the text of a CSV file."""
-    return "".join(",".join(str(code) for code in row) + "\n" for row in tiles)
+    return "".join(",".join(map(str, row)) + "\n" for row in tiles)
 
 
-def complaint(**settings: Any) -> str:
-    """Return what is said of a world that cannot be made."""
+def refusal(**settings: Any) -> str:
+    """Return the message about a world that cannot be made."""
     with pytest.raises(UserError) as caught:
         Worlds(1, make_env_config(settings))
     assert "\n" not in str(caught.value)
@@ -66,31 +68,24 @@ ISLE = {
 
 def write_folder(folder: Path, **files: str) -> Path:
     """Write the isle with other files; `level` stands for level.toml, the others for tables."""
-    folder.mkdir(exist_ok=True)
-    named = {f"{name}.{'toml' if name == 'level' else 'csv'}": text for name, text in files.items()}
-    for name, text in {**ISLE, **named}.items():
-        (folder / name).write_text(text)
+    for name, text in files.items():
+        (folder / f"{name}.{'toml' if name == 'level' else 'csv'}").write_text(text)
+    for name, text in ISLE.items():
+        if name.removesuffix(".csv") not in files:
+            (folder / name).write_text(text)
     return folder
-
-
-def test_a_folder_needs_no_header(tmp_path: Path) -> None:
-    level = load(write_folder(tmp_path / "Isle"))
-    assert (level.tile, level.left, level.top) == (64.0, -128.0, -96.0)
-    assert level.starts.tolist() == [[-96.0, -64.0]] and level.monsters == (("bamboo", 96.0, 64.0),)
-    assert np.array_equal(level.ground, GROUND)
-    assert np.array_equal(level.terrain == COAST, GROUND == 0)
 
 
 def test_a_header_says_where_the_land_ends_and_any_obstacle_blocks(tmp_path: Path) -> None:
     header = 'title = "Other"\ncoast = [0, 2]\norigin = [1, 0.5]\ntile = 80\n'
     obstacles, ground = "-1,-1,-1,-1\n-1,-1,-1,-1\n7,-1,-1,0\n", "1,1,1,1\n1,1,1,1\n0,2,1,1\n"
-    level = load(write_folder(tmp_path, level=header, obstacles=obstacles, ground=ground))
+    level = load_level(str(write_folder(tmp_path, level=header, obstacles=obstacles, ground=ground)), CODES)
     assert (level.title, level.left, level.top) == ("Other", -80.0, -40.0)
     assert level.terrain[2].tolist() == [COAST, COAST, rules.OPEN, SOLID]
 
 
 @pytest.mark.parametrize(
-    ("files", "told"),
+    ("files", "message"),
     [
         ({"ground": "1,1,1,1\n1,x,1,1\n"}, "ground.csv: row 2: column 2: Input should be a valid integer"),
         ({"ground": "1,1,1,1\n1,1,1\n"}, "ground.csv: row 2 has 3 tiles, row 1 has 4"),
@@ -102,23 +97,23 @@ def test_a_header_says_where_the_land_ends_and_any_obstacle_blocks(tmp_path: Pat
         ({"objects": "code,x,y\n390,0,0\n"}, "objects.csv: no start place"),
         ({"level": "coats = [0]\n"}, "level.toml, line 1: unknown key 'coats' (did you mean coast?)"),
     ],
-)  # fmt: skip
-def test_what_cannot_be_is_told_with_file_and_row(tmp_path: Path, files: dict[str, str], told: str) -> None:
+)
+def test_refusals_name_file_and_row(tmp_path: Path, files: dict[str, str], message: str) -> None:
     folder = write_folder(tmp_path, **files)
-    assert complaint(level=str(folder)).startswith(f"{folder}{'' if told.startswith(':') else '/'}{told}")
+    assert refusal(level=str(folder)).replace(f"{folder}/", "").removeprefix(str(folder)).startswith(message)
 
 
-@pytest.mark.parametrize("turned", [2**31, 2**30, 2**29, 2**28, -(2**31), -(2**30), 2**29 - 2**31])
+@pytest.mark.parametrize("turned", [0, 2**31, 2**30, 2**29, 2**28, -(2**31), -(2**30), 2**29 - 2**31])
 def test_how_tiled_turns_a_picture_changes_no_code(tmp_path: Path, turned: int) -> None:
     """Water is code 0, a start place 400, 7 an obstacle; bits 28 to 31 are Tiled's, with or without sign."""
-    level = load(
-        write_folder(
-            tmp_path,
-            ground=layer(GROUND + turned),
-            obstacles=f"-1,-1,-1,{7 + turned}\n-1,-1,-1,-1\n-1,-1,-1,-1\n",
-            objects=f"code,x,y\n{400 + turned},-96,-64\n{390 + turned},96,64\n",
-        )
+    folder = write_folder(
+        tmp_path,
+        ground=layer(GROUND + turned),
+        obstacles=f"-1,-1,-1,{7 + turned}\n-1,-1,-1,-1\n-1,-1,-1,-1\n",
+        objects=f"code,x,y\n{400 + turned},-96,-64\n{390 + turned},96,64\n",
     )
+    level = load_level(str(folder), CODES)
+    assert (level.tile, level.left, level.top) == (64.0, -128.0, -96.0)
     assert np.array_equal(level.ground, GROUND)
     assert np.array_equal(level.terrain == COAST, GROUND == 0) and level.terrain[0, 3] == SOLID
     assert level.starts.tolist() == [[-96.0, -64.0]] and level.monsters == (("bamboo", 96.0, 64.0),)
@@ -126,56 +121,119 @@ def test_how_tiled_turns_a_picture_changes_no_code(tmp_path: Path, turned: int) 
 
 # --- Where bodies begin, and walk ----------------------------------------------------------------
 
-ORIGIN = (0.0, 0.0)
-
 
 @pytest.mark.parametrize(
-    ("starts", "monsters", "obstacles", "told", "allowed"),
+    ("starts", "monsters", "obstacles", "message", "allowed"),
     [
         # 8 px inside two obstacles, from x = 64 and from y = 64: no step would ever get it out.
         ([(300.0, 300.0), (48.5, 48.0)], [(-200.0, -200.0)], [(11, 10), (10, 11)],
-         "start place 1 at (48.5, 48) has a body of 47 x 48 px, stuck in row 11, column 12",
-         {"trees": "pass"}),
+         "start place 1 at (48.5, 48) has a body of 47 x 48 px, stuck in row 11", {"trees": "pass"}),
         ([(200.0, 200.0)], [(-380.0, 32.0)], [(3, 10)], "(bamboo) at (-380, 32) has a body of 24 x 50",
          {"terrain_stops": "players"}),
-        ([ORIGIN], [(200.0, 0.0), (33.0, 0.0)], [], "(bamboo) at (33, 0) begins inside start place 0",
-         {}),
-        ([ORIGIN], [(200.0, 0.0), (223.0, 49.0)], [], "(bamboo) at (200, 0) begins inside monster 1",
-         {}),
-        ([ORIGIN, (46.0, 47.0)], [(200.0, 0.0)], [], "start place 0 at (0, 0) begins inside start place 1",
+        ([(0.0, 0.0)], [(200.0, 0.0), (33.0, 0.0)], [], "at (33, 0) begins inside start place 0", {}),
+        ([(0.0, 0.0)], [(200.0, 0.0), (223.0, 49.0)], [], "at (200, 0) begins inside monster 1", {}),
+        ([(0.0, 0.0), (46.0, 47.0)], [(200.0, 0.0)], [], "place 0 at (0, 0) begins inside start place 1",
          {}),
     ],
 )  # fmt: skip
 def test_bodies_that_begin_in_what_stops_them_are_refused(
-    tmp_path: Path, starts: list[Place], monsters: list[Place], obstacles: list[Tile], told: str,
+    tmp_path: Path, starts: list[Place], monsters: list[Place], obstacles: list[Tile], message: str,
     allowed: dict[str, Any],
 ) -> None:  # fmt: skip
     """A pixel less and they touch: 34 px to the right of a player, 24 x 50 px for two bamboos, 47 x 48."""
 
-    def settings() -> dict[str, Any]:
-        bamboos = tuple(("bamboo", x, y) for x, y in monsters)
-        level = replace(EMPTY, starts=tuple(starts), monsters=bamboos, obstacles=tuple(obstacles))
-        return {"level": level.write(tmp_path), "players": len(starts)}
+    def settings(places: list[Place], homes: list[Place]) -> dict[str, Any]:
+        bamboos = tuple(("bamboo", x, y) for x, y in homes)
+        level = replace(EMPTY, starts=tuple(places), monsters=bamboos, obstacles=tuple(obstacles))
+        return {"level": level.write(tmp_path), "players": len(places), **allowed}
 
-    assert told in complaint(**settings())
-    if "begins inside" in told:
-        last = starts if len(starts) > 1 else monsters
-        last[-1] = (last[-1][0] + 1, last[-1][1])
-    begin(1, **settings(), **allowed)
+    refused = settings(starts, monsters)
+    for name in allowed:
+        del refused[name]
+    assert message in refusal(**refused)
+    if len(starts) > 1 and not allowed:
+        starts = [starts[0], (starts[1][0] + 1, starts[1][1])]
+    elif not allowed:
+        monsters = [monsters[0], (monsters[1][0] + 1, monsters[1][1])]
+    begin(1, **settings(starts, monsters))
+
+
+def test_a_body_beyond_the_grid_is_refused(tmp_path: Path) -> None:
+    for x in (629.0, -1e5):  # 12 px to either side of it
+        level = replace(EMPTY, monsters=(("bamboo", x, 0.0),)).write(tmp_path)
+        assert "(bamboo) at" in refusal(level=level, terrain_stops="players")
 
 
 @pytest.mark.parametrize(("tile", "door"), [(64, 1), (48, 1), (47, 2), (24, 2), (23, 3)])
 def test_a_door_must_let_a_body_of_48_px_through(tmp_path: Path, tile: int, door: int) -> None:
     """Two rooms of 6 x 12 tiles, a start and a monster, and a door so many tiles high between."""
-    walls = {(column, row) for column in (0, 7, 14) for row in range(14)}
-    walls |= {(column, row) for column in range(15) for row in (0, 13)}
-
-    def hall(gap: int) -> str:
+    walls = {*itertools.product((0, 7, 14), range(14)), *itertools.product(range(15), (0, 13))}
+    levels = []
+    for gap in (door, door - 1):
         closed = tuple(walls - {(7, 4 + row) for row in range(gap)})
         start, monster = (2.5 * tile, 4.5 * tile), ("bamboo", 12.5 * tile, 9.5 * tile)
         level = replace(EMPTY, columns=15, rows=14, tile=tile, origin=(0, 0), shore=0, obstacles=closed)
-        return replace(level, starts=(start,), monsters=(monster,)).write(tmp_path)
+        levels.append(replace(level, starts=(start,), monsters=(monster,)).write(tmp_path / str(gap)))
+    assert begin(1, level=levels[0]).level.monsters
+    message = refusal(level=levels[1])
+    assert "monster 0 (bamboo) at " in message
+    assert message.endswith("is walled in or off the land, for a body of 48 px")
 
-    assert begin(1, level=hall(door)).level.monsters
-    assert "monster 0 (bamboo) at " in (told := complaint(level=hall(door - 1)))
-    assert told.endswith("is walled in or off the land, for a body of 48 px")
+
+# --- Random levels: the same from the number alone, none out of reach; one drawn an episode -------
+
+
+def digest(level: Level) -> str:
+    parts = (level.ground, level.terrain, level.starts, np.array([place[1:] for place in level.monsters]))
+    return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
+
+
+def test_the_islands_are_those_that_stored_runs_were_trained_on() -> None:
+    """A change here changes what a stored run's level means: raise `RULES_VERSION` with it."""
+    for name, expected in {"train:17": "85aea74cd4139a19", "test:17": "03c2f3f8faed4a98"}.items():
+        (level,) = load_levels(make_env_config({"level": f"random:{name}"}), CODES)
+        assert (digest(level)[:16], level.name) == (expected, f"random:{name}")
+
+
+def test_mixed_monsters_stand_where_the_others_do() -> None:
+    mixed = random_level("test", 5, "mixed")
+    assert digest(mixed) == digest(random_level("test", 5))
+    names = Counter(name for name, _, _ in mixed.monsters)
+    assert names == {"bamboo": 8, "squid": 2, "raccoon": 2, "spirit": 2}
+    assert refusal(monsters="mixed").startswith("monsters = mixed")
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_every_monster_can_be_walked_to_from_every_start(split: str) -> None:
+    for number in range(30):
+        level = random_level(split, number)
+        regions, _ = label(level.terrain == rules.OPEN)
+        places = np.concatenate([level.starts, [place[1:] for place in level.monsters]])
+        columns, rows = (((places - (level.left, level.top)) // 64).astype(int)).T
+        (region,) = set(regions[rows, columns].tolist())
+        assert region > 0
+
+
+def test_an_episode_draws_its_level_and_then_its_start() -> None:
+    worlds = Worlds(1, make_env_config({"level": "random:train:5", "random_levels": 4}))
+    worlds.worlds["key"] = 0
+    drawn = []
+    for _ in range(2):
+        worlds.reset()
+        drawn.append((int(worlds.worlds["level"][0]), int(worlds.worlds["start"][0])))
+    # The published stream of key 0 begins 0xE220…, 0x6E78…, 0x06C4…, 0xF88B…: as shares of 2**64
+    # 0.883, 0.432, 0.026 and 0.971. Of 4 levels and 6 starts: 3.53, 2.59, 0.11, 5.83.
+    assert drawn == [(3, 2), (0, 5)]
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_a_place_is_observed_alike_whichever_levels_are_played_together(scale: str) -> None:
+    """So that what was learned on some islands holds on others."""
+    alone = Worlds(1, make_env_config({"level": "random:train:5", "scale": scale}))
+    names = ["middle_x", "middle_y", "scale_x", "scale_y", "xp_scale"]
+    for level, count in (("random:train:5", 20), ("random:test:3", 2)):
+        settings = {"level": level, "random_levels": count, "scale": scale}
+        together = Worlds(1, make_env_config(settings))
+        assert together.space == alone.space
+        assert [together.settings[name] for name in names] == [alone.settings[name] for name in names]
+        assert together.monster_stats["distance_scale"][0, 0] == alone.monster_stats["distance_scale"][0, 0]

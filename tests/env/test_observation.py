@@ -9,7 +9,8 @@ import pytest
 
 from pneuma.env.worlds import Worlds
 
-from .arena import GODOT, RIGHT, Place, begin, stage
+from .arena import GODOT, RIGHT, begin, stage
+from .oracle import Pair as Place
 
 WIDTHS = {"thesis": (4, 4), "pygame": (6, 5), "godot": (4, 5)}  # of the player's part and of a monster's
 
@@ -69,7 +70,7 @@ def test_some_monsters_alone_may_be_perceived(zoo: str, perceive: str, distances
         assert rows(worlds)[:, 0].tolist() == pytest.approx(distances)
 
 
-def test_rays_tell_what_they_meet_first_and_how_far_off_it_is(zoo: str) -> None:
+def test_rays_show_what_they_meet_first_and_how_far_off_it_is(zoo: str) -> None:
     # A bamboo 100 px to the right: its body begins 12 px before. A raccoon behind it is not seen. A dead
     # squid below is nothing; down there the coast begins at 576. A player at (-200, 200), down and left, has
     # a body from -225 to -178 and from 178 to 226, so the diagonal enters it at (-178, 178).
@@ -95,5 +96,5 @@ def test_rays_end_at_trees_and_at_the_sea(arena: str, scale: str, unit: float) -
     for trees, far in (("wall", 156), ("pass", 476)):
         pair = stage(arena, trees=trees, **rays)
         pair.put(x=100, y=30)
-        seen = pair.worlds.observations[0, 0, 4:].reshape(4, 4)  # one kind of monster
-        assert seen[:, 0] * unit == pytest.approx([far, 546, 676, 606], rel=1e-6)
+        numbers = pair.worlds.observations[0, 0, 4:].reshape(4, 4)  # one kind of monster
+        assert numbers[:, 0] * unit == pytest.approx([far, 546, 676, 606], rel=1e-6)

@@ -28,7 +28,7 @@ from pneuma.env.worlds import Worlds
 from .arena import ATTACK, FLAME, HEAL, RIGHT, UP, begin, stage
 
 MIDDLE = 160  # the art pixel of (0, 0)
-BODY = 12  # no picture of a body reaches further from its centre
+MARGIN, PITCH = 6, 13  # art pixels above the first strip, and from one to the next
 
 
 def bare(worlds: Worlds) -> np.ndarray:
@@ -36,12 +36,12 @@ def bare(worlds: Worlds) -> np.ndarray:
     return Renderer(worlds, panel=False).frame()[::3, ::3]
 
 
-def drawn_of_action(worlds: Worlds) -> np.ndarray:
+def action_pixels(worlds: Worlds) -> np.ndarray:
     """Return x and y, from the middle, of the pixels that show what the player does, shape (2, count)."""
-    shown, kind = bare(worlds), worlds.players["action_kind"].copy()
+    frame, action_kind = bare(worlds), worlds.players["action_kind"].copy()
     worlds.players["action_kind"] = 0
-    rows, columns = np.nonzero((bare(worlds) != shown).any(axis=-1))
-    worlds.players["action_kind"] = kind
+    rows, columns = np.nonzero((bare(worlds) != frame).any(axis=-1))
+    worlds.players["action_kind"] = action_kind
     return np.stack([columns, rows]) - MIDDLE
 
 
@@ -53,35 +53,32 @@ def test_ground_is_blue_exactly_where_the_coast_is() -> None:
 
 
 @pytest.mark.parametrize(
-    ("place", "corner"),
+    ("x", "y", "left", "top"),
     [
-        ((0.0, 0.0), (MIDDLE - 120, MIDDLE - 88)),  # half of a view of 240 x 176 art pixels
-        ((540.0, 540.0), (320 - 240, 320 - 176)),
-        ((-540.0, 40.0), (0, MIDDLE + 10 - 88)),
+        (0.0, 0.0, MIDDLE - 120, MIDDLE - 88),  # half of a view of 240 x 176 art pixels
+        (540.0, 540.0, 320 - 240, 320 - 176),
+        (-540.0, 40.0, 0, MIDDLE + 10 - 88),
     ],
-    ids=str,
 )
 def test_following_camera_is_the_map_around_the_player(
-    arena: str, place: tuple[float, float], corner: tuple[int, int]
+    arena: str, x: float, y: float, left: int, top: int
 ) -> None:
     """Law: every art pixel is the map's, four times as large; the window never leaves the map."""
     pair = stage(arena)
-    pair.put(x=place[0], y=place[1])
-    left, top = corner
+    pair.put(x=x, y=y)
     expected = bare(pair.worlds)[top : top + 176, left : left + 240].repeat(4, 0).repeat(4, 1)
     np.testing.assert_array_equal(Renderer(pair.worlds, "follow", panel=False).frame(), expected)
 
 
-@pytest.mark.parametrize("spell", [FLAME, HEAL])
-def test_a_spell_shows_while_it_is_cast_in_a_picture_of_its_state_alone(arena: str, spell: int) -> None:
+@pytest.mark.parametrize(("spell", "least", "most"), [(FLAME, 70, 86), (HEAL, 0, 12)])
+def test_a_spell_shows_while_it_is_cast(arena: str, spell: int, least: int, most: int) -> None:
     """It lasts 24 ticks, 3 steps. The flame's box reaches 320 px ahead; signs of healing stay near."""
     pair = stage(arena, magic=True)
-    reach = []
+    reaches = []
     for _ in range(3):
         pair.play(spell)
-        reach.append(drawn_of_action(pair.worlds)[0].max(initial=0))
-    assert reach[2] == 0
-    assert all(70 < far < 86 if spell == FLAME else 0 < far <= BODY for far in reach[:2])
+        reaches.append(action_pixels(pair.worlds)[0].max(initial=0))
+    assert reaches[2] == 0 and least < min(reaches[:2]) and max(reaches[:2]) <= most
 
 
 @pytest.mark.parametrize("facing", range(4))
@@ -89,16 +86,12 @@ def test_an_arc_covers_the_box_that_strikes(arena: str, facing: int) -> None:
     """All of it is brightened but the round corners."""
     worlds = stage(arena, facing=facing).worlds
     worlds.players["busy"], worlds.players["action_kind"] = 12, rules.BLADE
-    x, y = drawn_of_action(worlds) + 0.5
-    names = ("x", "y", "half_width", "half_height")
-    left, top, half_width, half_height = (worlds.player_stats["sword"][name][0, facing] / 4 for name in names)
-    inside = (abs(x - left) <= half_width + 1) & (abs(y - top) <= half_height + 1)
+    x, y = action_pixels(worlds) + 0.5
+    sword = worlds.player_stats["sword"]
+    half_width, half_height = sword["half_width"][0, facing] / 4, sword["half_height"][0, facing] / 4
+    inside = abs(x - sword["x"][0, facing] / 4) <= half_width + 1
+    inside &= abs(y - sword["y"][0, facing] / 4) <= half_height + 1
     assert inside.sum() > 0.85 * 4 * half_width * half_height
-
-
-# --- The strips above -----------------------------------------------------------------------------
-
-MARGIN, PITCH = 6, 13  # art pixels above the first strip, and from one to the next
 
 
 def test_a_badge_tells_the_three_worlds_apart(arena: str) -> None:
@@ -144,12 +137,9 @@ def test_an_episode_is_shown_in_two_frames_a_step_and_ends_as_it_does() -> None:
     for _ in range(60):
         played.step(hunter.act(played))
     assert frames == 1 + 2 * 60
-    for bodies in ("players", "monsters"):
-        assert np.array_equal(getattr(watched, bodies), getattr(played, bodies))
+    assert np.array_equal(watched.players, played.players)
+    assert np.array_equal(watched.monsters, played.monsters)
     assert watched.ending(0) == played.ending(0) == "time-limit"
-
-
-# --- Windows, which are Gymnasium's ----------------------------------------------------------------
 
 
 def recipe(first_line: str) -> str:
@@ -162,59 +152,49 @@ def recipe(first_line: str) -> str:
 
 @pytest.mark.filterwarnings("ignore:.*matplotlib is not installed")  # Gymnasium's, of a backend without Tk
 @pytest.mark.parametrize(
-    ("pressed", "action"),
-    [
-        (["d"], RIGHT),
-        (["up"], UP),
-        (["a", "space"], ATTACK),  # of two keys the later action counts
-    ],
+    ("keys", "action"),
+    [(["d"], RIGHT), (["up"], UP), (["a", "space"], ATTACK)],  # of two keys the later action counts
 )
 def test_the_recipe_opens_a_window_to_play_in(
-    pygame: ModuleType, monkeypatch: pytest.MonkeyPatch, pressed: list[str], action: int
+    pygame: ModuleType, monkeypatch: pytest.MonkeyPatch, keys: list[str], action: int
 ) -> None:
-    played: list[int] = []
+    actions: list[int] = []
     step = PneumaEnv.step
 
     def noting_step(env: PneumaEnv, action: np.int64) -> Any:
-        played.append(int(action))
-        if len(played) == 3:
+        actions.append(int(action))
+        if len(actions) == 3:
             pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE))
         return step(env, action)
 
     monkeypatch.setattr(PneumaEnv, "step", noting_step)
     pygame.init()
-    for key in pressed:
+    for key in keys:
         pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.key.key_code(key)))
     exec(recipe("from gymnasium.utils.play import play"), {})
-    assert played == [action] * 3
+    assert actions == [action] * 3
 
 
 def test_the_recipe_shows_an_agent_in_a_window(pygame: ModuleType) -> None:
     names: dict[str, Any] = {"gymnasium": gymnasium}
     exec(recipe("from gymnasium.wrappers import HumanRendering"), names)
     env = names["env"]
-    for _ in range(2):
-        on_screen = np.asarray(pygame.surfarray.array3d(pygame.display.get_surface())).swapaxes(0, 1)
-        assert np.array_equal(on_screen, Renderer(env.unwrapped.state, env_id=ENVIRONMENTS[2]).frame())
-        env.step(RIGHT)
+    on_screen = np.asarray(pygame.surfarray.array3d(pygame.display.get_surface())).swapaxes(0, 1)
+    assert np.array_equal(on_screen, Renderer(env.unwrapped.state, env_id=ENVIRONMENTS[2]).frame())
     env.close()
-
-
-# --- GIFs -----------------------------------------------------------------------------------------
 
 
 def test_gif_has_every_frame_pixel_by_pixel() -> None:
     """Of frames that repeat there is one, which stays longer: 1 s together."""
-    ground = np.zeros((64, 64, 3), np.uint8)
-    ground[..., 0] = np.arange(64)[:, None] // 8 * 20
-    shown = []
+    frames = np.zeros((30, 64, 64, 3), np.uint8)
+    frames[..., 0] = np.arange(64)[:, None] // 8 * 20
     for number in range(30):
-        frame = ground.copy()
         left = number // 2 * 3
-        frame[left : left + 8, left : left + 8] = 255  # a square that moves with every other frame
-        shown.append(frame)
-    with Image.open(BytesIO(watch.encode_gif(shown, 30))) as image:
-        frames = [(np.array(f.convert("RGB")), f.info["duration"]) for f in ImageSequence.Iterator(image)]
-    np.testing.assert_array_equal([frame for frame, _ in frames], shown[::2])
-    milliseconds = [duration for _, duration in frames]
+        frames[number, left : left + 8, left : left + 8] = 255  # a square that moves with every other frame
+    pictures, milliseconds = [], []
+    with Image.open(BytesIO(watch.encode_gif(frames, 30))) as image:
+        for picture in ImageSequence.Iterator(image):
+            pictures.append(np.array(picture.convert("RGB")))
+            milliseconds.append(picture.info["duration"])
+    np.testing.assert_array_equal(pictures, frames[::2])
     assert sum(milliseconds) == 1000 and set(milliseconds) == {60, 70}

@@ -15,7 +15,8 @@ from pneuma.env.fields import make_env_config
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-from .arena import ATTACK, Place, stage
+from .arena import ATTACK, stage
+from .oracle import Pair as Place
 from .oracle_arrays import Pair
 
 _NUMBERS = itertools.count()
@@ -51,7 +52,7 @@ def fight(arena: str, reward: str, *monsters: Place) -> Pair:
 def test_formulas_by_hand(arena: str, reward: str, monsters: list[Place], expected: float) -> None:
     pair = fight(arena, reward, *monsters)
     pair.play(ATTACK)
-    assert pair.told("reward") == [pytest.approx(expected, abs=1e-12)]
+    assert pair.player("reward") == [pytest.approx(expected, abs=1e-12)]
 
 
 def test_godot_sets_the_reward_to_the_xp_at_a_kill(arena: str) -> None:
@@ -60,7 +61,7 @@ def test_godot_sets_the_reward_to_the_xp_at_a_kill(arena: str) -> None:
     pair = fight(arena, "godot", (96.5, 0.0), (-73.5, 0.0))
     pair.put(monsters=True, knocked=[30, 30], knock_x=[-2.0, 2.0])
     pair.play(ATTACK)
-    assert [pair.told(name) for name in ("notices", "kills", "contacts", "reward")] == [[2], [1], [1], [5]]
+    assert [pair.player(name) for name in ("notices", "kills", "contacts", "reward")] == [[2], [1], [1], [5]]
 
 
 # --- Functions of one's own ----------------------------------------------------------------------
@@ -99,22 +100,22 @@ def test_it_is_computed_from_events_players_and_stats_and_may_be_shared(folder: 
 
 
 @pytest.mark.parametrize(
-    ("body", "line", "told"),
+    ("body", "line", "message"),
     [
         ("x = 1\nreturn events['kilss']", 6, "ValueError: no field of name kilss"),
         ("return np.ones(2)", 4, "returned shape (2,), where (2, 1) was asked for"),
         ("return np.full((2, 1), np.nan)", 4, "returned a number that is not finite"),
         ("return -events['distance']", 4, "events['distance'] is infinite where no monster lives"),
         *(
-            (f"{what} = 99", 5, "is read-only")
-            for what in ("players['hp'][:]", "events['kills']", "stats['hp']")
+            (f"{array} = 99", 5, "is read-only")
+            for array in ("players['hp'][:]", "events['kills']", "stats['hp']")
         ),
     ],
 )
-def test_a_mistake_is_told_at_once_with_file_and_line(folder: Path, body: str, line: int, told: str) -> None:
+def test_a_mistake_is_raised_with_file_and_line(folder: Path, body: str, line: int, message: str) -> None:
     name = write(folder, body)
     with pytest.raises(UserError) as caught:
         Worlds(2, make_env_config({"reward": name}))
     file = folder / f"{name.partition(':')[0]}.py"
     start = re.escape(f"reward '{name}': {file}, line {line}: ")
-    assert re.match(f"{start}.*{re.escape(told)}.*$", str(caught.value))
+    assert re.match(f"{start}.*{re.escape(message)}.*$", str(caught.value))

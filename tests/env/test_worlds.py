@@ -1,27 +1,25 @@
-"""Worlds: what they refuse; the hunter clears them, and the checkers of other libraries find nothing."""
+"""Worlds: what they refuse, hunters clear them, and the docstring has their arguments and bounds."""
 
 from __future__ import annotations
 
-import warnings
+import inspect
+import re
 from collections.abc import Callable
-from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env as gymnasiums_check
-from stable_baselines3.common.env_checker import check_env as sb3s_check
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.pettingzoo import parallel_env
+from pneuma.env.gym import PneumaEnv
 from pneuma.env.players import Hunter
 from pneuma.env.worlds import Worlds
+from pneuma.values import shown_value
 
-from .arena import ARENA, GODOT, THESIS, begin
+from .arena import ARENA, begin
 
 
 @pytest.mark.parametrize(
-    ("asked", "told"),
+    ("call", "message"),
     [
         (lambda worlds: worlds.step(np.full((2, 1), 5)), "are outside 2 of Discrete"),
         (lambda worlds: worlds.step(np.zeros(3, np.int64)), r"actions \[0 0 0\] are outside 2 of"),
@@ -29,17 +27,17 @@ from .arena import ARENA, GODOT, THESIS, begin
         (lambda worlds: worlds.reset(starts=np.array([0, 6])), "start 6 is none of the level's 6"),
     ],
 )
-def test_what_the_rules_could_not_take_is_refused(asked: Callable[[Worlds], object], told: str) -> None:
+def test_what_the_rules_could_not_take_is_refused(call: Callable[[Worlds], object], message: str) -> None:
     """They look nothing up twice: an index that is too large would read beyond an array."""
     worlds = begin(2)
     before = worlds.worlds.tobytes() + worlds.players.tobytes()
-    with pytest.raises(ValueError, match=told):
-        asked(worlds)
+    with pytest.raises(ValueError, match=message):
+        call(worlds)
     assert worlds.worlds.tobytes() + worlds.players.tobytes() == before
 
 
 @pytest.mark.parametrize("players", [1, 2])
-@pytest.mark.parametrize("env_id", [THESIS, GODOT, ARENA])
+@pytest.mark.parametrize("env_id", ENVIRONMENTS)
 def test_hunters_clear_the_level_from_every_start_and_survive(env_id: str, players: int) -> None:
     worlds = Worlds(6, make_env_config({"players": players, "end_on_clear": True, "start": "random"}, env_id))
     worlds.seed(range(6))
@@ -47,28 +45,32 @@ def test_hunters_clear_the_level_from_every_start_and_survive(env_id: str, playe
     hunter = Hunter(worlds)
     while (worlds.worlds["ending"] == 0).any():
         worlds.step(hunter.act(worlds))
-    assert [worlds.ending(i) for i in range(6)] == ["cleared"] * 6
+    assert [worlds.ending(index) for index in range(6)] == ["cleared"] * 6
     assert (worlds.players["hp"] > 0).all()
 
 
-# --- The checkers of Gymnasium, Stable-Baselines3 and PettingZoo ----------------------------------
+def docstring_part(start: str, end: str) -> str:
+    return str(inspect.getdoc(PneumaEnv)).partition(start)[2].partition(end)[0]
 
 
-@pytest.mark.parametrize("env_id", ENVIRONMENTS)
-def test_gymnasiums_and_stable_baselines3s_checkers(env_id: str) -> None:
-    env: Any = gymnasium.make(env_id, disable_env_checker=True).unwrapped
-    if env_id in ENVIRONMENTS:
-        sb3s_check(env)
-    gymnasiums_check(env)  # in every render mode
+def test_the_docstring_has_every_argument_with_its_defaults() -> None:
+    table = re.findall(r"^\| `(\w+)` \| (.*?) \|", docstring_part("## Arguments", "## Versions"), re.M)
+    configs = [vars(make_env_config({}, env_id)) for env_id in ENVIRONMENTS]
+    expected = []
+    for name in configs[0]:
+        defaults = [shown_value(config[name]).removesuffix(".0") for config in configs]
+        if len(set(defaults)) == 1:
+            defaults = defaults[:1]
+        expected.append((name, ", ".join(defaults)))
+    assert table == [*expected, ("render_mode", "none"), ("camera", "map")]
 
 
-TEAM = {"magic": True, "shared_reward": True}
-
-
-@pytest.mark.parametrize(("env_id", "chosen"), [(THESIS, TEAM), *((env_id, {}) for env_id in ENVIRONMENTS)])
-def test_pettingzoos_checker(env_id: str, chosen: dict[str, Any]) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # PettingZoo's tests import deprecated games
-        from pettingzoo.test import parallel_api_test, parallel_seed_test
-    parallel_api_test(parallel_env(env_id=env_id, players=3, **chosen), num_cycles=100)
-    parallel_seed_test(lambda: parallel_env(env_id=env_id, players=3, **chosen), num_cycles=100)
+def test_the_docstring_has_every_number_of_the_arena_with_its_bounds() -> None:
+    bounds = np.full((2, 64), np.nan)
+    table = docstring_part("## Observations\n", "Rows of the dead")
+    for numbers, low, high in re.findall(r"^\| (\d.*?) \| .* \| (\S+) \| (\S+) \|$", table, re.M):
+        for number in numbers.split(", "):
+            first, _, repeats = number.partition(" + ")
+            bounds[:, int(first) :: 4 if repeats else 64] = [[float(low)], [float(high)]]
+    space = begin(1, env_id=ARENA).space
+    np.testing.assert_allclose(bounds, [space.low, space.high], rtol=0.003)
