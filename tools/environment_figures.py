@@ -15,7 +15,7 @@ from pneuma.env.render import Renderer
 from pneuma.env.watch import smooth
 from pneuma.env.worlds import Worlds
 from pneuma.figures.origin import origin_text
-from pneuma.figures.style import COLOURS, GREY, house_style, save_figure
+from pneuma.figures.style import GREY, house_style, save_figure
 
 STATES = {"s₁\npost office": (0.0, 0.0), "s₂\nletters": (1.5, 1.1), "s₃\nhome": (3.0, 0.0)}
 MOVES = (
@@ -45,11 +45,11 @@ def draw_mailman(folder: Path) -> list[Path]:
             axes.add_patch(
                 FancyArrowPatch(
                     STATES[start], STATES[end], arrowstyle="-|>", mutation_scale=11, shrinkA=29, shrinkB=29,
-                    color=COLOURS[0] if best else GREY, linewidth=2.0 if best else 1.0, zorder=1,
+                    color="C0" if best else GREY, linewidth=2.0 if best else 1.0, zorder=1,
                 )
             )  # fmt: skip
             axes.text(*place, label, fontsize=7, ha="right" if label == "0" else "left")
-        axes.text(1.5, 0.4, "optimal policy", fontsize=7, ha="center", color=COLOURS[0])
+        axes.text(1.5, 0.4, "optimal policy", fontsize=7, ha="center", color="C0")
         return save_figure(figure, folder, "fig-2-1", ("png",), origin_text("the mailman's day"))
 
 

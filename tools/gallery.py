@@ -21,7 +21,7 @@ from pneuma.env.rules import RIGHT
 from pneuma.env.watch import encode_gif, episode_frames, smooth
 from pneuma.env.worlds import Worlds
 from pneuma.figures.origin import origin_text
-from pneuma.figures.style import COLOURS, house_style, save_figure
+from pneuma.figures.style import house_style, save_figure
 from pneuma.presets import WORLDS
 from pneuma.study.shipped import shipped_tables
 from tools.environment_figures import level_worlds
@@ -101,7 +101,7 @@ def _worlds() -> Figure:
     for panel, paid in zip(panels, rewards, strict=True):
         left = round(panel.get_position().x0 * page.get_figwidth() * DOTS)
         axes = _panel(page, left + 80, 100, 375, PLOT - 130)
-        axes.plot(range(1, HUNTED + 1), paid, color=COLOURS[0])
+        axes.plot(range(1, HUNTED + 1), paid, color="C0")
         axes.set(xlabel="step", ylabel="reward", xlim=(0, HUNTED))
     return page
 

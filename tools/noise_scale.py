@@ -29,7 +29,7 @@ from pneuma.study.plan import Query
 STUDY, STEPS, OUTCOME = "noise-scale", 294_912, "late-share-killed"
 MARKERS = {1: "o", 4: "s", 16: "D"}
 """By the number of parallel environments."""
-COLOURS = {1e-4: style.COLOURS[0], 3e-4: style.COLOURS[1], 1e-3: style.COLOURS[2]}
+COLOURS = {1e-4: "C0", 3e-4: "C1", 1e-3: "C2"}
 """By the learning rate."""
 FEW_UPDATES = 50
 

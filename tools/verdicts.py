@@ -28,7 +28,7 @@ from pneuma.analysis.claims.words import (
     worlds_of,
 )
 from pneuma.figures.origin import line_of_runs, origin_text
-from pneuma.figures.style import COLOURS, GREY, characters, house_style, save_figure
+from pneuma.figures.style import GREY, characters, house_style, save_figure
 from pneuma.presets import WORLDS
 
 STEM = "verdicts"
@@ -43,8 +43,8 @@ MOST_MARGINS = 8.0
 """Intervals are cut there."""
 TICKS = {-5: "−5", -1: "−1", 0: "0", 1: "1", 5: "5"}
 LOOKS: dict[str, dict[str, Any]] = {
-    HOLDS: {"marker": "o", "color": COLOURS[0]},
-    FAILS: {"marker": "X", "color": COLOURS[1]},
+    HOLDS: {"marker": "o", "color": "C0"},
+    FAILS: {"marker": "X", "color": "C1"},
     UNDECIDED: {"marker": "o", "color": "#555555", "markerfacecolor": "white"},
     DESCRIBED: {"marker": "D", "color": GREY, "markerfacecolor": "white"},
     NOT_TESTED: {"marker": "_", "color": GREY},
@@ -75,7 +75,7 @@ def draw_verdicts(claims: ByClaim, folder: Path) -> list[Path]:
     height = HEAD_INCHES + lines * LINE_INCHES + FOOT_INCHES
     bottom, share = FOOT_INCHES / height, lines * LINE_INCHES / height
     panel = (WIDTH_INCHES - SENTENCES_INCHES) / len(worlds)
-    with house_style(TYPE):
+    with house_style({"font.size": TYPE, "lines.linewidth": 0.2 * TYPE, "lines.markersize": 0.5 * TYPE}):
         figure = plt.figure(figsize=(WIDTH_INCHES, height))
         sentences = figure.add_axes((0, bottom, SENTENCES_INCHES / WIDTH_INCHES, share))
         sentences.set(xlim=(0, SENTENCES_INCHES), ylim=(lines, 0))

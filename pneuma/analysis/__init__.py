@@ -4,7 +4,6 @@ EDGED_BANDS = ("sd", "variance", "ci", "minmax")
 """Bands with a lower and an upper edge, the default first; `variance` is another name of `sd`."""
 BAND_NAMES = (*EDGED_BANDS, "runs", "none")
 X_AXES = ("steps", "episodes", "wall-clock")
-CENTER_NAMES = ("mean", "iqm", "median")
-"""Of curves: what they lie over, and what the line in a band is; the defaults first."""
+"""What curves lie over; the default first."""
 EXPORT_TABLES = ("episodes", "metrics", "evaluations", "curves", "summary")
 EXPORT_SUFFIXES = {".csv": "csv", ".parquet": "parquet", ".tex": "latex", ".md": "markdown"}

@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from pneuma.analysis import X_AXES, intervals
+from pneuma.analysis import X_AXES
 from pneuma.analysis.intervals import LEAST_RUNS, LEVEL
 from pneuma.analysis.outcomes import LARGEST, is_foreign
 from pneuma.analysis.study_data import StudyData
@@ -42,7 +42,6 @@ class Curve:
         runs: a row for each point, by its place on the horizontal axis, and a column for each run; NaN where
             it has no value.
         diverged: (runs,) whether each run diverged.
-        center: one of `CENTERS`.
         log: whether centre and bands are of logarithms, for a logarithmic axis. Values of zero or less then
             count as none.
     """
@@ -50,7 +49,6 @@ class Curve:
     condition: str
     runs: pd.DataFrame
     diverged: Sequence[bool] = ()
-    center: str = "mean"
     log: bool = False
 
     def frame(self, band: str = "none") -> pd.DataFrame:
@@ -60,8 +58,8 @@ class Curve:
         """
         values, band = self.values, checked_band(band)
         count = values.count(axis=1)
-        centre = _centre(values, self.center)
-        low, high = _edges(values, band, self.center, centre)
+        centre = values.mean(axis=1)
+        low, high = _edges(values, band)
         enough = count >= BANDS[band].least_runs
         table = pd.DataFrame({"centre": centre, "low": low.where(enough), "high": high.where(enough)})
         if self.log:
@@ -92,7 +90,6 @@ def study_curves(
     names: Sequence[str],
     window: str | None = None,
     x: str = STEPS,
-    center: str = "mean",
 ) -> dict[str, list[Curve]]:
     """Return some of `curve_names` for every condition that has runs, by name.
 
@@ -102,7 +99,7 @@ def study_curves(
 
     The window 'trailing-100', the last 100 episodes of a run, is what Stable-Baselines3 logs. `x` is one of
     `X_AXES`: over wall-clock time a run goes on at an even pace, and episodes are counted by their mean
-    length up to each point. `center` is one of `CENTERS`.
+    length up to each point.
 
     Raises:
         UserError: for a quantity that the data lack, or an axis for which some run lacks the records.
@@ -119,7 +116,7 @@ def study_curves(
                 series = [_series(data, run, name, window, x) for run in runs]
                 diverged = [run.status == "diverged" for run in runs]
                 frame = _on_one_grid(series, is_even=x != STEPS)
-                curves[name].append(Curve(condition, frame, diverged, center))
+                curves[name].append(Curve(condition, frame, diverged))
     return curves
 
 
@@ -229,14 +226,10 @@ def random_levels(data: StudyData, quantity: str) -> dict[str, float]:
     column = "random_return" if quantity == "evaluated_return" else "random_share_killed"
     if quantity not in EVALUATION_QUANTITIES or column not in data.evaluations:
         return {}  # an imported log may have evaluations without a random player
-    levels: dict[str, float] = {}
-    for name, values in data.evaluations.groupby("condition", sort=False)[column]:
-        level = float(np.ascontiguousarray(values, float).mean())
-        if math.isfinite(level):
-            levels[str(name)] = level
-    if levels and np.ptp([*levels.values()]) <= NEAR:
-        return dict.fromkeys(levels, float(np.mean([*levels.values()])))
-    return levels
+    levels = data.evaluations.groupby("condition", sort=False)[column].mean().dropna()
+    if len(levels) and np.ptp(levels) <= NEAR:
+        levels[:] = levels.mean()
+    return {str(name): float(level) for name, level in levels.items()}
 
 
 OBSERVATION_FIELDS = ("observation", "perceive", "order", "scale", "observe_facing")
@@ -273,12 +266,7 @@ def _measured_returns() -> list[dict[str, Any]]:
     return [*json.loads(file.read_text(encoding="utf-8")).values()] if file.is_file() else []
 
 
-# --- Centres and bands -----------------------------------------------------------------------------
-
-CENTERS = {"mean": intervals.mean, "iqm": intervals.interquartile_mean, "median": intervals.median}
-CENTER_WORDS = {"mean": "mean", "iqm": "interquartile mean", "median": "median"}
-RESAMPLES = 500
-"""Of each point, for the interval of a centre that is no mean."""
+# --- Bands -----------------------------------------------------------------------------------------
 
 
 class Band(NamedTuple):
@@ -299,7 +287,7 @@ class Band(NamedTuple):
 
 BANDS = {
     "sd": Band("± 1 SD between runs", least_runs=3),
-    "ci": Band("95 % interval of the {center}", LEAST_RUNS, 20),
+    "ci": Band("95 % interval of the mean", LEAST_RUNS, 20),
     "minmax": Band("least to greatest run"),
     "runs": Band("every run"),
     "none": Band("", least_runs=0),
@@ -314,39 +302,14 @@ def checked_band(name: str) -> str:
     return name
 
 
-def _centre(values: pd.DataFrame, center: str) -> pd.Series:
-    if center == "mean":
-        return values.mean(axis=1)
-    if center == "median":
-        return values.median(axis=1)
-    centres: list[float] = []
-    for point in values.to_numpy():  # pandas has no interquartile mean
-        known = point[~np.isnan(point)]
-        centres.append(float(CENTERS[center](known)) if len(known) else math.nan)
-    return pd.Series(centres, values.index)
-
-
-def _edges(values: pd.DataFrame, band: str, center: str, centre: pd.Series) -> tuple[pd.Series, pd.Series]:
+def _edges(values: pd.DataFrame, band: str) -> tuple[pd.Series, pd.Series]:
+    """Return the lower and upper edge of a band; NaN for one without edges."""
     if band == "minmax":
         return values.min(axis=1), values.max(axis=1)
-    if band == "ci" and center != "mean":
-        return _bootstrap(values, center)
-    half = centre * np.nan
-    if band == "sd":
-        half = values.std(axis=1)
-    elif band == "ci":
+    centre, half = values.mean(axis=1), values.std(axis=1)
+    if band == "ci":
         count = values.count(axis=1)
-        quantile = special.stdtrit(np.maximum(count - 1, 1), (1 + LEVEL) / 2)
-        half = quantile * values.std(axis=1) / np.sqrt(count)
+        half *= special.stdtrit(np.maximum(count - 1, 1), (1 + LEVEL) / 2) / np.sqrt(count)
+    elif band != "sd":
+        half *= np.nan
     return centre - half, centre + half
-
-
-def _bootstrap(values: pd.DataFrame, center: str) -> tuple[pd.Series, pd.Series]:
-    """Return the ends of percentile intervals, of points at which all runs have a value."""
-    whole, runs = values.dropna(), values.shape[1]
-    resamples = np.random.default_rng(0).integers(runs, size=(RESAMPLES, runs))
-    centres = CENTERS[center](whole.to_numpy()[:, resamples])  # (points, resamples)
-    low, high = np.quantile(centres, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=1)
-    return pd.Series(low, whole.index).reindex(values.index), pd.Series(high, whole.index).reindex(
-        values.index
-    )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pneuma.analysis import BAND_NAMES, CENTER_NAMES, EDGED_BANDS, EXPORT_SUFFIXES, EXPORT_TABLES, X_AXES
+from pneuma.analysis import BAND_NAMES, EDGED_BANDS, EXPORT_SUFFIXES, EXPORT_TABLES, X_AXES
 from pneuma.cli import options as opt
 from pneuma.cli.output import (
     Result,
@@ -41,7 +41,7 @@ PUBLISHED_CURVES = (
     *ACTION_QUANTITIES,
 )  # fmt: skip
 """The quantities whose curves a published table keeps by default."""
-OF_CURVES = ("band", "window", "x", "center", "log")
+OF_CURVES = ("band", "window", "x", "log")
 """Options that only figures of curves have, beside --quantity and --beside."""
 
 
@@ -72,7 +72,6 @@ class Drawing:
     ] = None
     window: Annotated[str | None, opt.choice(WINDOWS, "Episodes averaged at each point.")] = None
     x: Annotated[str | None, opt.choice(X_AXES, "What curves lie over (default: steps).")] = None
-    center: Annotated[str | None, opt.choice(CENTER_NAMES, "The line in a band (default: mean).")] = None
     beside: Annotated[str | None, opt.option("NAME", "Another study, or logs, to be drawn too.")] = None
     log: Annotated[bool, opt.flag("--log", "Logarithmic axes of values.")] = False
     formats: opt.Formats = None
@@ -103,7 +102,7 @@ def plot(
     """
     is_of_curves = drawing.quantity or drawing.beside or drawing.curve_options
     if drawing.figure in (SUMMARY, PROFILE, ONE_ACTION) and is_of_curves:
-        options = "--quantity, --band, --window, --x, --center, --beside and --log"
+        options = "--quantity, --band, --window, --x, --beside and --log"
         raise UserError(f"{options} require --figure {CURVES}")
     formats, store = read_formats(drawing.formats, out), picked.store
     nothing = nothing_yet(store)

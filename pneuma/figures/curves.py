@@ -2,16 +2,18 @@
 
     studies, quantities, options → a `Column` of curves for each study → a `Panel` for each quantity → Page
 
-A line is the centre of runs, in a band that the legend describes. Each condition has its label, with the
+A line is the mean of runs, in a band that the legend describes. Each condition has its label, with the
 number of its runs, in the legend.
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -22,7 +24,6 @@ from matplotlib.patches import Patch
 from pneuma.analysis import BAND_NAMES
 from pneuma.analysis.curves import (
     BANDS,
-    CENTER_WORDS,
     EPISODES,
     STEPS,
     WALL_CLOCK,
@@ -50,6 +51,7 @@ from pneuma.figures.words import (
     labels_of,
     looks_of,
     merge_notes,
+    named,
     notes_of,
     shown_conditions,
 )
@@ -60,7 +62,7 @@ DEFAULT_QUANTITIES, EVALUATED = ("return", "share_killed", "success"), "evaluate
 TRAILING_WINDOW = WINDOWS[1]
 DEFAULT_BAND, INTERVAL, RUNS, NO_BAND = BAND_NAMES[0], "ci", "runs", "none"
 PALE, DARK = 0.13, 0.30
-"""Opacity of a band, and of the interval of the mean inside it."""
+"""Opacity of a band, and of the interval of the centre."""
 MARKED_POINTS = 8
 """Markers per line; they distinguish lines in grey."""
 MANY_RUNS = 30
@@ -79,13 +81,9 @@ X_NOTES = {
 }
 
 
-class Quantity(NamedTuple):
-    """What a panel of a quantity has.
-
-    Attributes:
-        kind: of its axis.
-        bounds: the least and greatest possible value, at which bands end.
-    """
+@dataclass(frozen=True)
+class Quantity:
+    """What a panel of a quantity has; see `quantities.toml`."""
 
     title: str
     label: str
@@ -93,28 +91,15 @@ class Quantity(NamedTuple):
     bounds: tuple[float, float] = (-np.inf, np.inf)
 
 
-SHARE: Any = {"kind": SHARES, "bounds": (0, 1)}
-POSITIVE: Any = {"bounds": (0, np.inf)}
-QUANTITIES = {
-    "share_killed": Quantity("Monsters killed in evaluation", "Share killed", **SHARE),
-    "argmax_share_killed": Quantity("Monsters killed, likeliest actions", "Share killed", **SHARE),
-    "score": Quantity("Normalised score in evaluation", "0 random player, 1 all killed"),
-    "success": Quantity("Successes in evaluation", "Share of episodes", **SHARE),
-    "evaluated_return": Quantity("Return in evaluation", "Return of an episode"),
-    "return": Quantity("Return in training", "Return of an episode"),
-    "length": Quantity("Length of episodes in training", "Steps of an episode", **POSITIVE),
-    "kills": Quantity("Monsters killed in training", "Kills of an episode", **POSITIVE),
-    "hp": Quantity("HP left in training", "HP at the end of an episode", **POSITIVE),
-    "entropy": Quantity("Entropy of the policy", "Entropy (nats)"),
-    "grad_norm": Quantity("Gradient norm, unclipped", "L2 norm", POWERS),
-    "grad_norm_actor": Quantity("Actor's gradient norm", "L2 norm", POWERS),
-    "grad_norm_critic": Quantity("Critic's gradient norm", "L2 norm", POWERS),
-    "approx_kl": Quantity("KL divergence", "KL divergence (nats)"),
-    "explained_variance": Quantity("Variance of returns explained", "Explained variance"),
-    "dead_units": Quantity("Dead hidden units", "Share of units", **SHARE),
-}
-for _number, _action in enumerate(ACTION_NAMES):
-    QUANTITIES[f"action_{_number}"] = Quantity(f"Share of action: {_action}", "Share of actions", **SHARE)
+def _read_quantities() -> dict[str, Quantity]:
+    rows = tomllib.loads(Path(__file__).with_name("quantities.toml").read_text(encoding="utf-8"))
+    action = rows.pop("action")
+    for number, name in enumerate(ACTION_NAMES):
+        rows[f"action_{number}"] = {**action, "title": action["title"].format(action=name)}
+    return {name: Quantity(**row) for name, row in rows.items()}
+
+
+QUANTITIES = _read_quantities()
 RETURN_BOUNDS = {"CartPole-v1": (0.0, 500.0), "Acrobot-v1": (-500.0, 0.0), "MountainCar-v0": (-200.0, 0.0)}
 
 
@@ -123,11 +108,9 @@ class Options:
     """How curves are drawn.
 
     Attributes:
-        band: one of `BANDS`; None for the deviation of means, and inside it their interval, or for the
-            interval of another centre.
+        band: one of `BANDS`; None for the deviation, and inside it the interval of the mean.
         window: of the study's windows; None for the first.
         x: one of `X_AXES`.
-        center: one of `CENTERS`.
         log: whether all axes of values are logarithmic, and not only those of quantities that go through
             powers of ten.
     """
@@ -135,24 +118,27 @@ class Options:
     band: str | None = None
     window: str | None = None
     x: str = STEPS
-    center: str = "mean"
     log: bool = False
 
     @property
     def bands(self) -> list[str]:
-        """What is drawn around centres: in a deviation of means there is their interval."""
-        default = DEFAULT_BAND if self.center == "mean" else INTERVAL
-        band = checked_band(self.band or default)
-        if band == DEFAULT_BAND and self.center == "mean":
-            return [band, INTERVAL]
-        return [band]
+        """What is drawn around means: in the deviation there is their interval."""
+        band = checked_band(self.band or DEFAULT_BAND)
+        return [band, INTERVAL] if band == DEFAULT_BAND else [band]
 
 
 @dataclass(frozen=True)
 class Column:
-    """A study's curves of some quantities, and those of a study that is drawn with it."""
+    """A study's curves of some quantities, and those of a study that is drawn with it.
+
+    Attributes:
+        looks, labels: of conditions.
+    """
 
     data: StudyData
+    how: Options
+    looks: Mapping[str, Mapping[str, Any]]
+    labels: Mapping[str, str]
     curves: Mapping[str, list[Curve]]
     beside: StudyData | None = None
     beside_curves: Mapping[str, list[Curve]] = field(default_factory=dict)
@@ -193,49 +179,53 @@ def curves_page(
     if len(shown_conditions(datas)) > MOST_IN_A_PANEL:
         advice = f"pick {MOST_IN_A_PANEL} at most by --condition, or --figure summary"
         raise UserError(f"study {data.study.name}: its conditions do not fit one panel: {advice}")
+    default = default_quantities(data, beside)
     names = [quantities] if isinstance(quantities, str) else [*dict.fromkeys(quantities)]
-    names = [*filter(None, names)] or default_quantities(data, beside)
+    names = [*filter(None, names)] or default
     known = {title: curve_names(study) for title, study in by_title.items()}
     nowhere = {*names}.difference(*known.values())
     study_curves(data, sorted(nowhere))  # refuses what no study has
+    looks, labels = looks_of(datas), labels_of(datas)
     columns: dict[str, Column] = {}
     for title, study in by_title.items():
         shown = [name for name in names if name in known[title]]
         if shown:
-            columns[title] = _column(study, shown, beside, how)
-    if beside and not any(column.beside for column in columns.values()):
+            columns[title] = _column(study, shown, beside, how, looks, labels)
+    studies_beside = dict.fromkeys(column.beside for column in columns.values() if column.beside)
+    if beside and not studies_beside:
         own, others = (" and ".join(environments(study)) for study in (data, beside))
         raise UserError(f"--beside {beside.study.name}: its runs are of {others}, and not of {own}")
-    studies_beside = {column.beside: None for column in columns.values() if column.beside}
-    looks, labels = looks_of(datas), labels_of(datas)
     panels: list[list[Panel | None]] = [[] for _ in names]
     entries: dict[str, Any] = {}
     for title, column in columns.items():
-        entries |= _legend(column, how)
+        entries |= _legend(column)
         for row, name in zip(panels, names, strict=True):
-            if name not in column.curves:
-                row.append(None)
-                continue
-            panel = _panel(column, name, how, looks, labels)
-            if len(columns) > 1:
+            panel = _panel(column, name) if name in column.curves else None
+            if panel and len(columns) > 1:
                 panel = replace(panel, title=title, y=QUANTITIES[name].title)
             row.append(panel)
-    notes = merge_notes({title: (column.data, _caption(column, how)) for title, column in columns.items()})
-    if any("," in label.rpartition("(")[2] for label in labels.values()):
-        notes.append("In brackets: runs in each column.")
+    notes = merge_notes({title: (column.data, _caption(column)) for title, column in columns.items()})
+    stem = basename or data.basename(*_differences(how, names, default, beside))
     headline, inches, across = headline_of(data), PANEL_INCHES, 3
-    stem = basename or data.basename(*_differences(data, how, names, beside))
     if len(columns) > 1:
-        headline, inches, across = data.study.title, 0.95 * PANEL_INCHES, 4
-        if after_thesis(stem):
-            headline += f": {after_thesis(stem)}"
+        headline, across = ": ".join(filter(None, [data.study.title, after_thesis(stem)])), 4
+        if any("," in label.rpartition("(")[2] for label in labels.values()):
+            notes.append("In brackets: runs in each column.")
     else:
         panels = [[row[0] for row in panels]]
         if len(names) == 1:
             inches *= 1.2
-    runs = lines_of_runs(*datas, *studies_beside)
-    spare = len(columns) == 1 and not quantities
-    return Page(stem, panels, inches, headline, runs, entries, notes, across, spare)
+    return Page(
+        basename=stem,
+        grid=panels,
+        inches=inches,
+        headline=headline,
+        runs=lines_of_runs(*datas, *studies_beside),
+        entries=entries,
+        caption=notes,
+        across=across,
+        spare=len(columns) == 1 and not quantities,
+    )
 
 
 def plot_curves(data: StudyData, quantity: str = "", ax: Axes | None = None, **options: Any) -> Axes:
@@ -244,10 +234,9 @@ def plot_curves(data: StudyData, quantity: str = "", ax: Axes | None = None, **o
         from matplotlib import pyplot
 
         ax = pyplot.gca()
-    how, name = Options(**options), quantity or default_quantities(data)[0]
-    column = _column(data, [name], None, how)
-    panel = _panel(column, name, how, looks_of([data]), labels_of([data]))
-    grid.fill(ax, panel, ax.get_window_extent().width / ax.figure.dpi)
+    name = quantity or default_quantities(data)[0]
+    column = _column(data, [name], None, Options(**options), looks_of([data]), labels_of([data]))
+    grid.fill(ax, _panel(column, name), ax.get_window_extent().width / ax.figure.dpi)
     ax.legend()
     return ax
 
@@ -277,95 +266,95 @@ def _has_stubs(data: StudyData, quantity: str) -> bool:
     return False
 
 
-def _differences(data: StudyData, how: Options, names: Sequence[str], beside: StudyData | None) -> list[str]:
+def _differences(
+    how: Options, names: Sequence[str], default: Sequence[str], beside: StudyData | None
+) -> list[str]:
     """Return how a figure differs from the study's default one, for the name of its files."""
-    differences: list[str] = []
-    if names != default_quantities(data):
-        differences.append("all" if names == curve_names(data) else "-".join(names))
-    if how.band is not None and how.bands[0] != DEFAULT_BAND:
-        differences.append(how.bands[0])
-    if how.center != "mean":
-        differences.append(how.center)
+    parts: list[str] = []
+    if names != default:
+        parts.append("-".join(names) if len(names) <= MOST_NAMED else f"{len(names)}-quantities")
+    if how.bands[0] != DEFAULT_BAND:
+        parts.append(how.bands[0])
     if how.log:
-        differences.append("log")
+        parts.append("log")
     if how.x != STEPS:
-        differences.append(f"over-{how.x}")
-    if how.window and how.window != data.windows[0] and {*names} & {*EPISODE_QUANTITIES}:
-        differences.append(how.window.removesuffix("%"))
+        parts.append(f"over-{how.x}")
+    if how.window == TRAILING_WINDOW:
+        parts.append(how.window)
     if beside:
-        differences += ["beside", beside.study.name]
-    return differences
+        parts += ["beside", beside.study.name]
+    return parts
 
 
 # --- Columns and panels ------------------------------------------------------------------------------
 
 
-def _column(data: StudyData, names: Sequence[str], beside: StudyData | None, how: Options) -> Column:
-    """Return a study's curves; on a logarithmic axis, centres and bands are of logarithms."""
-    curves = study_curves(data, names, how.window, how.x, how.center)
+def _column(
+    data: StudyData,
+    names: Sequence[str],
+    beside: StudyData | None,
+    how: Options,
+    looks: Mapping[str, Mapping[str, Any]],
+    labels: Mapping[str, str],
+) -> Column:
+    """Return a study's curves; on a logarithmic axis, means and bands are of logarithms."""
+    curves = study_curves(data, names, how.window, how.x)
     for name, group in curves.items():
         if (how.log or QUANTITIES[name].kind == POWERS) and _reach(group)[1] > 0:
             curves[name] = [replace(curve, log=True) for curve in group]
+    column = Column(data, how, looks, labels, curves)
     others = in_environment_of(data, beside) if beside else None
     if others is None:
-        return Column(data, curves)
+        return column
     window = how.window if how.window in others.windows else others.windows[0]
     known = [name for name in names if name in curve_names(others)]
     if not known:
         raise UserError(f"study {others.study.name} has no {' or '.join(names)} to draw beside")
-    return Column(data, curves, others, study_curves(others, known, window, how.x))
+    return replace(column, beside=others, beside_curves=study_curves(others, known, window, how.x))
 
 
-def _panel(
-    column: Column,
-    name: str,
-    how: Options,
-    looks: Mapping[str, Mapping[str, Any]],
-    labels: Mapping[str, str],
-) -> Panel:
+def _panel(column: Column, name: str) -> Panel:
     quantity = QUANTITIES[name]
     title, label, kind = quantity.title, quantity.label, quantity.kind
     if column.data.averaged_over:  # in the log
-        label = label.replace(" of an episode", f", {_window(column.data, how)}")
+        label = label.replace(" of an episode", f", {_window(column.data, column.how)}")
     if name.startswith("action_") and is_foreign(column.data):
         title = f"Share of action {name.removeprefix('action_')}"
-    if any(curve.log for curve in column.curves[name]):
+    if column.curves[name][0].log:
         kind = POWERS
     elif kind == POWERS:
         kind = VALUES
-    draw = partial(_draw, column=column, name=name, how=how, looks=looks, labels=labels)
-    return Panel(draw, title, X_LABELS[how.x], label, VALUES, kind)
+    return Panel(partial(_draw, column, name), title, X_LABELS[column.how.x], label, y_kind=kind)
 
 
-def _draw(
-    axes: Axes,
-    column: Column,
-    name: str,
-    how: Options,
-    looks: Mapping[str, Mapping[str, Any]],
-    labels: Mapping[str, str],
-) -> None:
-    data, curves, others = column.data, column.curves[name], column.beside_curves.get(name, [])
-    is_share = QUANTITIES[name].kind == SHARES
-    bounds = QUANTITIES[name].bounds
-    envs = environments(data)
-    if name in ("return", EVALUATED) and len(envs) == 1:
-        bounds = RETURN_BOUNDS.get(envs[0], bounds)
-    lines = sum(curve.runs.shape[1] for curve in curves if _shows_runs(curve, how.bands[0]))
+def _draw(column: Column, name: str, axes: Axes) -> None:
+    data, how, curves, others = (
+        column.data,
+        column.how,
+        column.curves[name],
+        column.beside_curves.get(name, []),
+    )
+    kind, bounds = QUANTITIES[name].kind, QUANTITIES[name].bounds
+    if name in ("return", EVALUATED):
+        bounds = RETURN_BOUNDS.get(" ".join(environments(data)), bounds)
+    lines = sum(curve.runs.shape[1] for curve in curves)
     for curve in curves:
-        look = looks[curve.condition]
-        _draw_bands(axes, curve, how.bands, bounds, look["color"])
+        look = column.looks[curve.condition]
+        for band in how.bands:
+            frame = curve.frame(band)
+            if band == INTERVAL:  # where some runs have no value, the remaining ones are no fair sample
+                frame[["low", "high"]] = frame[["low", "high"]].where(frame["count"] == curve.runs.shape[1])
+            grid.draw_band(axes, frame, bounds, color=look["color"], alpha=DARK if band == INTERVAL else PALE)
         if _shows_runs(curve, how.bands[0]):
             width, opacity = 0.3 * mpl.rcParams["lines.linewidth"], 0.4 * min(1.0, MANY_RUNS / lines)
             axes.plot(curve.runs, color=look["color"], linewidth=width, alpha=opacity, zorder=1.4)
-        _draw_centre(axes, curve, look, labels[curve.condition])
+        _draw_centre(axes, curve, look, column.labels[curve.condition])
     if column.beside:
-        _draw_beside(axes, others, column.beside, looks)
+        _draw_beside(axes, others, column.beside, column.looks)
     low, high = _reach([*curves, *others])
-    if is_share:
-        grid.draw_random_player(axes, random_levels(data, name), (0.0, high), grid.per_cent)
-    else:
-        grid.draw_random_player(axes, random_levels(data, name), (low, high), grid.number)
+    if kind == SHARES:
+        low = 0.0
+    grid.draw_random_player(axes.axhline, random_levels(data, name).values(), (low, high), kind)
     returns = random_returns(data) if name == "return" and how.x == STEPS else None
     if returns is not None:
         axes.plot(returns, label=grid.RANDOM_PLAYER, **grid.RANDOM_LOOK)
@@ -373,23 +362,9 @@ def _draw(
     if how.x == STEPS:
         ends.append(data.budget)
     axes.set_xlim(0, max(ends))
-    if is_share and not how.log:
+    if kind == SHARES and not how.log:
         top = min(max(axes.get_ylim()[1], 0.01), 1 + grid.BELOW_ZERO)
         axes.set_ylim(-grid.BELOW_ZERO * top, top)
-
-
-def _draw_bands(
-    axes: Axes, curve: Curve, bands: Sequence[str], bounds: tuple[float, float], colour: str
-) -> None:
-    """Draw the bands of a curve.
-
-    An interval is left out where some runs have no value, because the remaining ones are no fair sample.
-    """
-    for band in bands:
-        frame = curve.frame(band)
-        if band == INTERVAL:
-            frame[["low", "high"]] = frame[["low", "high"]].where(frame["count"] == curve.runs.shape[1])
-        grid.draw_band(axes, frame, bounds, color=colour, alpha=_opacity(band, bands))
 
 
 def _draw_centre(axes: Axes, curve: Curve, look: Mapping[str, Any], label: str) -> None:
@@ -444,45 +419,49 @@ def _shows_runs(curve: Curve, band: str) -> bool:
     return 1 < count < LEAST_RUNS or count < BANDS[band].enough_runs
 
 
-def _opacity(band: str, bands: Sequence[str]) -> float:
-    return DARK if band != bands[0] or band == INTERVAL else PALE
-
-
 # --- Words -------------------------------------------------------------------------------------------
 
 
-def _legend(column: Column, how: Options) -> dict[str, Any]:
-    """Return the artists of the legend that describe centre, bands and runs, by their words."""
-    words = CENTER_WORDS[how.center]
-    entries: dict[str, Any] = {f"{words} of (n) runs": Line2D([], [], color=style.INK, linewidth=1.6)}
-    for band in how.bands:
-        if any(curve.frame(band)["low"].notna().any() for curve in column.all_curves):
-            opacity = _opacity(band, how.bands)
-            if band != how.bands[0]:  # one lies in the other
-                opacity += PALE
-            label = BANDS[band].label.format(center=words)
-            entries[label] = Patch(color=style.INK, alpha=opacity, linewidth=0)
-    if any(_shows_runs(curve, how.bands[0]) for curve in column.all_curves):
+def _legend(column: Column) -> dict[str, Any]:
+    """Return the artists of the legend that describe means, bands and runs, by their words."""
+    bands = column.how.bands
+    most = max(curve.runs.shape[1] for curve in column.all_curves)
+    entries: dict[str, Any] = {"mean of (n) runs": Line2D([], [], color=style.INK, linewidth=1.6)}
+    for band in bands:
+        if BANDS[band].label and most >= BANDS[band].least_runs:
+            opacity = PALE if band != INTERVAL else DARK + PALE * (len(bands) - 1)  # one lies in the other
+            entries[BANDS[band].label] = Patch(color=style.INK, alpha=opacity, linewidth=0)
+    if any(_shows_runs(curve, bands[0]) for curve in column.all_curves):
         entries[BANDS[RUNS].label] = Line2D([], [], color=style.INK, linewidth=0.5, alpha=0.5)
     return entries
 
 
-def _caption(column: Column, how: Options) -> list[str]:
+def _caption(column: Column) -> list[str]:
     """Return the notes on a study and on what is drawn of it, the most important first."""
-    data, curves = column.data, column.all_curves
+    data, how, curves = column.data, column.how, column.all_curves
     notes = notes_of(data, bool({"return", EVALUATED} & {*column.curves}), column.beside)
     if any(curve.stops for curve in curves):
         notes.append("×: a run diverged, and its curve ends there.")
     if any(_has_gaps(curve) for curve in curves):
         notes.append("Faint, without an interval: some run has no value there.")
     if any(curve.log for curve in curves):
-        centres = f"{CENTER_WORDS[how.center]}s and bands"
-        notes.append(f"On logarithmic axes {centres} are of logarithms, without values of 0 or below.")
+        notes.append("On logarithmic axes means and bands are of logarithms, without values of 0 or below.")
     for name, group in column.curves.items():
         if how.log and not group[0].log:
             notes.append(f"{QUANTITIES[name].title}: no value is above 0, so the axis is linear.")
-    notes.append(_missing_band(data, how))
-    notes.append(_missing_values(curves))
+    least, few = BANDS[how.bands[0]].least_runs, dict[str, None]()
+    blank = dict[str, None]()
+    for curve in curves:
+        if how.band and curve.runs.shape[1] < least:
+            few[f"{curve.condition} ({counted(curve.runs.shape[1], 'run')})"] = None
+        if curve.values.isna().all().any():
+            blank[curve.condition] = None
+    if few:
+        notes.append(
+            f"The band {how.band} needs {counted(least, 'run')}, and is not drawn for {', '.join(few)}."
+        )
+    if blank:
+        notes.append(f"Some runs have no value in a panel, and count in no mean there: of {named([*blank])}.")
     if {*column.curves} & {*EPISODE_QUANTITIES}:
         notes.append(f"Returns and lengths: {_window(data, how)}.")
     if {*column.curves} & {*UPDATE_QUANTITIES}:
@@ -506,36 +485,6 @@ def _has_gaps(curve: Curve) -> bool:
     """Return whether some run that did not diverge lacks a value after all had one."""
     whole = np.flatnonzero(curve.runs.notna().all(axis=1))
     return not curve.stops and len(whole) > 0 and len(whole) < len(curve.runs) - whole[0]
-
-
-def _missing_band(data: StudyData, how: Options) -> str:
-    """Return which conditions have too few runs for a band that was asked for."""
-    if how.band is None:
-        return ""
-    least = BANDS[how.bands[0]].least_runs
-    few: list[str] = []
-    for name in shown_conditions([data]):
-        runs = len(data.of_condition(name))
-        if runs < least:
-            few.append(f"{name} ({counted(runs, 'run')})")
-    if not few:
-        return ""
-    return f"The band {how.band} needs {counted(least, 'run')}, and is not drawn for {', '.join(few)}."
-
-
-def _missing_values(curves: Sequence[Curve]) -> str:
-    """Return how many runs of which conditions have no value in some panel."""
-    blank: dict[str, int] = {}
-    for curve in curves:
-        count = int(curve.values.isna().all().sum())
-        if count:
-            blank[curve.condition] = max(count, blank.get(curve.condition, 0))
-    if not blank:
-        return ""
-    counts = [f"{count} of {name}" for name, count in blank.items()]
-    if len(counts) > MOST_NAMED:
-        counts = [f"of {len(blank)} conditions"]
-    return f"Some runs have no value in a panel, and count in no mean there: {', '.join(counts)}."
 
 
 # --- Scores over several environments ------------------------------------------------------------------

@@ -9,9 +9,8 @@ where labels stand and what has which size is decided here. A study's words are 
 from __future__ import annotations
 
 import math
-import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -39,7 +38,9 @@ BELOW_ZERO = 0.02
 CAPTION_LINES = 5
 LONGEST_LABEL = 40
 """Most letters in a line of a row's label."""
-NARROW = 2.5
+AXIS_INCHES = 0.5
+"""Width of the labels of an upright axis with values."""
+NARROW = 2.0
 """Inches of a panel in which the labels of three ticks fit, and no more."""
 LONG_AXIS = 5000
 """An axis longer than this has numbers with a k."""
@@ -123,6 +124,10 @@ def _draw(page: Page, look: Look) -> Figure:
     panels = _arrange(page, look.width)
     across = len(panels[0])
     grid: Any = figure.subplots(len(panels), across, squeeze=False)
+    width = look.width / across - AXIS_INCHES
+    if panels[0][0] and panels[0][0].rows:
+        longest = min(max(map(len, panels[0][0].rows)), LONGEST_LABEL)
+        width = (look.width - longest * text_points() / 160) / across
     labels = {panel.x for row in panels for panel in row if panel}
     shared = labels.pop() if across > 1 and len(labels) == 1 else ""
     for row, column in np.ndindex(grid.shape):
@@ -141,7 +146,7 @@ def _draw(page: Page, look: Look) -> Figure:
             panel = replace(panel, title="")
         if shared or (below and below.x == panel.x):
             panel = replace(panel, x="")
-        fill(axes, panel, look.width / across, (page.inches - 0.5) / max(len(panel.rows or ()), 1))
+        fill(axes, panel, width, (page.inches - 0.5) / max(len(panel.rows or ()), 1))
     return _put_texts(figure, page, look, shared)
 
 
@@ -167,7 +172,6 @@ def fill(axes: Axes, panel: Panel, width: float, pitch: float = ROW_INCHES) -> N
         _format_axis(axes.yaxis, panel.y_kind, 6)
     else:
         label_rows(axes, panel.rows, pitch)
-        width *= 0.72
     points = FontProperties(size=mpl.rcParams["axes.titlesize"]).get_size_in_points()
     title = textwrap.fill(panel.title, characters(1.2 * points, width))  # bold letters are wider
     axes.set(title=title, xlabel=panel.x, ylabel=panel.y)
@@ -284,38 +288,23 @@ def _legend_entries(figure: Figure, more: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def draw_random_player(
-    axes: Axes,
-    levels: Mapping[str, float],
-    reach: tuple[float, float],
-    words: Callable[[float], str],
-    rows: Sequence[str] | None = None,
+    draw_line: Callable[..., object], levels: Collection[float], reach: tuple[float, float], unit: str
 ) -> None:
-    """Draw the levels of the random player as grey lines.
+    """Draw the random player's levels as grey lines.
 
     Args:
-        axes: of the panel.
-        levels: of each condition.
+        draw_line: `axhline` or `axvline` of the panel.
+        levels: of its conditions.
         reach: the least and greatest value that is drawn. A level far from these gets no line, because it
             would flatten everything else.
-        words: writes a level.
-        rows: the conditions from the top. Levels then lie across, and a condition's is in its row.
+        unit: `SHARES` or `VALUES`.
     """
     low, high = reach
-    for level in sorted({*levels.values()}):
-        label = RANDOM_PLAYER
-        if len({*levels.values()}) == 1:
-            label = f"{RANDOM_PLAYER} ({words(level)})"
-        if high > low and level > high + FAR * (high - low):
-            axes.plot([], [], label=f"{label}: above", **RANDOM_LOOK)
-        elif high > low and level < low - FAR * (high - low):
-            axes.plot([], [], label=f"{label}: below", **RANDOM_LOOK)
-        elif rows is None:
-            axes.axhline(level, label=label, **RANDOM_LOOK)
-        elif label != RANDOM_PLAYER:
-            axes.axvline(level, label=label, **RANDOM_LOOK)
-        else:
-            places = np.array([place for place, name in enumerate(rows) if levels.get(name) == level])
-            axes.vlines([level] * len(places), places - 0.5, places + 0.5, label=label, **RANDOM_LOOK)
+    for level in {*levels}:
+        words = per_cent(level) if unit == SHARES else number(level)
+        label = f"{RANDOM_PLAYER} ({words})" if len({*levels}) == 1 else RANDOM_PLAYER
+        if max(level - high, low - level) <= FAR * (high - low) or low == high:
+            draw_line(level, label=label, **RANDOM_LOOK)
 
 
 def draw_band(axes: Axes, frame: pd.DataFrame, bounds: tuple[float, float], **look: Any) -> None:
@@ -325,23 +314,22 @@ def draw_band(axes: Axes, frame: pd.DataFrame, bounds: tuple[float, float], **lo
         axes.fill_between(frame["x"], low, high, linewidth=0, **look)
 
 
-def draw_interval(axes: Axes, place: float, row: Mapping[Any, Any], **look: Any) -> None:
+def draw_interval(
+    axes: Axes, place: float, row: Mapping[Any, Any], marker: str, colour: str, size: float
+) -> None:
     """Draw a row's `value` as a marker, and the interval from `low` to `high` if it has one."""
-    look = {"marker": "D", "color": INK, "markeredgewidth": 0.8, "markersize": 4, **look}
-    axes.plot(
-        [row["low"], row["high"]], [place, place], color=look["color"], linewidth=0.25 * look["markersize"]
-    )
-    (mark,) = axes.plot([row["value"]], [place], linestyle="", clip_on=False, zorder=2.7, **look)
-    mark.set_in_layout(False)  # it may be of no value
+    value, low, high = row["value"], row["low"], row["high"]
+    axes.errorbar(
+        value, place, xerr=[[value - low], [high - value]], marker=marker, markerfacecolor=colour,
+        markersize=size, color=INK, markeredgewidth=0.8, linewidth=0.25 * size, zorder=2.7, clip_on=False,
+    )  # fmt: skip
 
 
 def label_rows(axes: Axes, labels: Sequence[str], inches: float) -> None:
     """Label rows, the first at the top, in type that fits their height in inches; long labels are wrapped."""
     wrapped: list[str] = []
     for label in labels:
-        # counts in brackets stay whole
-        whole = re.sub(r"\([^()]*\)$", lambda count: count[0].replace(" ", "\u00a0"), clean(label))
-        wrapped.append(textwrap.fill(whole, LONGEST_LABEL).replace("\u00a0", " "))
+        wrapped.append(textwrap.fill(clean(label), LONGEST_LABEL))
     lines = max((label.count("\n") + 1 for label in wrapped), default=1)
     points = FontProperties(size=mpl.rcParams["ytick.labelsize"]).get_size_in_points()
     axes.set_yticks(range(len(labels)), wrapped, fontsize=min(points, 0.85 * 72 * inches / lines))

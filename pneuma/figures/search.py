@@ -50,16 +50,16 @@ def draw_search(
         for name, (title, draw) in _pictures(record).items():
             if only and name not in only:
                 continue
-            panels = np.ravel(np.array(draw()))
+            panels = np.ravel(np.array(draw(record)))
             figure = panels[0].figure
             try:
                 figure.set_layout_engine("constrained")
                 headline = f"{search.full_title}: {title}. {_amount(record)}"
-                origin = origin_text(headline, [runs])
                 figure.suptitle(textwrap.fill(headline, style.characters(1.2 * style.TYPE_POINTS)))
                 for axes in panels:
                     axes.set_title("")
-                files += style.save_figure(figure, folder, f"search-{search.label}-{name}", formats, origin)
+                stem, origin = f"search-{search.label}-{name}", origin_text(headline, [runs])
+                files += style.save_figure(figure, folder, stem, formats, origin)
             finally:
                 plt.close(figure)
     return files
@@ -79,31 +79,43 @@ def _optuna_in_our_style() -> Iterator[None]:
         library["ggplot"] = before
 
 
-Picture = tuple[str, Callable[[], Any]]
-"""Its title, and what draws it."""
+Draw = Callable[[Record], Any]
 
 
-def _pictures(record: Record) -> dict[str, Picture]:
-    """Return each picture by name, in the first of the objectives, unless it shows both."""
-    words = []
-    for objective in record.search.objectives.values():
-        outcome = capital(find_outcome(objective.outcome).words.partition(",")[0])
-        words.append(f"{outcome}, {objective.over_seeds} of seeds")
-    target: dict[str, Any] = {"target_name": words[0]}
-    if len(words) > 1:
-        target["target"] = lambda trial: trial.values[0]
-    drawn: dict[str, Picture] = {
-        "history": ("history", lambda: _history(record, target)),
-        "values": ("values of parameters", lambda: _slices(record, target)),
+def _pictures(record: Record) -> dict[str, tuple[str, Draw]]:
+    """Return the title of each picture by name, and what draws it."""
+    drawn: dict[str, tuple[str, Draw]] = {
+        "history": ("history", _history),
+        "values": ("values of parameters", _slices),
     }
     parameters = {name for trial in record.complete for name in trial.params}
     if len(parameters) > 1 and len(record.complete) >= LEAST_TRIALS:
         title = "which parameters tell the best trials from the others (PED-ANOVA)"
-        drawn["importances"] = title, lambda: _importances(record, words[0])
-    if len(words) == 2:
-        front = lambda: pictures.plot_pareto_front(record.study, target_names=words)  # noqa: E731
-        drawn["front"] = "both objectives", front
+        drawn["importances"] = title, _importances
+    if len(record.search.objectives) == 2:
+        drawn["front"] = "both objectives", _front
     return drawn
+
+
+def _target_names(record: Record) -> list[str]:
+    names: list[str] = []
+    for objective in record.search.objectives.values():
+        outcome = capital(find_outcome(objective.outcome).words.partition(",")[0])
+        names.append(f"{outcome}, {objective.over_seeds} of seeds")
+    return names
+
+
+def _target(record: Record) -> dict[str, Any]:
+    """Return the first of the objectives, as Optuna's pictures take it."""
+    first, *others = _target_names(record)
+    if others:
+        return {"target_name": first, "target": lambda trial: trial.values[0]}
+    return {"target_name": first}
+
+
+def _front(record: Record) -> Axes:
+    axes: Axes = pictures.plot_pareto_front(record.study, target_names=_target_names(record))
+    return axes
 
 
 def _amount(record: Record) -> str:
@@ -121,7 +133,7 @@ def _tables(record: Record) -> list[tuple[int, str]]:
     return [(number, start) for number, start in starts if isinstance(start, str) and start in TABLES]
 
 
-def _importances(record: Record, words: str) -> Axes:
+def _importances(record: Record) -> Axes:
     """Draw how well each parameter tells the best trials from the others (Watanabe et al. 2023)."""
     complete = record.complete
     share = max(BEST_SHARE, BEST_TRIALS / len(complete))
@@ -135,14 +147,14 @@ def _importances(record: Record, words: str) -> Axes:
         evaluator,
         params=names,
         target=lambda trial: sign * trial.values[0],
-        target_name=words,
+        target_name=_target_names(record)[0],
     )
     return axes
 
 
-def _history(record: Record, target: dict[str, Any]) -> Axes:
+def _history(record: Record) -> Axes:
     """Draw every trial's value and the best so far, with the trials of the thesis's tables."""
-    axes: Axes = pictures.plot_optimization_history(record.study, **target)
+    axes: Axes = pictures.plot_optimization_history(record.study, **_target(record))
     values = {trial.number: trial.values[0] for trial in record.ended if trial.values}
     for number, base in _tables(record):
         if number in values:
@@ -152,9 +164,9 @@ def _history(record: Record, target: dict[str, Any]) -> Axes:
     return axes
 
 
-def _slices(record: Record, target: dict[str, Any]) -> Any:
+def _slices(record: Record) -> Any:
     """Draw trials over the values of each parameter, in rows, with the values of the thesis's tables."""
-    panels: Any = np.ravel(np.array(pictures.plot_slice(record.study, **target)))
+    panels: Any = np.ravel(np.array(pictures.plot_slice(record.study, **_target(record))))
     figure = panels[0].figure
     rows = math.ceil(len(panels) / COLUMNS)
     figure.set_size_inches(WIDTH, ROW_INCHES * rows + 0.7)
@@ -180,7 +192,7 @@ def _slices(record: Record, target: dict[str, Any]) -> Any:
         elif axes.get_xscale() == "log":
             axes.xaxis.set(major_locator=LogLocator(numticks=5), minor_locator=NullLocator())
             axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    figure.supylabel(target["target_name"])
+    figure.supylabel(_target_names(record)[0])
     if lines_by_table:
         labels = list(lines_by_table)
         figure.legend(lines_by_table.values(), labels, loc="outside lower center", ncols=len(labels))

@@ -11,7 +11,6 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from cycler import cycler
 from matplotlib import style as sheets
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -34,8 +33,6 @@ CAPTION = 0.78
 LINE_INCHES = 1.5 / 72
 """Height of a line of text in inches for each of its points."""
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#8C3B7A", "#E69F00", "#56B4E9", "#7A5230", "#4D4D4D")
-"""After Okabe and Ito, for colour-blind readers; distinct from the greys of references."""
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 """They distinguish lines in grey too."""
 MOST_IN_A_PANEL = len(MARKERS)
@@ -43,31 +40,7 @@ MOST_IN_A_PANEL = len(MARKERS)
 
 INK, GREY = "#222222", "#777777"
 
-_RC: Any = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib, so that text has the same width everywhere
-    "axes.titleweight": "bold",
-    "axes.titlesize": "medium",  # sizes are relative, so that they follow `font.size` of a style sheet
-    "axes.labelsize": "medium",
-    "legend.fontsize": "medium",
-    "xtick.labelsize": "small",
-    "ytick.labelsize": "small",
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.prop_cycle": cycler(color=COLOURS),
-    "grid.color": "#DDDDDD",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "figure.dpi": 200,
-    "savefig.dpi": "figure",
-    "svg.hashsalt": "pneuma",
-    "svg.fonttype": "path",
-    "text.parse_math": False,  # a condition may be called $x$
-    "pdf.fonttype": 42,
-    "pdf.compression": 6,
-}
+SHEET, FONT = Path(__file__).with_name("pneuma.mplstyle"), "DejaVu Sans"
 
 METADATA: dict[str, dict[str, Any]] = {
     "png": {},
@@ -102,31 +75,20 @@ class Look:
 
 
 @contextmanager
-def house_style(type_points: float = TYPE_POINTS, sheet: str = "") -> Iterator[None]:
-    """Draw in Pneuma's style, whatever the user's settings; `type_points` is the text's size.
+def house_style(sheet: str | dict[str, Any] = "") -> Iterator[None]:
+    """Draw in Pneuma's style, whatever the user's settings, with a style sheet of matplotlib over it.
 
     Raises:
-        UserError: when there is no such style sheet of matplotlib.
+        UserError: when there is no such style sheet.
     """
     with mpl.rc_context(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # the font lacks a letter, which is drawn as a box
         mpl.rcdefaults()
         mpl.use("agg")
-        mpl.rcParams.update(_RC)
-        mpl.rcParams.update(
-            {
-                "font.size": type_points,
-                "lines.linewidth": 0.2 * type_points,
-                "lines.markersize": 0.5 * type_points,
-            }
-        )
-        if sheet:
-            try:
-                sheets.use(sheet)
-            except (OSError, UnicodeDecodeError):
-                raise UserError(
-                    f"--style {sheet}: is neither a style sheet of matplotlib nor a file"
-                ) from None
+        try:
+            sheets.use([SHEET, sheet or {}])
+        except (OSError, UnicodeDecodeError):
+            raise UserError(f"--style {sheet}: is neither a style sheet of matplotlib nor a file") from None
         yield
 
 
@@ -195,7 +157,7 @@ def _save_png(figure: Figure, path: Path, origin: str, colours: int) -> None:
 
 def _note_missing_letters(figure: Figure) -> None:
     letters = {"\n"}.union(*(text.get_text() for text in figure.findobj(Text)))
-    in_font = get_font(findfont(_RC["font.family"])).get_charmap()
+    in_font = get_font(findfont(FONT)).get_charmap()
     missing = sorted(letter for letter in letters if letter != "\n" and ord(letter) not in in_font)
     if missing:
         names = " ".join(missing[:10])

@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
@@ -68,14 +69,13 @@ def summary_page(studies: StudyData | Mapping[str, StudyData], basename: str = "
     pitch = min(max(LONGEST_INCHES / len(rows), LEAST_ROW_INCHES), ROW_INCHES)
     panels: list[Panel] = []
     for title, (data, outcome) in columns.items():
-        unit = find_outcome(outcome).unit
-        label = capital(unit)
+        label = capital(find_outcome(outcome).unit)
         if is_return(outcome):
             label = "Return of an episode"
         elif outcome.endswith("share-killed"):
             label = "Share killed"
         draw = partial(_draw, data=data, outcome=outcome, rows=rows, looks=looks, pitch=pitch)
-        panels.append(Panel(draw, title, label, x_kind=SHARES if unit == "share" else VALUES, rows=labels))
+        panels.append(Panel(draw, title, label, x_kind=_kind(outcome), rows=labels))
     descriptions = {f"{_words(name)}.": None for title, (_, name) in columns.items() if title != _words(name)}
     notes = merge_notes({title: (data, _notes(data, name)) for title, (data, name) in columns.items()})
     notes = [*descriptions, *notes]
@@ -99,6 +99,10 @@ def default_outcome(data: StudyData) -> str:
     if is_foreign(data) and data.evaluated:
         return primary(data)
     return PRIMARY if "share_killed" in curve_names(data) else WITHOUT_EVALUATIONS
+
+
+def _kind(outcome: str) -> str:
+    return SHARES if find_outcome(outcome).unit == "share" else VALUES
 
 
 def _words(outcome: str) -> str:
@@ -145,14 +149,12 @@ def _draw(
             "records"
         ):
             if row["statistic"] == "mean" and len(runs) > 1:
-                grid.draw_interval(axes, place - ABOVE, row, markerfacecolor=colour, markersize=size)
+                grid.draw_interval(axes, place - ABOVE, row, "D", colour, size)
             elif row["statistic"] == "iqm" and len(runs) >= LEAST_RUNS:
-                grid.draw_interval(
-                    axes, place + ABOVE, row, marker="s", markerfacecolor="white", markersize=size
-                )
+                grid.draw_interval(axes, place + ABOVE, row, "s", "white", size)
     if len(every):
-        words = grid.per_cent if outcome.endswith("share-killed") else grid.number
-        grid.draw_random_player(axes, _random_levels(data, outcome), (every.min(), every.max()), words, rows)
+        levels, kind = _random_levels(data, outcome), _kind(outcome)
+        grid.draw_random_player(axes.axvline, levels.values(), (every.min(), every.max()), kind)
 
 
 def _random_levels(data: StudyData, outcome: str) -> dict[str, float]:
@@ -169,13 +171,11 @@ def _random_levels(data: StudyData, outcome: str) -> dict[str, float]:
 
 def _offsets(values: np.ndarray, reach: float) -> np.ndarray:
     """Return the vertical offsets of (runs,) dots, so that similar ones do not overlap."""
-    offsets = np.zeros(len(values))
-    bins = np.round(values / (DOT_SHARE * reach or 1.0))
-    for place in np.unique(bins):
-        members = np.flatnonzero(bins == place)
-        step = min(0.09, 0.6 / len(members))
-        offsets[members] = step * (np.arange(len(members)) - (len(members) - 1) / 2)
-    return offsets
+    bins = pd.Series(np.round(values / (DOT_SHARE * reach or 1.0)))
+    members = bins.groupby(bins)
+    count = members.transform("size")
+    steps = np.minimum(0.09, 0.6 / count)
+    return np.asarray(steps * (members.cumcount() - (count - 1) / 2))
 
 
 def _legend(most: int) -> dict[str, Any]:

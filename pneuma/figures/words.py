@@ -43,14 +43,11 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
         for engine in data.engines(name):
             engines.setdefault(engine, []).append(name)
     if len(engines) > 1:
-        parts = [f"{engine} ({_named(names)})" for engine, names in sorted(engines.items())]
+        parts = [f"{engine} ({named(names)})" for engine, names in sorted(engines.items())]
         notes.append(f"Conditions were trained by different engines: {', '.join(parts)}.")
     units = kinds_of_return(data).union(kinds_of_return(beside) if beside else ())
     if returns and len(units) > 1:
         notes.append("Returns of unlike rewards, or of more players, cannot be compared.")
-    parents = {run.fields.get("parent") for run in data.rows} - {None, ""}
-    if parents and len(parents) < data.runs["condition"].value_counts().max():
-        notes.append(f"Runs are forks of {len(parents)} alone: intervals take them for independent.")
     missing: list[str] = []
     for name in data.conditions:
         runs = data.of_condition(name)
@@ -62,11 +59,11 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
         if at_end < len(runs):
             notes.append(f"{at_end} of {len(runs)} runs of {name} reach the end.")
     if missing:
-        notes.append(f"No runs of {_named(missing)}.")
+        notes.append(f"No runs of {named(missing)}.")
     return notes
 
 
-def _named(conditions: Sequence[str]) -> str:
+def named(conditions: Sequence[str]) -> str:
     if len(conditions) <= MOST_NAMED:
         return "; ".join(conditions)
     return counted(len(conditions), "condition")
@@ -122,26 +119,23 @@ def looks_of(studies: Sequence[StudyData]) -> dict[str, dict[str, Any]]:
     `tanh` is blue under every limit.
     """
     kinds: dict[str, str] = {}
-    colours: dict[str, str] = {}
+    own: dict[str, str] = {}
     for data in studies:
         for condition in (*data.study.conditions, *data.conditions):
             kind = kinds.setdefault(condition, _kind(data.study, condition))
-            named = data.study.colors.get(condition) or data.study.colors.get(kind)
-            if named:
-                colours.setdefault(condition, named)
+            colour = data.study.colors.get(condition) or data.study.colors.get(kind)
+            if colour:
+                own.setdefault(condition, colour)
     if len({*kinds.values()}) > MOST_IN_A_PANEL:
         kinds = {name: kinds[name] for name in shown_conditions(studies)}
-    free = [f"C{place}" for place in range(len(kinds) + len(colours)) if f"C{place}" not in colours.values()]
-    colours_of_kinds: dict[str, str] = {}
+    free = [f"C{place}" for place in range(len(kinds) + len(own)) if f"C{place}" not in own.values()]
+    by_kind: dict[str, str] = {}
     looks: dict[str, dict[str, Any]] = {}
-    drawn: list[str] = []
     for condition, kind in kinds.items():
-        if condition not in colours and kind not in colours_of_kinds:
-            colours_of_kinds[kind] = free.pop(0)
-        colour = colours.get(condition) or colours_of_kinds[kind]
-        marker, line = MARKERS[len(looks) % len(MARKERS)], LINES[drawn.count(colour) % len(LINES)]
-        looks[condition] = {"color": colour, "marker": marker, "linestyle": line}
-        drawn.append(colour)
+        colour = own.get(condition) or by_kind.get(kind) or by_kind.setdefault(kind, free.pop(0))
+        alike = sum(look["color"] == colour for look in looks.values())
+        marker = MARKERS[len(looks) % len(MARKERS)]
+        looks[condition] = {"color": colour, "marker": marker, "linestyle": LINES[alike % len(LINES)]}
     return looks
 
 
@@ -157,9 +151,9 @@ def short_names(studies: Sequence[StudyData]) -> tuple[dict[str, str], str]:
     for data in studies:
         levels |= {name: data.study.levels.get(name, {}) for name in data.conditions}
     factors = {tuple(level) for level in levels.values()}
-    short = {name: ", ".join(level.values()) for name, level in levels.items()}
-    if len(factors) != 1 or len(next(iter(factors))) < 2 or len({*short.values()}) < len(short):
+    if len(factors) > 1 or factors == {()}:
         return {}, ""
+    short = {name: ", ".join(level.values()) for name, level in levels.items()}
     return short, ", ".join(factors.pop()).replace("_", " ")
 
 

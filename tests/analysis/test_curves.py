@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -134,17 +133,6 @@ def test_a_band_has_its_edges_and_none_for_too_few_runs(
     np.testing.assert_allclose(frame["centre"], [4, 3, NAN, 4])
     np.testing.assert_allclose(frame["low"], [*low, NAN, NAN])
     np.testing.assert_allclose(frame["high"], [*high, NAN, NAN])
-
-
-@pytest.mark.parametrize(
-    ("center", "centres"),
-    [("median", [4, 3, NAN, 4]), ("iqm", [11 / 3, 3, NAN, 4])],  # of 3, 4 and 4; of 2 and 4
-)
-def test_a_centre_that_is_no_mean_has_an_interval_of_its_own(center: str, centres: list[float]) -> None:
-    frame = replace(CURVE, center=center).frame("ci")
-    np.testing.assert_allclose(frame["centre"], centres)
-    assert 1 <= frame["low"][0] <= centres[0] <= frame["high"][0] <= 8
-    assert frame[["low", "high"]][1:].isna().all(axis=None)  # some run has no value there
 
 
 # --- Evaluations, and the table of curves --------------------------------------------------------

@@ -24,9 +24,9 @@ from .calls import call, save_finished
         ("--figure summary", "fig-6-5-text-gamma=0.5-summary.png"),
         (
             "--window trailing-100 --condition tanh --seeds 1",
-            "fig-6-5-text-gamma=0.5-tanh-seeds-0.png",
+            "fig-6-5-text-gamma=0.5-tanh-seeds-0-trailing-100.png",
         ),
-        ("--x wall-clock --center iqm", "fig-6-5-text-gamma=0.5-iqm-over-wall-clock.png"),
+        ("--x wall-clock --band minmax", "fig-6-5-text-gamma=0.5-minmax-over-wall-clock.png"),
         ("--steps 1024", "fig-6-5-text-gamma=0.5-steps-1024.png"),
     ],
 )
