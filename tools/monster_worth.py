@@ -35,10 +35,10 @@ def main() -> None:
 
 def compared_by_return(claims: ClaimList, index: RunIndex, world: str) -> list[Row]:
     rows: dict[str, Row] = {}
-    for claim in claims.claims.values():
-        if world in claim.worlds and RETURN in claim.outcome:
-            runs = find_claim_runs(index, claims, claim, world)
-            rows |= {row.run_id: row for of_condition in runs.rows.values() for row in of_condition}
+    by_return = [claim for claim in claims.on("", world) if RETURN in claim.outcome]
+    for runs in find_claim_runs(index, claims, [(claim, world) for claim in by_return]):
+        for of_condition in runs.rows.values():
+            rows |= {row.run_id: row for row in of_condition}
     return [*rows.values()]
 
 

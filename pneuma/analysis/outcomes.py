@@ -40,8 +40,6 @@ ALIKE = {"": 1e-9, "monsters": 0.5 / 14}
 """How close to 0 or 1 a value counts as equal, for claims without a margin: half a monster of 14."""
 LARGEST = 1e70
 """Greater numbers count as none: their fourth powers could not be summed."""
-MIN_CPU_SHARE = 0.9
-"""The least share of a core for a valid time; below it, other work on the machine counts too much."""
 ONLY_IN_PNEUMA = (
     "share_killed", "argmax_share_killed", "score", "died", "steps_to_clear", "hp_lost", "commonest_action",
     "kill_evenness", "hp",

@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.claims.verdicts import Verdict, judge
 from pneuma.config import Run, as_fields
@@ -20,9 +18,6 @@ from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 
 from .. import hand_made
-
-STEPS = 1024
-SEEDS = 8
 
 STUDY = """\
 title = "Mine"
@@ -89,7 +84,6 @@ def save_runs(
     store: Store,
     folder: Path,
     shares: Mapping[str, Sequence[float | Sequence[float]]],
-    steps: int = STEPS,
     world: str = "text",
     returns: Sequence[float] = (),
     **provenance: object,
@@ -99,10 +93,8 @@ def save_runs(
     study = load_study(str(folder / "mine.toml"), world)
     ids = []
     for condition, values in shares.items():
-        selection = Query(
-            preset="quick", seeds=tuple(range(len(values))), steps=steps, conditions=(condition,)
-        )
-        for i, (cell, share) in enumerate(zip(make_plan(study, selection).cells, values, strict=True)):
+        query = Query(preset="quick", seeds=tuple(range(len(values))), conditions=(condition,))
+        for i, (cell, share) in enumerate(zip(make_plan(study, query).cells, values, strict=True)):
             own = returns[i] if returns else None
             save_run(store, cell.run, share, own, **provenance)
             ids.append(cell.run_id)
@@ -116,23 +108,20 @@ def save_run(
     returned: float | None = None,
     **provenance: Any,
 ) -> None:
-    """Store a run of one evaluation, or of several at even steps, whose score is what they kill."""
+    """Store a run of one evaluation, or of several at even steps.
+
+    What they kill is their score too, and the share of their steps with the commonest action.
+    """
     curve = shares if isinstance(shares, Sequence) else [shares]
+    columns = ("share_killed", "score", "commonest_action")
     evaluations = [
-        {"step": run.steps * k // len(curve), "share_killed": own, "score": own}
+        {"step": run.steps * k // len(curve), **dict.fromkeys(columns, own)}
         for k, own in enumerate(curve, start=1)
     ]
     episode = {"step": run.steps, "return": curve[-1] if returned is None else returned, "length": 9}
     rows = [episode], [{"step": run.steps, "entropy": 1.0}], evaluations
-    about: dict[str, Any] = {
-        "wall_seconds": 1 + float(np.nan_to_num(curve[-1])),
-        "cpu": "a",
-        "threads": 1,
-        **provenance,
-    }
-    hand_made.save_run(
-        store, run_id(run), *rows, run.steps, fields=as_fields(run), config_id=config_id(run), **about
-    )
+    about: dict[str, Any] = {"fields": as_fields(run), "config_id": config_id(run), **provenance}
+    hand_made.save_run(store, run_id(run), *rows, run.steps, **about)
 
 
 def published_alone(store: Store, folder: Path, study: str = "mine") -> Store:

@@ -45,7 +45,7 @@ def commit(folder: Path, rules: int = RULES) -> str:
         ("margin = 0.04", "margin = 0.4\nregistered_margin = 0.04", ()),  # set anew, and said so
         ("margin = 0.04", "margin = 0.4", ("margin",)),
         ("[defaults]", "[margins]\nfinal-share-killed = 0.1\n[defaults]", ()),  # the claim has its own
-        ('a = "high"', 'a = "middle"', ("a", "seeds")),
+        ('a = "high"', 'a = "middle"', ("a",)),
         ("seeds = 8", "seeds = 7", ("seeds",)),  # of the defaults
         ("[defaults]", "[list]\nseeds_from = 5\n[defaults]", ("seeds",)),
         ('"final-share-killed"', '["final-share-killed", "final-return"]', ("outcome",)),

@@ -33,22 +33,21 @@ def compare_ranges(
     def named(places: Sequence[int]) -> dict[str, np.ndarray]:
         return {str(place): np.array(arms[place]) for place in places}
 
-    return compare_arms("range", named(a), b if isinstance(b, float) else named(b), level)
+    if isinstance(b, float):
+        return compare_arms("range", named(a), {}, level, constant=b)
+    return compare_arms("range", named(a), named(b), level)
 
 
 def both(own: Contrast) -> list[float]:
     return [*ends(own.interval), *ends(own.simultaneous)]
 
 
-def test_means_have_welchs_interval_at_either_level() -> None:
+def test_means_have_welchs_interval_and_students_against_a_number() -> None:
     own, theirs = compare("mean", A, B, LEVEL), stats.ttest_ind(A, B, equal_var=False)
     assert own.effect == pytest.approx(6.3 - 2.625) and own.means == pytest.approx((6.3, 2.625))
     assert own.seeds == (5, 4) and own.reason == ""
     assert ends(own.interval) == pytest.approx(ends(theirs.confidence_interval(0.95)))
     assert ends(own.simultaneous) == pytest.approx(ends(theirs.confidence_interval(LEVEL)))
-
-
-def test_a_mean_against_a_number_has_students() -> None:
     own, theirs = compare("mean", A, 5.0, LEVEL), stats.ttest_1samp(np.array(A) - 5, 0)
     assert own.effect == pytest.approx(1.3) and own.means == pytest.approx((6.3, 5.0))
     assert own.seeds == (5, 0)

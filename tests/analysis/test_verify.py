@@ -1,59 +1,46 @@
-"""`pneuma study verify`: the JSON document, from runs and from what was published."""
+"""`pneuma study verify`: the JSON document, from runs and from what was published, and what people read."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from pneuma.analysis.claims.claim_list import load_claims
-from pneuma.cli import main
 from pneuma.store.store import Store
 
+from ..cli.calls import described, printed
 from .claim_files import CLAIMS, HIGH, LOW, save_runs, write_files
-
-Captured = pytest.CaptureFixture[str]
 
 OTHER = CLAIMS[CLAIMS.index("[claims.better]") :].replace("better", "other").replace('"high"', '"middle"')
 
 
-@pytest.fixture
-def command(tmp_path: Path) -> list[str]:
-    """A command over a folder with the runs of one claim and none of another's."""
-    claims = write_files(tmp_path, CLAIMS + OTHER)
+def test_all_views_have_every_claim_in_its_worlds(tmp_path: Path) -> None:
+    """Of one claim there are runs, and of the other none of one arm."""
+    path = write_files(tmp_path, CLAIMS + OTHER)
     save_runs(Store(tmp_path / "results"), tmp_path, {"high": HIGH, "low": LOW})
-    return ["study", "verify", "--claims", str(claims), "--results", str(tmp_path / "results")]
-
-
-def _document(captured: Captured, *arguments: str) -> Any:
-    assert main([*arguments, "--json"]) == 0
-    return json.loads(captured.readouterr().out)
-
-
-def test_the_document_has_every_claim_in_its_worlds(
-    command: list[str], tmp_path: Path, capsys: Captured
-) -> None:
-    document = _document(capsys, *command)
-    (described,) = document["lists"]
-    assert (described["alpha"], described["family_sizes"]) == (0.05, {"mine.toml text": 2})
-    assert described["claims_hash"] == load_claims(tmp_path / "claims.toml").digest
-    told = [(one["claim"], one["world"], one["verdict"]) for one in document["claims"]]
-    assert told == [
-        ("better", "text", "supported"),
-        ("other", "text", "untestable"),
-    ]
+    command = ["study", "verify", "--claims", path, "--results", tmp_path / "results"]
+    document = described(*command, "--json")
+    (listed,) = document["lists"]
+    assert (listed["alpha"], listed["claims_hash"]) == (0.05, load_claims(path).digest)
     first, missing = document["claims"]
-    assert first["effect"] == pytest.approx(0.5)
-    assert first["low"] < 0.5 < first["high"]
-    assert (first["seeds_a"], first["seeds_b"], first["reason"]) == (8, 8, "")
-    assert len(first["run_ids"]) == 16
+    told = [(one["claim"], one["world"], one["verdict"]) for one in document["claims"]]
+    assert told == [("better", "text", "supported"), ("other", "text", "untestable")]
+    assert first["effect"] == pytest.approx(0.5) and first["low"] < 0.5 < first["high"]
+    assert (first["alpha"], first["margin"], first["reason"]) == (0.025, 0.04, "")
+    assert (first["seeds_a"], first["seeds_b"], len(first["run_ids"])) == (8, 8, 16)
     assert (missing["effect"], missing["low"]) == (None, None)
-    (alone,) = _document(capsys, *command, "better")["claims"]  # whose correction is for the whole list
-    assert alone == first
-    assert missing["reason"] == (
-        "no runs: middle, 8 seeds of 1,024 steps; "
-        f"train with: pneuma study run {tmp_path / 'mine.toml'} --preset claims --world text "
-        f"--results {tmp_path / 'results'}"
+    trains = (
+        f"train with: pneuma study run {tmp_path / 'mine.toml'} --world text --condition middle "
+        f"--condition low --seeds 0..7 --steps 1024 --results {tmp_path / 'results'}"
     )
+    lacking = "runs missing: middle has 0 of the 8 fixed ones with 1,024 steps"
+    assert missing["reason"] == f"{lacking}; {trains}"
+    (alone,) = described(*command, "better", "--json")["claims"]  # whose correction is for the whole list
+    assert alone == first
+    lines = printed(*command).splitlines()
+    (shown,) = [line.split() for line in lines if "holds   " in line]
+    assert " ".join(shown) == "text holds kills 74 against 24 % (47 to 53; ±4.0)"
+    assert "partly trained" in "\n".join(lines) and "Read: 16 runs in" in lines[-1]
+    detail = printed(*command, "better")
+    assert "high against low, 8 and 8 runs:" in detail and "“a quote”" in detail

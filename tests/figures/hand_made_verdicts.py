@@ -10,14 +10,14 @@ from pneuma.analysis.claims.verdicts import PREREGISTERED, ClaimContrast, Verdic
 from pneuma.analysis.intervals import Interval, no_interval
 
 
-def claim(name: str = "tanh-better", **fields: Any) -> Claim:
+def claim(name: str = "tanh-better", outcome: str = "final-share-killed", **fields: Any) -> Claim:
     """Return a claim on the mean share killed by tanh, unless fields say otherwise."""
     usual = {
         "quote": "improves performance", "section": "6.2", "study": "activation", "a": ("tanh",),
-        "b": ("relu",), "outcome": "final-share-killed", "kind": "mean", "direction": "greater",
-        "seeds": (0, 1), "steps": 9, "worlds": ("text",),
+        "b": ("relu",), "kind": "mean", "direction": "greater", "seeds": (0, 1), "steps": 9,
+        "worlds": ("text",),
     }  # fmt: skip
-    return Claim.model_validate({**usual, "name": name, **fields})
+    return Claim.model_validate({**usual, "name": name, "outcome": tuple(outcome.split()), **fields})
 
 
 def comparison(
@@ -32,10 +32,11 @@ def comparison(
     """Return a contrast of tanh against relu that came to an effect."""
     own = of or claim()
     interval = Interval(*ends, "written") if ends else no_interval()
-    levels = means or (0.5 + effect, 0.5)
-    contrast = Contrast(effect, interval, interval, seeds, levels)
+    contrast = Contrast(effect, interval, interval, seeds, means or (0.5 + effect, 0.5))
     where: dict[str, Any] = {"world": "text", "outcome": own.outcome[0], "a": own.a, "b": own.b, **more}
-    return ClaimContrast(own, **where, contrast=contrast, verdict=verdict)
+    place = "text", where["outcome"]
+    planned: dict[str, Any] = {"value": own.value_of(*place), "margin": own.margin_of(*place)}
+    return ClaimContrast(own, **where, **planned, contrast=contrast, verdict=verdict)
 
 
 def judged(own: Claim, **verdicts: tuple[str, str, tuple[ClaimContrast, ...]]) -> dict[str, Verdict]:

@@ -16,9 +16,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pneuma.analysis.claims.claim_list import Claim, ClaimList
+from pneuma.analysis.claims.claim_list import Claim, ClaimList, Pair
 from pneuma.analysis.claims.contrasts import Contrast, compare_arms
-from pneuma.analysis.claims.fixed_runs import TRAIN_WITH, Arm, ClaimRuns, find_claim_runs
+from pneuma.analysis.claims.fixed_runs import TRAIN_WITH, ClaimRuns, find_claim_runs
 from pneuma.analysis.claims.history import HOW_MANY, changed_since
 from pneuma.analysis.intervals import Interval
 from pneuma.analysis.outcomes import find_outcome
@@ -38,20 +38,18 @@ AS_CLAIMED_BUT_SMALL = "in the direction claimed, but too small to count"
 
 PREREGISTERED, DESCRIPTIVE = "preregistered", "descriptive"
 
-Wanted = Callable[[Claim, str], bool]
-"""Whether a claim is to be judged in a world."""
-
 
 @dataclass(frozen=True)
 class ClaimContrast:
     """A row of the table: a contrast of a claim in a world, and the verdict on it alone.
 
     Attributes:
-        a, b: the conditions of either arm, several for a range; b is empty for a constant.
+        a, b: the conditions of either arm, several for a range; b is empty if there is a value.
+        value: a constant, or another outcome of the same runs, that a is compared with.
         alpha: the contrast's own part of the list's error rate in the world.
-        contrast: what the runs show; its reason is not empty if nothing can be concluded.
+        margin: the smallest difference that counts; None against a constant, which is itself what counts.
         runs: the ids of the runs that were read, by condition.
-        verdict: empty before it is judged.
+        contrast: what the runs show; its reason is not empty if nothing can be concluded.
         registered_verdict: the same by the margin that was registered, where margins were set anew.
         none_learned: whether neither arm is shown to play better than the random player, so that being alike
             counts for nothing.
@@ -62,58 +60,25 @@ class ClaimContrast:
     outcome: str
     a: tuple[str, ...]
     b: tuple[str, ...]
+    value: float | str | None = None
     alpha: float = 1.0
+    margin: float | None = None
+    registered_margin: float | None = None
+    runs: Mapping[str, Sequence[str]] = field(default_factory=dict)
     contrast: Contrast = Contrast()
-    runs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    verdict: str = ""
-    registered_verdict: str = ""
+    verdict: str = UNTESTABLE
+    registered_verdict: str = UNTESTABLE
     none_learned: bool = False
-
-    @property
-    def margin(self) -> float | None:
-        """The smallest difference that counts; None against a constant, which is itself what counts."""
-        return self.claim.margin_of(self.world, self.outcome) if self._has_margin else None
-
-    @property
-    def registered_margin(self) -> float | None:
-        return self.claim.registered_margin_of(self.world, self.outcome) if self._has_margin else None
-
-    @property
-    def _has_margin(self) -> bool:
-        return bool(self.b) or not self.value
-
-    @property
-    def value(self) -> float:
-        """The constant that arm a is compared with; 0 if there is none."""
-        return self.claim.value_of(self.world, self.outcome) or 0.0
-
-    @property
-    def conditions(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys((*self.a, *self.b)))
-
-    @property
-    def other_outcome(self) -> str:
-        """The outcome of the same runs that is compared with this one; mostly empty."""
-        return self.claim.other_outcome(self.outcome)
 
     @property
     def names(self) -> tuple[str, str]:
         """The arms as text; b may be a number or an outcome."""
-        return ", ".join(self.a), ", ".join(self.b) or self.other_outcome or f"{self.value:g}"
+        value = f"{self.value:g}" if isinstance(self.value, float) else str(self.value)
+        return ", ".join(self.a), ", ".join(self.b) or value
 
     @property
     def has_effect(self) -> bool:
         return math.isfinite(self.contrast.effect)
-
-    def compare(self, arms: Mapping[str, Arm]) -> Contrast:
-        """Return the contrast of the arms of each condition."""
-        a = {name: arms[name].values for name in self.a}
-        if self.other_outcome:
-            others = arms[self.a[0]].other_values
-            contrast = compare_arms(self.claim.kind, {"a": a[self.a[0]] - others}, 0.0, 1 - self.alpha)
-            return replace(contrast, means=(contrast.means[0] + float(others.mean()), float(others.mean())))
-        b = {name: arms[name].values for name in self.b} or self.value
-        return compare_arms(self.claim.kind, a, b, 1 - self.alpha)
 
 
 @dataclass(frozen=True)
@@ -144,51 +109,50 @@ class Verdict:
         if self.claim.paired:
             return self.contrasts
         deciding: dict[str, ClaimContrast] = {}
-        for verdict in DECIDING_FIRST:
-            for row in self.contrasts:
-                if row.verdict == verdict:
-                    deciding.setdefault(row.outcome, row)
-        in_order = dict.fromkeys(row.outcome for row in self.contrasts)
-        return tuple(deciding[outcome] for outcome in in_order)
+        for row in self.contrasts:
+            before = deciding.setdefault(row.outcome, row)
+            if DECIDING_FIRST.index(row.verdict) < DECIDING_FIRST.index(before.verdict):
+                deciding[row.outcome] = row
+        return tuple(deciding.values())
 
     @property
     def run_ids(self) -> list[str]:
-        every = [run_id for row in self.contrasts for run_ids in row.runs.values() for run_id in run_ids]
-        return list(dict.fromkeys(every))
+        run_ids: list[str] = []
+        for row in self.contrasts:
+            for of_condition in row.runs.values():
+                run_ids += of_condition
+        return list(dict.fromkeys(run_ids))
 
     @property
     def lacks_runs(self) -> bool:
         return TRAIN_WITH in self.reason
 
 
-def judge(claims: ClaimList, index: RunIndex, wanted: Wanted = lambda claim, world: True) -> list[Verdict]:
+def judge(
+    claims: ClaimList, index: RunIndex, wanted: Callable[[Claim, str], bool] = lambda claim, world: True
+) -> list[Verdict]:
     """Return the verdict on each claim of a list in each of its worlds, or on those that are wanted.
 
     The correction is for the planned contrasts of the whole family, whichever are wanted: no data of the
     others are needed.
     """
-    verdicts: list[Verdict] = []
+    pairs: list[tuple[Claim, str]] = []
     for claim in claims.claims.values():
-        for world in claim.worlds:
-            if wanted(claim, world):
-                verdicts.append(judge_claim(claims, find_claim_runs(index, claims, claim, world)))
-    return verdicts
+        pairs += [(claim, world) for world in claim.worlds if wanted(claim, world)]
+    return [judge_claim(claims, runs) for runs in find_claim_runs(index, claims, pairs)]
 
 
 def judge_claim(claims: ClaimList, runs: ClaimRuns) -> Verdict:
     """Return the verdict on a claim of a list in one world by its runs."""
-    claim, world = runs.claim, runs.world
+    claim, world = runs.claim, runs.study.world
     alpha = claims.head.alpha / claims.family_size(world, claim.study)
     rows: list[ClaimContrast] = []
     verdicts: list[str] = []
-    registered: list[str] = []
+    registered_verdicts: list[str] = []
     for outcome in claim.outcome:
-        of_outcome = [
-            _judge_contrast(ClaimContrast(claim, world, outcome, a, b, alpha), runs)
-            for a, b in claim.pairs(outcome)
-        ]
+        of_outcome = [_judge_contrast(runs, outcome, pair, alpha) for pair in claim.pairs(outcome)]
         verdicts.append(all_of(row.verdict for row in of_outcome))
-        registered.append(all_of(row.registered_verdict for row in of_outcome))
+        registered_verdicts.append(all_of(row.registered_verdict for row in of_outcome))
         rows += of_outcome
     verdict = combine(verdicts, claim.need)
     changed = changed_since(claims, claim, world, runs.commits)
@@ -198,7 +162,7 @@ def judge_claim(claims: ClaimList, runs: ClaimRuns) -> Verdict:
         verdict=verdict,
         reason=_reason(verdict, rows),
         contrasts=tuple(rows),
-        registered_verdict=combine(registered, claim.need),
+        registered_verdict=combine(registered_verdicts, claim.need),
         label=_label(claims, claim, changed),
         changed=changed,
     )
@@ -208,16 +172,15 @@ def _label(claims: ClaimList, claim: Claim, changed: Sequence[str] | None) -> st
     """Return whether a claim was stated before its runs."""
     if claim.seen or {*(changed or ())} - {*HOW_MANY}:
         return DESCRIPTIVE
-    seeds = [seed for condition in claim.compared for seed in claim.seeds_of(condition)]
-    if min(seeds) < claims.head.known_below:
+    if min(min(claim.seeds_of(condition)) for condition in claim.compared) < claims.head.known_below:
         return f"same runs as {claims.head.known_from}"
     return PREREGISTERED
 
 
 def _reason(verdict: str, rows: Sequence[ClaimContrast]) -> str:
     if verdict == UNTESTABLE:  # each part of the reasons once, the command that trains what is missing last
-        parts = dict.fromkeys(part for row in rows for part in row.contrast.reason.split("; ") if part)
-        return "; ".join(sorted(parts, key=lambda part: part.startswith(TRAIN_WITH)))
+        parts = dict.fromkeys("; ".join(row.contrast.reason for row in rows).split("; "))
+        return "; ".join(sorted(filter(None, parts), key=lambda part: part.startswith(TRAIN_WITH)))
     refuted = [row for row in rows if row.verdict == REFUTED]
     if verdict == REFUTED and all(map(_is_as_claimed_but_small, refuted)):
         return AS_CLAIMED_BUT_SMALL
@@ -226,105 +189,105 @@ def _reason(verdict: str, rows: Sequence[ClaimContrast]) -> str:
 
 def _is_as_claimed_but_small(row: ClaimContrast) -> bool:
     """Return whether an effect is refuted as too small although its interval is on the claimed side of 0."""
-    ends, claimed = row.contrast.simultaneous, row.claim.claimed(row.outcome)
-    is_above = claimed in ("greater", "different") and ends.low > 0
-    is_below = claimed in ("less", "different") and ends.high < 0
-    return is_above or is_below
+    return decide(row.contrast.simultaneous, row.claim.claimed(row.outcome), margin=None) == SUPPORTED
 
 
 # --- Contrasts -----------------------------------------------------------------------------------
 
 
-def _judge_contrast(row: ClaimContrast, runs: ClaimRuns) -> ClaimContrast:
-    row = replace(row, runs={name: tuple(run.run_id for run in runs.rows[name]) for name in row.conditions})
-    reason = row.claim.not_tested or runs.why_incomparable(row.outcome, row.conditions)
+def _judge_contrast(runs: ClaimRuns, outcome: str, pair: Pair, alpha: float) -> ClaimContrast:
+    claim, world, (a, b) = runs.claim, runs.study.world, pair
+    value = None if b else claim.value_of(world, outcome)
+    margins = [claim.margin_of(world, outcome), claim.registered_margin_of(world, outcome)]
+    if value and not isinstance(value, str):
+        margins = [None, None]
+    conditions = tuple(dict.fromkeys(a + b))
+    reason = claim.not_tested or runs.why_incomparable(outcome, conditions)
+    row = ClaimContrast(
+        claim=claim,
+        world=world,
+        outcome=outcome,
+        a=a,
+        b=b,
+        value=value,
+        alpha=alpha,
+        margin=margins[0],
+        registered_margin=margins[1],
+        runs={name: [row.run_id for row in runs.rows[name]] for name in conditions},
+        contrast=Contrast(reason=reason),
+    )
     if reason:
-        contrast = Contrast(reason=reason)
-        return replace(row, verdict=UNTESTABLE, registered_verdict=UNTESTABLE, contrast=contrast)
-    arms = {name: runs.arm(row.outcome, name, row.other_outcome) for name in row.conditions}
-    contrast, verdict = _verdict_by_margin(row, arms, row.margin)
-    _, registered_verdict = _verdict_by_margin(row, arms, row.registered_margin)
+        return row
+    arms = {name: runs.values(outcome, name) for name in conditions}
+    first, second = ({name: arms[name] for name in names} for names in pair)
+    constant = 0.0 if isinstance(value, str) else value or 0.0
+    if isinstance(value, str):  # of each run its own other outcome is taken away, and their mean added again
+        others = runs.values(value, a[0])
+        constant = float(others.mean())
+        first[a[0]] = first[a[0]] - others + constant
+    contrast = compare_arms(claim.kind, first, second, 1 - alpha, constant)
+    none_learned = _have_none_learned(runs, outcome, conditions)
+    reasons: list[str] = []
+    verdicts: list[str] = []
+    for margin in margins:
+        reasons.append(_why_untestable(runs, outcome, arms, margin))
+        verdict = decide(contrast.simultaneous, claim.claimed(outcome), margin, not none_learned)
+        verdicts.append(UNTESTABLE if reasons[-1] else verdict)
+    if reasons[0]:
+        contrast, none_learned = Contrast(seeds=contrast.seeds, reason=reasons[0]), False
     return replace(
         row,
         contrast=contrast,
-        verdict=verdict,
-        registered_verdict=registered_verdict,
-        none_learned=verdict != UNTESTABLE and _have_none_learned(row, arms),
+        verdict=verdicts[0],
+        registered_verdict=verdicts[1],
+        none_learned=none_learned,
     )
 
 
-def _verdict_by_margin(
-    row: ClaimContrast, arms: Mapping[str, Arm], margin: float | None
-) -> tuple[Contrast, str]:
-    """Return the contrast of arms of finished runs, and the verdict on it with a margin."""
-    if reason := _why_untestable(row, arms, margin):
-        sizes = [arms[name].values.shape[-1] for name in (*row.a, *row.b)] + [0]
-        return Contrast(seeds=(sizes[0], sizes[1]), reason=reason), UNTESTABLE
-    contrast = row.compare(arms)
-    alike_counts = not _have_none_learned(row, arms)
-    return contrast, decide(contrast.simultaneous, row.claim.claimed(row.outcome), margin, alike_counts)
+def _why_untestable(
+    runs: ClaimRuns, outcome: str, arms: Mapping[str, np.ndarray], margin: float | None
+) -> str:
+    """Return why arms of finished runs decide nothing; empty if they can be compared.
 
-
-def _why_untestable(row: ClaimContrast, arms: Mapping[str, Arm], margin: float | None) -> str:
-    """Return why arms of finished runs decide nothing; empty if they can be compared."""
-    for arm in arms.values():
-        if arm.reason:
-            return arm.reason
-    for name, arm in arms.items():
-        if find_outcome(row.outcome).requires_learning and arm.learned is False:
-            return f"arm at floor: {name} is not shown to play better than the random player"
-    if len(arms) < 2 or row.claim.kind == "hazard":
+    They cannot if every run of all arms is at the outcome's least or greatest value: within the margin, or
+    without one within the outcome's own tolerance. Of an incidence the arms' shares of runs count.
+    """
+    measured = find_outcome(outcome)
+    learned = [runs.learned[name] for name in arms]
+    if measured.requires_learning and False in learned:
+        name = list(arms)[learned.index(False)]
+        return f"the agents learned nothing there: {name} is not shown to play better than the random player"
+    if len(arms) < 2 or runs.claim.kind == "hazard":
         return ""
-    return _rare_or_common(arms) if row.claim.is_incidence else _at_an_end(row.outcome, arms, margin)
+    values = np.concatenate(list(arms.values()))
+    bounds, tolerance = measured.bounds, margin or measured.alike
+    if runs.claim.is_incidence:
+        values = np.array([events.mean() for events in arms.values()])
+        bounds, tolerance = (0.0, 1.0), RARE
+    ends = {"floor": bounds[0], "ceiling": bounds[1]}
+    if _is_of_play(runs.claim, outcome) and None not in learned:
+        del ends["floor"]  # the comparison with the random player decides it
+    for end, bound in ends.items():
+        if np.isfinite(bound) and (np.abs(values - bound) <= tolerance).all():
+            return f"all runs end alike: at the {end}, within {tolerance:.2g} of {bound:g}"
+    return ""
 
 
-def _have_none_learned(row: ClaimContrast, arms: Mapping[str, Arm]) -> bool:
+def _have_none_learned(runs: ClaimRuns, outcome: str, conditions: Sequence[str]) -> bool:
     """Return whether play is compared of arms of which none is shown to play better than the random player.
 
     Such arms may be alike because nothing was learned, so that only a difference between them counts.
     """
-    is_of_play = _is_of_play(row.outcome) and not row.claim.is_incidence
-    if not is_of_play and row.claim.claimed(row.outcome) not in ("equal", "no-less"):
+    claim = runs.claim
+    if claim.kind == "hazard" or len(conditions) < 2:
         return False
-    return len(arms) > 1 and all(arm.learned is False for arm in arms.values())
+    needs_play = _is_of_play(claim, outcome) or claim.claimed(outcome) in ("equal", "no-less")
+    return needs_play and all(runs.learned[name] is False for name in conditions)
 
 
-def _rare_or_common(arms: Mapping[str, Arm]) -> str:
-    """Return the reason if in every arm at most a tenth of the runs have the event, or lack it."""
-    shares = np.array([arm.values.mean() for arm in arms.values()])
-    for end, is_there in (("floor", shares <= RARE), ("ceiling", shares >= 1 - RARE)):
-        if is_there.all():
-            return f"both arms are at the {end}: {RARE:.0%} of the runs or fewer differ"
-    return ""
-
-
-def _at_an_end(outcome: str, arms: Mapping[str, Arm], margin: float | None) -> str:
-    """Return the reason if every run of all arms is at the outcome's least or greatest value.
-
-    Values within the margin of an end count as there; without a margin, the outcome's own tolerance is used.
-    For outcomes that measure play, the floor is decided by the comparison with the random player.
-    """
-    measured = find_outcome(outcome)
-    tolerance = margin or measured.alike
-    values = np.concatenate([arm.values for arm in arms.values()])
-    low, high = measured.bounds
-    ends = {"floor": low, "ceiling": high}
-    if _is_of_play(outcome) and all(arm.learned is not None for arm in arms.values()):
-        del ends["floor"]
-    for end, bound in ends.items():
-        if np.isfinite(bound) and (np.abs(values - bound) <= tolerance).all():
-            within = f"within {tolerance:.2g} of {bound:g}"
-            return f"both arms are at the {end}: every run has a {outcome} {within}"
-    return ""
-
-
-def _is_of_play(outcome: str) -> bool:
-    """Return whether a greater outcome means better play."""
-    measured = find_outcome(outcome)
-    return measured.better == "higher" and measured.source not in ("times", "signs")
-
-
-# --- Decisions -----------------------------------------------------------------------------------
+def _is_of_play(claim: Claim, outcome: str) -> bool:
+    """Return whether a greater value means better play."""
+    return find_outcome(outcome).better == "higher" and not claim.is_incidence
 
 
 def decide(ends: Interval, claimed: str, margin: float | None, alike_counts: bool = True) -> str:
@@ -336,13 +299,11 @@ def decide(ends: Interval, claimed: str, margin: float | None, alike_counts: boo
     """
     if claimed == DESCRIBED:
         return DESCRIBED
-    if not ends.exists:
-        return INCONCLUSIVE
-    # without a margin, no interval lies within it or beyond it
-    within = margin is not None and -margin < ends.low and ends.high < margin and alike_counts
-    far_above = margin is not None and ends.low > margin
-    far_below = margin is not None and ends.high < -margin
-    no_less = margin is not None and ends.low > -margin and alike_counts
+    if margin is None:
+        margin = math.nan  # no interval lies within it or beyond it; ends that are NaN show nothing either
+    within = -margin < ends.low and ends.high < margin and alike_counts
+    far_above, far_below = ends.low > margin, ends.high < -margin
+    no_less = ends.low > -margin and alike_counts
     is_above, is_below = ends.low > 0, ends.high < 0
     holds, fails = {
         "greater": (is_above, is_below or within),

@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from textwrap import shorten
 
 import pandas as pd
 
-from pneuma.analysis.claims.claim_list import TOGETHER, Claim
+from pneuma.analysis.claims.claim_list import Claim
 from pneuma.analysis.claims.verdicts import (
     DESCRIBED,
     DESCRIPTIVE,
@@ -50,15 +50,6 @@ WORLD_NAMES = {
     name: world.title.removeprefix("the ").removesuffix("'s world") for name, world in WORLDS.items()
 }
 """Heads of columns: text, published code, arena."""
-
-_PLAIN_REASONS = {
-    "arm at floor": "the agents learned nothing there",
-    "both arms are at the floor": "all runs end alike",
-    "both arms are at the ceiling": "all runs end alike",
-    "A/A": "what is compared is the same",
-    "engines are mixed": "trained by different engines",
-}
-"""The beginnings of the judge's reasons, where they need a glossary."""
 
 _OUTCOME_NAMES = {
     "final-return": "return",
@@ -105,61 +96,49 @@ def verdicts_by_claim(verdicts: Iterable[Verdict]) -> dict[str, dict[str, Verdic
     """
     by_claim: dict[str, dict[str, Verdict]] = {}
     for verdict in sorted(verdicts, key=_section_numbers):
-        by_claim.setdefault(verdict.claim.row, {})[verdict.world] = verdict
+        row = verdict.claim.row
+        if verdict.world in by_claim.get(row, {}):
+            row = verdict.claim.name
+        by_claim.setdefault(row, {})[verdict.world] = verdict
     return by_claim
 
 
 def _section_numbers(verdict: Verdict) -> list[int]:
-    return [int(number) for number in re.findall(r"\d+", verdict.claim.section)]
-
-
-def first_claim(name: str, by_world: Mapping[str, Verdict]) -> Claim:
-    """Return the claim of a row: the one that others are like, or the first of these without it."""
-    claims = {verdict.claim.name: verdict.claim for verdict in by_world.values()}
-    return claims.get(name) or next(iter(claims.values()))
+    return list(map(int, re.findall(r"\d+", verdict.claim.section)))
 
 
 def worlds_of(by_claim: ByClaim) -> dict[str, str]:
     """Return the names of the worlds in which claims were judged; statements of one's own may have none."""
-    worlds: set[str] = set()
-    has_quotes = False
-    for by_world in by_claim.values():
-        for world, verdict in by_world.items():
-            worlds.add(world)
-            has_quotes |= bool(verdict.claim.quote)
-    if len(worlds) == 1 and not has_quotes:
-        return dict.fromkeys(worlds, "verdict")
-    return {world: name for world, name in WORLD_NAMES.items() if world in worlds}
+    verdicts = [verdict for by_world in by_claim.values() for verdict in by_world.values()]
+    judged_in = {verdict.world for verdict in verdicts}
+    if len(judged_in) == 1 and not any(verdict.claim.quote for verdict in verdicts):
+        return dict.fromkeys(judged_in, "verdict")
+    return {world: name for world, name in WORLD_NAMES.items() if world in judged_in}
 
 
 def count_words(by_claim: ByClaim) -> pd.DataFrame:
     """Return how many claims have each word, a row for each world."""
-    counts: dict[str, Counter[str]] = {}
+    counts: Counter[tuple[str, str]] = Counter()
     for by_world in by_claim.values():
-        for world, verdict in by_world.items():
-            counts.setdefault(world, Counter()).update([word(verdict)])
+        counts.update((world, word(verdict)) for world, verdict in by_world.items())
     rows = []
     for world, name in worlds_of(by_claim).items():
-        rows.append([name] + [counts[world][each_word] for each_word in WORDS])
+        rows.append([name, *(counts[world, text] for text in WORDS)])
     return pd.DataFrame(rows, columns=["", *WORDS])
 
 
-def verdict_table(by_claim: ByClaim, whole: bool = False) -> pd.DataFrame:
-    """Return a row for each claim: section, sentence and arms, and for each world the word and effects.
-
-    With `whole`, sentences are not shortened.
-    """
+def verdict_table(by_claim: ByClaim) -> pd.DataFrame:
+    """Return a row for each claim: section, sentence and arms, and for each world the word and effects."""
     worlds = worlds_of(by_claim)
     rows: list[list[str]] = []
     quoted: set[str] = set()
     for name, by_world in by_claim.items():
-        claim = first_claim(name, by_world)
-        quote = sentence(claim) if whole else short_sentence(claim)
+        claim = next(iter(by_world.values())).claim
+        quote = short_sentence(claim)
+        heading = claim.context or name
         if quote and quote not in quoted:
             heading = f"“{quote}”"
             quoted.add(quote)
-        else:
-            heading = claim.context or name
         row = [claim.section, f"{heading}\n{arms_in_words(claim)}"]
         for world in worlds:
             row.append(cell(by_world[world]) if world in by_world else "–")
@@ -188,16 +167,13 @@ def lines(verdict: Verdict) -> list[str]:
         texts = [effect(row) for row in tested]
         if any(row.none_learned for row in tested):
             texts.append("none plays better than at random")
-        for row in tested[:1]:
-            runs, other_runs = row.contrast.seeds
-            if other_runs and runs != other_runs:
-                texts.append(f"{runs} against {other_runs} runs")
-    reason = why(verdict)
-    if reason:
-        texts.append(reason)
+        sizes = [size for size in tested[0].contrast.seeds if size] if tested else []
+        if len({*sizes}) > 1:
+            texts.append(f"{sizes[0]} against {sizes[1]} runs")
+    texts.append(why(verdict))
     if verdict.registered_verdict not in ("", verdict.verdict):
         texts.append(f"by the registered margins: {_WORD_OF[verdict.registered_verdict]}")
-    return texts
+    return list(filter(None, texts))
 
 
 def letter(verdict: Verdict) -> str:
@@ -222,25 +198,27 @@ def why(verdict: Verdict) -> str:
         return "partly trained" if verdict.run_ids else "not trained yet"
     if verdict.verdict == MIXED:
         return "its two measures disagree"
-    reason = verdict.reason.partition(":")[0]
-    if " seed " in reason:
-        return "a run has no value"
-    return _PLAIN_REASONS.get(reason, reason)
+    return verdict.reason.partition(":")[0]
+
+
+def remedy(verdict: Verdict) -> list[str]:
+    """Return the command that trains what is missing, if runs are."""
+    return [verdict.reason.rpartition("; ")[2]] if verdict.lacks_runs else []
 
 
 def details(verdict: Verdict) -> list[str]:
-    """Return what is compared; for each contrast arms, numbers of runs, effect, margin; why there is none."""
+    """Return the sentence, what is compared, and for each contrast arms, numbers of runs and effect."""
+    texts = [sentence(verdict.claim), verdict.claim.context]
     if verdict.lacks_runs:
-        return [verdict.claim.context, verdict.reason]
-    texts = [verdict.claim.context]
+        return [*texts, verdict.reason]
     for row in verdict.contrasts:
         runs = " and ".join(str(count) for count in row.contrast.seeds if count)
-        text = f"{' against '.join(row.names)}, {runs} runs:"
+        parts = [f"{' against '.join(row.names)}, {runs} runs:"]
         if row.has_effect:
-            text += f" {effect(row)}"
+            parts.append(effect(row))
         if row.contrast.reason:
-            text += f" ({row.contrast.reason})"
-        texts.append(text)
+            parts.append(f"({row.contrast.reason})")
+        texts.append(" ".join(parts))
     return texts
 
 
@@ -253,52 +231,48 @@ def effect(row: ClaimContrast) -> str:
     In brackets stand the ends of the interval of the difference, the first less the second, which holds
     together with all others of its family; and the margin. Of logarithms they are factors.
     """
+    interval, margin = "{} to {}", "±{}"
     if row.claim.kind == "hazard" or row.outcome in _LOGARITHMS:
-        a, b, interval, margin = _factors(row)
+        interval, margin = "{} to {} times", "×{}"
+        a, b, low, high, smallest = _factors(row)
     else:
-        a, b, interval, margin = _numbers(row)
+        a, b, low, high, smallest = _numbers(row)
+    brackets: list[str] = []
+    if row.contrast.simultaneous.exists:
+        brackets.append(interval.format(low, high))
+    if row.margin:
+        brackets.append(margin.format(smallest))
+    text = f"{_name(row)} {a}"
     if row.b:
-        text = f"{_name(row)} {a.removesuffix(' %')} against {b}"
-    elif row.other_outcome:
-        text = f"{_name(row)} {a}, {_OUTCOME_NAMES.get(row.other_outcome, row.other_outcome)} {b}"
+        text = f"{text.removesuffix(' %')} against {b}"
+    elif isinstance(row.value, str):
+        text += f", {_OUTCOME_NAMES.get(row.value, row.value)} {b}"
     elif row.value:
-        text = f"{_name(row)} {a}, threshold {b}"
-    else:
-        text = f"{_name(row)} {a}"
-    brackets = "; ".join(filter(None, (interval, margin)))
-    return f"{text} ({brackets})" if brackets else text
+        text += f", threshold {b}"
+    return f"{text} ({'; '.join(brackets)})" if brackets else text
 
 
-def _numbers(row: ClaimContrast) -> tuple[str, str, str, str]:
-    """Return both numbers, the interval of their difference, and the margin, as far as the interval knows."""
+def _numbers(row: ClaimContrast) -> list[str]:
+    """Return both numbers, the ends of their difference's interval, and the margin, as known."""
     contrast, ends = row.contrast, row.contrast.simultaneous
     is_share = row.claim.is_incidence or find_outcome(row.outcome).unit == "share"
     scale, unit = (100, " %") if is_share else (1, "")
-    places = _places(scale * (contrast.means[0] - contrast.means[1]), scale * ends.low, scale * ends.high)
+    low, high, margin = scale * ends.low, scale * ends.high, scale * (row.margin or 0.0)
+    places = _places(scale * (contrast.means[0] - contrast.means[1]), low, high)
     if is_share:
         places = max(places, 0)
-    a, b = (shown(scale * mean, places).replace("-", "−") + unit for mean in contrast.means)
-    interval = margin = ""
-    if ends.exists:
-        interval = f"{_end(scale * ends.low, places)} to {_end(scale * ends.high, places)}"
-    if row.margin:
-        margin = f"±{shown(scale * row.margin, decimals(scale * row.margin) - 1)}"
-    return a, b, interval.replace("-", "−"), margin
+    texts = [shown(scale * mean, places) + unit for mean in contrast.means]
+    texts += [_end(low, places), _end(high, places), shown(margin, decimals(margin) - 1)]
+    return [text.replace("-", "−") for text in texts]
 
 
-def _factors(row: ClaimContrast) -> tuple[str, str, str, str]:
+def _factors(row: ClaimContrast) -> list[str]:
     """Return the same of logarithms as factors; of a hazard both numbers are shares of runs."""
     contrast, ends = row.contrast, row.contrast.simultaneous
+    factors = [_factor(log) for log in (*contrast.means, ends.low, ends.high, row.margin or 0.0)]
     if row.claim.kind == "hazard":
-        a, b = (f"{100 * share:.0f} %" for share in contrast.means)
-    else:
-        a, b = (_factor(mean) for mean in contrast.means)
-    interval = margin = ""
-    if ends.exists:
-        interval = f"{_factor(ends.low)} to {_factor(ends.high)} times"
-    if row.margin:
-        margin = f"×{_factor(row.margin)}"
-    return a, b, interval, margin
+        factors[:2] = [f"{100 * share:.0f} %" for share in contrast.means]
+    return factors
 
 
 def _end(end: float, places: int) -> str:
@@ -329,26 +303,19 @@ def _factor(log: float) -> str:
 
 def _name(row: ClaimContrast) -> str:
     """Return the words for an outcome of a contrast, after those for its pair of arms."""
-    event = row.claim.event(row.outcome)
-    if f"{row.outcome} {event}" in _OUTCOME_NAMES:
-        words = _OUTCOME_NAMES[f"{row.outcome} {event}"]
-    elif row.outcome.startswith("steps-to:"):
-        share = float(row.outcome.removeprefix("steps-to:"))
-        words = f"steps to {100 * share:g} % of the monsters"
-    else:
-        words = _OUTCOME_NAMES.get(row.outcome) or find_outcome(row.outcome).words
-        if event:
-            words = f"runs with {words} {event}"
-    if row.claim.kind in ("spread", "range"):
-        words = f"{row.claim.kind} of {words}"
-    pair_names = row.claim.called[2:]
-    if row.claim.kind == "interaction":
+    claim, outcome = row.claim, row.outcome
+    words = _OUTCOME_NAMES.get(outcome) or find_outcome(outcome).words
+    if outcome.startswith("steps-to:"):
+        words = f"steps to {100 * float(outcome.removeprefix('steps-to:')):g} % of the monsters"
+    if claim.event:
+        words = _OUTCOME_NAMES.get(f"{outcome} {claim.event}", f"runs with {words} {claim.event}")
+    if claim.kind in ("spread", "range"):
+        words = f"{claim.kind} of {words}"
+    pair_names = claim.called[2:]
+    if claim.kind == "interaction":
         return f"effect on {words}, {' against '.join(pair_names)}:"
-    if row.claim.kind in TOGETHER:
-        return words
-    for pair, name in zip(row.claim.pairs(row.outcome), pair_names, strict=False):
-        if pair == (row.a, row.b):
-            return f"{name}, {words}"
+    if claim.paired and pair_names:
+        return f"{pair_names[claim.a.index(row.a[0])]}, {words}"
     return words
 
 
@@ -357,17 +324,10 @@ def _name(row: ClaimContrast) -> str:
 
 def arms_in_words(claim: Claim) -> str:
     """Return what is compared, as 'tanh against ReLU'; one arm alone is held against a threshold."""
+    first, second = " and ".join(claim.a), " and ".join(claim.b)
     if claim.called:
-        first, second = claim.called[:2]
-    else:
-        first, second = _list_in_words(claim.a), _list_in_words(claim.b)
+        first, second = (*claim.called, "")[:2]
     return f"{first} against {second}" if second else first
-
-
-def _list_in_words(names: Sequence[str]) -> str:
-    if len(names) < 2:
-        return "".join(names)
-    return f"{', '.join(names[:-1])} and {names[-1]}"
 
 
 def sentence(claim: Claim) -> str:
