@@ -402,18 +402,16 @@ def beyond_engine(run: Run) -> str:
     return ""
 
 
-def _engine(run: Run, asked: str) -> str:
-    """Return the engine that was asked for, or the first one that can train a run."""
-    beyond = beyond_engine(run)
-    able = list(find_algorithm(run.algorithm).engines)
-    if beyond and ENGINES[0] in able:
-        able.remove(ENGINES[0])
-    if not asked:
-        return able[0]
-    if asked not in able:
-        beyond = beyond or f"the algorithm {run.algorithm}"
-        _refuse(f'engine = "{asked}"', f"it cannot train {beyond}; {' and '.join(able)} can")
-    return asked
+def _engine(run: Run, engine: str) -> str:
+    """Return the engine that a study sets, or the first one that can train a run."""
+    limitation = beyond_engine(run)
+    engines = find_algorithm(run.algorithm).engines
+    able_engines = [name for name in engines if name != ENGINES[0] or not limitation]
+    if not engine:
+        return able_engines[0]
+    if engine not in able_engines:
+        _refuse(f'engine = "{engine}"', f"it cannot train {limitation}; {' and '.join(able_engines)} can")
+    return engine
 
 
 def _refuse(setting: str, reason: str) -> NoReturn:
@@ -423,7 +421,7 @@ def _refuse(setting: str, reason: str) -> NoReturn:
 def _check_learner(run: Run) -> None:
     if is_open(run) and not is_gymnasium_id(run.env):
         setting = f"algorithm = {run.algorithm}"
-        if run.policy or run.algorithm_kwargs:
+        if not find_algorithm(run.algorithm).learner:
             setting = "policy" if run.policy else "algorithm_kwargs"
         raise UserError(f"{setting} is not allowed in {run.env}: only in other environments of Gymnasium")
     if run.learners == "independent" and run.engine != ENGINES[0]:

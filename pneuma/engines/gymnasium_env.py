@@ -277,10 +277,11 @@ def _action_space(
 
 def flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
     """Return a function that makes an observation a row of numbers."""
-    problem = _not_flat(space)
-    if problem:
-        fix = "name a wrapper that leaves that out"
-        raise UserError(f"{run.env}: observations in {problem} cannot be flattened to numbers: {fix}")
+    for part in _parts(space):
+        problem = _not_flat(part)
+        if problem:
+            fix = "name a wrapper that leaves that out"
+            raise UserError(f"{run.env}: observations in {problem} cannot be flattened to numbers: {fix}")
     refuse_flat_pictures(run, space)
     if isinstance(space, spaces.Box):
         if len(space.shape) == 1:
@@ -289,16 +290,32 @@ def flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
     return lambda observation: spaces.flatten(space, observation)
 
 
+def _parts(space: spaces.Space[Any]) -> list[spaces.Space[Any]]:
+    """Return the spaces within a dictionary or tuple, or the space itself."""
+    if isinstance(space, spaces.Dict | spaces.Tuple):
+        subspaces = space.spaces.values() if isinstance(space, spaces.Dict) else space.spaces
+        return [part for subspace in subspaces for part in _parts(subspace)]
+    return [space]
+
+
+def _not_flat(space: spaces.Space[Any]) -> str:
+    """Return what a space is of, if not of arrays of one size; empty if it can be flattened."""
+    if isinstance(space, spaces.Text) or (space.dtype is not None and space.dtype.kind == "U"):
+        return "text"
+    with suppress(NotImplementedError):  # of a space of another package
+        if space.is_np_flattenable:
+            return ""
+    return type(space).__name__
+
+
 def refuse_flat_pictures(run: Run, space: spaces.Space[Any]) -> None:
     """Refuse a run whose policy would flatten pictures: a multilayer perceptron, as is the default."""
     if run.policy and not run.policy.startswith("Mlp"):
         return
-    policy, observed = "CnnPolicy", [space]
-    if isinstance(space, spaces.Dict):
-        policy, observed = "MultiInputPolicy", list(space.spaces.values())
-    dimensions = [len(subspace.shape or ()) for subspace in observed if _is_picture(subspace)]
+    dimensions = [len(part.shape or ()) for part in _parts(space) if _is_picture(part)]
     if not dimensions:
         return
+    policy = "MultiInputPolicy" if isinstance(space, spaces.Dict) else "CnnPolicy"
     fix = 'wrappers = ["FlattenObservation"]'
     if min(dimensions) == 3:  # a picture without channels is none to Stable-Baselines3
         fix = f'set policy = "{policy}", or {fix}'
@@ -310,23 +327,6 @@ def _is_picture(space: spaces.Space[Any]) -> bool:
     if not isinstance(space, spaces.Box) or space.dtype != np.uint8 or len(space.shape) not in (2, 3):
         return False
     return bool((space.low == 0).all() and (space.high == 255).all())
-
-
-def _not_flat(space: spaces.Space[Any], name: str = "") -> str:
-    """Return what of a space is no array of one size, such as text; empty if all can be flattened."""
-    if isinstance(space, spaces.Dict | spaces.Tuple):
-        items = space.spaces.items() if isinstance(space, spaces.Dict) else enumerate(space.spaces)
-        for key, subspace in items:
-            problem = _not_flat(subspace, f" ({key})")
-            if problem:
-                return problem
-        return ""
-    if isinstance(space, spaces.Text) or (space.dtype is not None and space.dtype.kind == "U"):
-        return f"text{name}"
-    with suppress(NotImplementedError):  # of a space of another package
-        if space.is_np_flattenable:
-            return ""
-    return f"{type(space).__name__}{name}"
 
 
 # --- Making one ------------------------------------------------------------------------------------

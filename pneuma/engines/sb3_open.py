@@ -14,7 +14,7 @@ import json
 import math
 import warnings
 from contextlib import closing
-from inspect import Parameter, signature
+from inspect import signature
 from typing import Any
 from zipfile import ZipFile
 
@@ -49,8 +49,6 @@ from pneuma.engines.sb3_learners import (
 )
 from pneuma.errors import UserError
 
-RESERVED = ("self", "env", "policy", "seed", "device", "tensorboard_log", "_init_setup_model")
-"""Arguments that follow from a run's fields, or write files."""
 IN_POLICY_KWARGS = {
     "net_arch": "actor and critic",
     "optimizer_class": "optimizer",
@@ -69,8 +67,8 @@ HOOKS = ("_update_current_progress_remaining",)
 
 def check_learner(run: Run) -> None:
     """Make a run's environments and learner once, take a step, and refuse what cannot be trained."""
-    learner_type = learner_class(run)
-    _check_arguments(run, learner_type)
+    if run.algorithm == "ppo":
+        _check_arguments(run)
     with closing(make_env(run)) as env:
         refuse_flat_pictures(run, env.observation_space)
     with (
@@ -105,26 +103,12 @@ def learner_class(run: Run) -> Any:
     return learner_type
 
 
-def _check_arguments(run: Run, learner_type: Any) -> None:
-    """Refuse arguments that the learner does not have, or that other fields set."""
-    parameters = signature(learner_type).parameters
+def _check_arguments(run: Run) -> None:
+    """Refuse arguments of PPO that it has as fields."""
     arguments = _algorithm_kwargs(run)
-    takes_others = any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters.values())
-    wrong = []
-    for key in arguments:
-        if key in RESERVED or not (key in parameters or takes_others):
-            wrong.append(key)
-    if wrong:
-        allowed = ", ".join(key for key in parameters if key not in RESERVED)
-        raise UserError(f"algorithm_kwargs: {', '.join(wrong)} not allowed: {run.algorithm} takes {allowed}")
-    if run.algorithm != "ppo":
-        return
     policy_kwargs = arguments.get("policy_kwargs", {})
-    for key, field in IN_POLICY_KWARGS.items():
-        if key in policy_kwargs:
-            raise UserError(f"algorithm_kwargs: {key} is not allowed: ppo has the field {field}")
-    for key, field in arguments_of(run):
-        if key in arguments:
+    for key, field in (*IN_POLICY_KWARGS.items(), *arguments_of(run)):
+        if key in arguments or (key in IN_POLICY_KWARGS and key in policy_kwargs):
             raise UserError(f"algorithm_kwargs: {key} is not allowed: ppo has the field {field}")
 
 
@@ -142,18 +126,8 @@ def _environments(run: Run, slots: int, seed: int = 0) -> VecEnv:
             environments,
             norm_obs=run.normalize_observations,
             norm_reward=run.normalize_rewards,
-            gamma=_discount(run),
         )
     return environments
-
-
-def _discount(run: Run) -> float:
-    if run.algorithm == "ppo":
-        return run.gamma
-    default = signature(learner_class(run)).parameters.get("gamma")
-    if "gamma" in _algorithm_kwargs(run):
-        return float(_algorithm_kwargs(run)["gamma"])
-    return float(default.default) if default else 0.99
 
 
 def _make_learner(run: Run, env: VecEnv, to_play: bool = False) -> Any:
@@ -171,7 +145,10 @@ def _make_learner(run: Run, env: VecEnv, to_play: bool = False) -> Any:
         if to_play and "buffer_size" in signature(learner_type).parameters:
             arguments["buffer_size"] = 1
         seed = None if to_play else stream_seed(run.seed, "weights") % 2**31
-        return learner_type(policy, env, seed=seed, device="cpu", **arguments)
+        learner = learner_type(policy, env, seed=seed, device="cpu", **arguments)
+    if isinstance(env, VecNormalize):
+        env.gamma = learner.gamma
+    return learner
 
 
 def _pace(learner: OnPolicyAlgorithm | OffPolicyAlgorithm) -> int:
