@@ -1,10 +1,9 @@
-"""Calibration: how often a list of claims has a false verdict, and how often intervals cover.
+"""Calibration: how often a list of claims has a false verdict, and what intervals of few runs miss.
 
 Lists of claims whose truth is known are simulated and judged by the code that judges claims. The arms of a
-claim are equal, or differ by half the margin (which counts as no difference), by exactly the margin (where a
-false verdict of equivalence is most likely), or by much more. docs/claims.md has the results.
+claim are equal, or differ by exactly the margin. docs/claims.md has the results.
 
-    python -m tests.bench.calibration [LISTS]           # all tables: about an hour with 400 lists
+    python -m tests.bench.calibration [LISTS]           # all tables: about half an hour with 400 lists
     python -m tests.bench.calibration limits            # those of what a verdict rests on: some minutes
 """
 
@@ -12,19 +11,18 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import special, stats
+from scipy import stats
 
-from pneuma.analysis import EDGED_BANDS, intervals
+from pneuma.analysis import intervals
 from pneuma.analysis.claims.contrasts import compare
 from pneuma.analysis.claims.verdicts import decide
 from pneuma.analysis.curves import Curve
 from pneuma.analysis.environments import AGGREGATES, bootstrap
-from pneuma.analysis.intervals import mean
 from pneuma.cli.output import print_result, rows_result
 
 SEEDS = (5, 10, 30)
@@ -32,13 +30,10 @@ ALPHA = 0.05
 CLAIMS = {"mean": 30, "spread": 10, "incidence": 10}
 """Claims of each kind in a list."""
 MEANS = {"mean": 50}
-ONE_ARM = {"one mean": 25, "one share": 25}
-SHARES = ("incidence", "one share")
 EVENT_SHARE = 0.2
 ERRORS = 4.5
 """Standard errors to the margin of means: at which about half of arms that are alike are found to be."""
-SHARE_MARGIN, FAR_SHARE, FAR = 0.4, 0.7, 3.0
-"""Of shares: the margin, and claims that are far apart; of means these are so many margins apart."""
+SHARE_MARGIN = 0.4
 
 Draw = Callable[[np.random.Generator, int], np.ndarray]
 
@@ -60,98 +55,72 @@ DISTRIBUTIONS: dict[str, Draw] = {
 
 @dataclass(frozen=True)
 class Setting:
-    """How the claims of a list are simulated.
+    """How the claims of a list, all in the direction `greater`, are simulated.
 
     Attributes:
-        truths: the differences of the arms, in turn: alike, half, edge or far.
-        claimed: the direction of all claims.
+        stream: number of the random generator.
+        is_at_margin: whether the arms of each claim differ by its margin; otherwise they are equal.
         sizes: number of claims of each kind.
         spread: standard deviation of the first arm of means, divided by the second's.
         fewer: runs of the first arm, divided by the second's.
     """
 
-    truths: tuple[str, ...]
-    claimed: str = "greater"
-    sizes: Mapping[str, int] = field(default_factory=lambda: CLAIMS)
+    stream: int
+    is_at_margin: bool
+    sizes: Mapping[str, int]
     spread: float = 1.0
     fewer: int = 1
 
 
 SETTINGS = {
-    "alike": Setting(("alike",)),
-    "at the margin": Setting(("edge",), sizes={"mean": 40, "incidence": 10}),
-    "no difference, half a margin": Setting(("half",), "equal", MEANS),
-    "no difference, at the margin": Setting(("edge",), "equal", {"mean": 40, "incidence": 10}),
-    "one arm, alike": Setting(("alike",), sizes=ONE_ARM),
-    "one arm, at the margin": Setting(("edge",), sizes=ONE_ARM),
-    "alike, spread x 3": Setting(("alike",), sizes=MEANS, spread=3.0),
-    "alike, a third of the runs": Setting(("alike",), sizes=MEANS, fewer=3),
+    "alike": Setting(0, False, CLAIMS),
+    "at the margin": Setting(1, True, {"mean": 40, "incidence": 10}),
+    "alike, spread x 3": Setting(6, False, MEANS, spread=3.0),
+    "alike, a third of the runs": Setting(7, False, MEANS, fewer=3),
 }
-FALSE = {
-    ("alike", "greater"): ("supported",), ("edge", "greater"): ("refuted",), ("far", "greater"): ("refuted",),
-    ("alike", "equal"): ("refuted",), ("half", "equal"): ("refuted",), ("edge", "equal"): ("supported",),
-    ("far", "equal"): ("supported",),
-}  # fmt: skip
-"""False verdicts on a claim, by its truth and direction; where arms are alike `less` is false as well."""
 
 
-def bench_calibration(lists: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield rows of two tables as they come: ("coverage", row), then ("false_verdicts", row).
-
-    Args:
-        lists: number of simulated lists in each setting, each of which has a random generator of its own.
-    """
-    for row in coverages(lists * 10, np.random.default_rng(0)):
-        yield "coverage", row
-    for i, (truth, setting) in enumerate(SETTINGS.items()):
-        generator = np.random.default_rng([0, i])
+def bench_calibration(lists: int) -> Iterator[dict[str, Any]]:
+    """Yield how many of so many lists have a false verdict, by setting, distribution and number of seeds."""
+    for truth, setting in SETTINGS.items():
+        generator = np.random.default_rng([0, setting.stream])
         for name, draw in DISTRIBUTIONS.items():
             for seeds in SEEDS:
                 wrong = sum(is_wrong(draw, seeds, setting, generator) for _ in range(lists))
                 row = {"truth": truth, "distribution": name, "seeds": str(seeds), "lists": lists}
                 upper = intervals.incidence_interval(wrong, lists, level=0.9).high  # one-sided, 95 %
-                yield "false_verdicts", {**row, "false_rate": wrong / lists, "upper_bound": upper}
+                yield {**row, "false_rate": wrong / lists, "upper_bound": upper}
 
 
 # --- Lists of claims ---------------------------------------------------------------------------------
 
 
 def is_wrong(draw: Draw, seeds: int, setting: Setting, generator: np.random.Generator) -> bool:
-    """Simulate a list; return whether any of its verdicts is false."""
-    contrasts, wrong = sum(setting.sizes.values()), False
+    """Simulate a list; return whether any of its verdicts is false, in the claimed direction or in `less`."""
+    level, is_false = 1 - ALPHA / sum(setting.sizes.values()), False
     for kind, size in setting.sizes.items():
-        for place in range(size):
-            truth = setting.truths[place % len(setting.truths)]
-            a, b, margin = make_arms(kind, truth, draw, seeds, setting, generator)
-            told = verdicts(kind, a, b, margin, setting.claimed, 1 - ALPHA / contrasts)
-            wrong |= told[0] in FALSE[truth, setting.claimed]
-            wrong |= truth == "alike" and told[1] == "supported"
-    return wrong
-
-
-def verdicts(
-    kind: str, a: np.ndarray, b: np.ndarray | float, margin: float, claimed: str, level: float
-) -> list[str]:
-    """Return the verdict in the claimed direction, and in `less`."""
-    plain = {"one mean": "mean", "one share": "incidence"}.get(kind, kind)
-    ends = compare(plain, a, b, level).simultaneous
-    return [decide(ends, claimed, margin), decide(ends, "less", None)]
+        for _ in range(size):
+            a, b, margin = make_arms(kind, draw, seeds, setting, generator)
+            ends = compare(kind, a, b, level).simultaneous
+            if setting.is_at_margin:
+                is_false |= decide(ends, "greater", margin) == "refuted"
+            else:
+                is_false |= "supported" in (decide(ends, "greater", margin), decide(ends, "less", None))
+    return is_false
 
 
 def make_arms(
-    kind: str, truth: str, draw: Draw, seeds: int, setting: Setting, generator: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray | float, float]:
-    """Return the two arms of a claim, or one and a constant, and its margin."""
-    few, alone = max(seeds // setting.fewer, 2), kind.startswith("one")
-    if kind in SHARES:
-        effect = {"alike": 0.0, "half": SHARE_MARGIN / 2, "edge": SHARE_MARGIN, "far": FAR_SHARE}[truth]
+    kind: str, draw: Draw, seeds: int, setting: Setting, generator: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the two arms of a claim, and its margin."""
+    few = max(seeds // setting.fewer, 2)
+    if kind == "incidence":
+        effect = SHARE_MARGIN * setting.is_at_margin
         a = (generator.random(few) < EVENT_SHARE + effect) * 1.0
-        b: np.ndarray | float = EVENT_SHARE if alone else (generator.random(seeds) < EVENT_SHARE) * 1.0
-        return a, b, SHARE_MARGIN
-    margin = ERRORS * float(np.sqrt(1 / few + (0 if alone else setting.spread**-2 / seeds)))
-    effect = {"alike": 0.0, "half": margin / 2, "edge": margin, "far": FAR * margin}[truth]
-    a = draw(generator, few) + effect
-    return a, 0.0 if alone else draw(generator, seeds) / setting.spread, margin
+        return a, (generator.random(seeds) < EVENT_SHARE) * 1.0, SHARE_MARGIN
+    margin = ERRORS * float(np.sqrt(1 / few + setting.spread**-2 / seeds))
+    a = draw(generator, few) + margin * setting.is_at_margin
+    return a, draw(generator, seeds) / setting.spread, margin
 
 
 # --- Where intervals promise too much ------------------------------------------------------------------
@@ -224,43 +193,6 @@ def bootstrap_over_environments(samples: int, generator: np.random.Generator) ->
             yield {"runs": seeds, "environments": environments, "coverage": covered / samples}
 
 
-# --- Intervals and bands ---------------------------------------------------------------------------
-
-
-def coverages(samples: int, generator: np.random.Generator) -> Iterator[dict[str, Any]]:
-    """Yield how often each interval, or band of a figure, covers the truth.
-
-    Args:
-        samples: number of simulated bands; a twentieth of it for slow methods.
-        generator: draws the runs.
-    """
-    fewer = max(1, samples // 20)
-    bands = EDGED_BANDS[:1] + EDGED_BANDS[2:]  # of which two are one
-    one_by_one = [
-        ("BCa bootstrap", lambda runs: intervals.bootstrap_interval(runs, mean, generator), 0.0),
-        ("deviation", intervals.deviation_interval, 1.0),
-    ]
-    for name, draw in DISTRIBUTIONS.items():
-        for seeds in SEEDS:
-            runs = draw(generator, samples * seeds).reshape(samples, seeds)
-            for band in bands:
-                yield _covered(band, name, seeds, band_coverage(band, runs))
-            for method, interval, truth in one_by_one:
-                made = [each for each in map(interval, runs[:fewer]) if each.exists]
-                share = np.mean([each.low <= truth <= each.high for each in made]) if made else np.nan
-                yield _covered(method, name, seeds, float(share))
-    for seeds in SEEDS:
-        count = np.arange(seeds + 1)
-        chance = special.comb(seeds, count) * EVENT_SHARE**count * (1 - EVENT_SHARE) ** (seeds - count)
-        made = [intervals.incidence_interval(int(k), seeds) for k in count]
-        covering = [each.low <= EVENT_SHARE <= each.high for each in made]
-        yield _covered("Clopper-Pearson", f"share {EVENT_SHARE}", seeds, float(chance @ covering))
-
-
-def _covered(method: str, distribution: str, seeds: int, share: float) -> dict[str, Any]:
-    return {"method": method, "distribution": distribution, "seeds": seeds, "coverage": share}
-
-
 def band_coverage(band: str, runs: np.ndarray) -> float:
     """Return how often a figure's band covers the mean 0 of (samples, runs); NaN for too few runs."""
     frame = Curve("", pd.DataFrame(runs)).frame(band).dropna()
@@ -268,11 +200,7 @@ def band_coverage(band: str, runs: np.ndarray) -> float:
 
 
 def main(lists: int = 400) -> None:
-    tables: dict[str, list[dict[str, Any]]] = {"coverage": [], "false_verdicts": []}
-    for table, row in bench_calibration(lists):
-        tables[table].append(row)
-    for table, rows in tables.items():
-        print_result(rows_result(table, rows), "table")
+    print_result(rows_result("false_verdicts", list(bench_calibration(lists))), "table")
 
 
 def print_limits() -> None:
