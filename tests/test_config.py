@@ -34,12 +34,10 @@ def test_each_base_is_the_table_of_the_thesis(base: str) -> None:
 @pytest.mark.parametrize(
     ("steps", "horizon", "slots", "trained", "updates"),
     [
-        (50_000, 256, 1, 50_176, 196),  # 195 x 256 = 49,920 is short by 80
         (51_200, 256, 1, 51_200, 200),  # already whole
         (51_201, 256, 1, 51_456, 201),
-        (1, 256, 1, 256, 1),
+        (1, 2048, 1, 2048, 1),
         (50_000, 256, 4, 50_176, 49),  # 49 x 1,024
-        (50_000, 2048, 1, 51_200, 25),  # 24 x 2,048 = 49,152
     ],
 )
 def test_a_budget_is_rounded_up_to_whole_horizons(
@@ -123,32 +121,27 @@ PAIR: dict[str, Any] = {"players": 2, "learners": "independent"}
 @pytest.mark.parametrize(
     ("fields", "told"),
     [
-        ({**PAIR, "engine": "sb3"}, "learners = independent is not allowed: sb3 trains one policy for all"),
-        (
-            {**PAIR, "algorithm": "a2c"},
-            "learners = independent is not allowed: a2c trains one policy for all",
-        ),
+        ({**PAIR, "engine": "sb3"}, "learners = independent .*: sb3 trains one policy for all"),
+        ({**PAIR, "algorithm": "a2c"}, "learners = independent .*: a2c trains one policy for all"),
         (
             {"optimizer": "upgd", "engine": "sb3"},
-            "optimizer = upgd is not allowed: the engine sb3 lacks it; batched has it",
+            "optimizer = upgd .*: the engine sb3 lacks it; batched has it",
         ),
+        ({"env": "CartPole-v1", "wrappers": [{"stack_size": 4}]}, "wrappers = .*: module:Class"),
+        ({"algorithm": "qr-dqn"}, "algorithm = qr-dqn .* in pneuma/Pneuma-v0: only in other"),
         (
-            {"env": "CartPole-v1", "wrappers": [{"stack_size": 4}]},
-            "wrappers = .* is not allowed: module:Class",
+            {"algorithm": "dqn", "engine": "batched"},
+            'engine = "batched" .*: it cannot train the algorithm dqn',
         ),
-        ({"algorithm": "qr-dqn"}, "algorithm = qr-dqn is not allowed in pneuma/Pneuma-v0: only in other"),
-        ({"algorithm": "dqn", "engine": "batched"}, 'engine = "batched" is not allowed: it cannot train'),
         ({"value_baseline": False, "engine": "batched"}, "train advantages without a baseline; sb3 can"),
-        (
-            {"algorithm": "dqn", "train_every": 3},
-            "train_every = 3 is not allowed: horizon = 256 is no multiple",
-        ),
-        ({"held_out_levels": 3}, "held_out_levels = 3 is not allowed: thesis is not of random:train"),
+        ({"algorithm": "dqn", "train_every": 3}, "train_every = 3 .*: horizon = 256 is no multiple"),
+        ({"held_out_levels": 3}, "held_out_levels = 3 .*: thesis is not of random:train"),
     ],
 )
 def test_what_does_not_go_together_is_refused(fields: dict[str, Any], told: str) -> None:
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=told) as refused:
         make_run(fields)
+    assert "not allowed" in str(refused.value)
 
 
 # --- Random streams -------------------------------------------------------------------------------

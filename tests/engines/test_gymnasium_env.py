@@ -115,12 +115,11 @@ def test_what_a_package_registers_by_an_entry_point_is_found(monkeypatch: pytest
 def test_a_step_that_raises_or_gives_no_number_or_another_shape_ends_the_run_with_the_reason(
     engine: str,
 ) -> None:
-    faults: dict[str, tuple[object, str]] = {
-        "raises": (3, "ZeroDivisionError: by the corridor"),
-        "nan": (3, "ValueError: its reward is nan"),
-        "kind": ("short", r"ValueError: its observation is of shape \(1,\)"),
-    }
-    for fault, (value, told) in faults.items():
+    for fault, value, told in (
+        ("raises", 3, "ZeroDivisionError: by the corridor"),
+        ("nan", 3, "ValueError: its reward is nan"),
+        ("kind", "short", r"ValueError: its observation is of shape \(1,\)"),
+    ):
         with pytest.raises(UserError, match=f"Corridor-v0 in step 3 of episode 0: {told}"):
             train(replace(corridor(**{fault: value}), engine=engine))
 

@@ -100,9 +100,7 @@ def test_the_zoos_entry_of_dqn_is_handed_on_as_it_is() -> None:
     check_environment(run)
     model = OpenTrainer(run)._model
     assert [model.lr_schedule(left) for left in (1, 0.5)] == pytest.approx([2.3e-3, 1.15e-3])
-    named = {
-        key: value for key, value in entry.items() if isinstance(value, int | float) and key != "train_freq"
-    }
+    named = {key: entry[key] for key in entry if type(entry[key]) is not str and key != "train_freq"}
     assert {key: getattr(model, key) for key in named} == named
     assert model.train_freq == TrainFreq(256, TrainFrequencyUnit.STEP)
     assert model.policy.net_arch == [256, 256] and model.policy.activation_fn is nn.ReLU
@@ -180,12 +178,9 @@ def test_a_policy_for_pictures_sees_pictures(tmp_path: Path) -> None:
     (tmp_path / "pictures.py").write_text(PICTURES)
     given = {**SHORT, "env": "Pictures-v0", "env_module": f"{tmp_path}/pictures.py", "steps": 128}
     flat: tuple[dict[str, Any], ...] = (
-        {},
-        {"engine": "sb3"},
-        {"algorithm": "dqn"},
-        {"policy": "MlpLstmPolicy"},
+        {}, {"engine": "sb3"}, {"algorithm": "dqn"}, {"policy": "MlpLstmPolicy"},
         {"algorithm_kwargs": {"clip_range_vf": 0.2}},
-    )
+    )  # fmt: skip
     for own in flat:
         run = make_run({**given, **own})
         with pytest.raises(UserError, match=r'pictures, .*: set policy = "CnnPolicy", or wrappers = '):
@@ -235,27 +230,22 @@ LEARNED: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("case", LEARNED)
 def test_a_policy_comes_back_without_unpickling(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """SAC's file is also what the library saves: 1,500 weights, copies and moments, no replay buffer."""
     run = make_run(LEARNED[case])
     check_environment(run)
     policy = learned(run)
     observations = np.random.default_rng(0).normal(size=(5, 3 if "Pendulum" in run.env else 4)).astype("f4")
     expected, _ = policy.predict(observations, deterministic=True)
+    raw, _ = policy.learner.predict(observations, deterministic=True)
+    assert np.array_equal(raw, expected) != run.normalize_observations
     data = policy.to_bytes()
+    if case == "sac":
+        assert len(data) < 300_000
+        theirs = SAC.load(io.BytesIO(data), device="cpu")
+        np.testing.assert_array_equal(theirs.predict(observations, deterministic=True)[0], raw)
     monkeypatch.setattr(save_util, "json_to_data", None)  # which unpickles
     loaded, _ = load_learner(run, data).predict(observations, deterministic=True)
     np.testing.assert_array_equal(loaded, expected)
-    raw, _ = policy.learner.predict(observations, deterministic=True)
-    assert np.array_equal(raw, expected) != run.normalize_observations
-
-
-def test_the_stored_file_is_what_the_library_saves() -> None:
-    run = make_run({**LEARNED["sac"], "normalize_observations": False})
-    policy = learned(run)
-    observations = np.random.default_rng(0).normal(size=(5, 3)).astype("f4")
-    assert len(policy.to_bytes()) < 300_000  # some 1,500 weights, their copies and moments, no replay buffer
-    theirs = SAC.load(io.BytesIO(policy.to_bytes()), device="cpu")
-    expected, _ = policy.predict(observations, deterministic=True)
-    np.testing.assert_array_equal(theirs.predict(observations, deterministic=True)[0], expected)
 
 
 def test_what_is_no_learners_file_is_refused() -> None:
@@ -291,18 +281,14 @@ def test_what_is_not_used_does_not_move_an_id() -> None:
     assert run_id(pasted(policy="MlpPolicy", use_sde=False, sde_sample_freq=-1)) == run_id(make_run(SHORT))
 
 
+NOISE = {"algorithm": "td3", **NUMBERS}
+
+
 @pytest.mark.parametrize(
     ("given", "told"),
     [
         ({"algorithm": "sac"}, "sac in CartPole-v1: .*Discrete"),
-        (
-            {"algorithm": "qr-dqn", "algorithm_kwargs": {"tao": 1, "tua": 2}},
-            "qr-dqn in .*unexpected keyword argument 'tao'",
-        ),
-        (
-            {"algorithm": "dqn", "algorithm_kwargs": {"seed": 1}},
-            "dqn in .*multiple values for keyword argument 'seed'",
-        ),
+        ({"algorithm": "dqn", "algorithm_kwargs": {"seed": 1}}, "dqn in .* multiple values .* 'seed'"),
         ({"algorithm_kwargs": {"policy_kwargs": {"activation_fn": "no"}}}, "'no': is no class"),
         ({"algorithm_kwargs": {"ent_coef": 0.1}}, "ent_coef is not allowed: ppo has the field entropy_coeff"),
         (
@@ -311,25 +297,18 @@ def test_what_is_not_used_does_not_move_an_id() -> None:
         ),
         ({"policy": "NoPolicy"}, 'policy = "NoPolicy": ppo has MlpPolicy, CnnPolicy, MultiInputPolicy'),
         ({"algorithm": "recurrent-ppo"}, 'policy = "MlpPolicy": recurrent-ppo has MlpLstmPolicy, '),
-        (
-            {"algorithm": "qr-dqn", "horizon": 66},
-            "horizon = 66 is not allowed: .* every 4 steps; set .* = 68",
-        ),
+        ({"algorithm": "qr-dqn", "horizon": 66}, "horizon = 66 .* every 4 steps; set .* = 68"),
         ({"algorithm": "stable_baselines3:PPO"}, "horizon = 64 .* every 2048 steps; set horizon = 2048"),
         ({"algorithm": "sb3_contrib:ARS"}, "is neither an OnPolicyAlgorithm nor an OffPolicyAlgorithm"),
         ({"algorithm": "sb3_contrib:MaskablePPO"}, "evaluations know no masks of actions"),
         ({"algorithm": "no.such.module:Learner"}, "no.such.module cannot be imported"),
         (
-            {
-                **NUMBERS,
-                "algorithm": "td3",
-                "algorithm_kwargs": {"action_noise": {"name": "NormalActionNoise"}},
-            },
+            {**NOISE, "algorithm_kwargs": {"action_noise": {"name": "NormalActionNoise"}}},
             "td3 in Pendulum-v1: TypeError: .*missing 1 required positional argument: 'sigma'",
         ),
         (
-            {**NUMBERS, "algorithm": "td3", "algorithm_kwargs": {"action_noise": {"sigma": 1.0}}},
-            "action_noise = .* is not allowed: a table with the name NormalActionNoise or Ornstein",
+            {**NOISE, "algorithm_kwargs": {"action_noise": {"sigma": 1.0}}},
+            "action_noise = .*: a table with the name NormalActionNoise or Ornstein",
         ),
     ],
 )
