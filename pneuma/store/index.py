@@ -48,7 +48,9 @@ class RunIndex:
     @cached_property
     def frame(self) -> pd.DataFrame:
         """`COLUMNS` of each run, by its id; one that has finished here counts before published ones."""
-        stored = pd.DataFrame(self._stored_runs(), columns=COLUMNS)
+        stored = pd.DataFrame(columns=COLUMNS)
+        if self._stored:
+            stored = pd.DataFrame(self._stored_runs(), columns=COLUMNS)
         frames = [stored]
         if self.tables:
             indexes = pa.concat_tables([table.index for table in self.tables.values()])
@@ -84,14 +86,18 @@ class RunIndex:
 
     def listing(self, name: str) -> dict[str, Any] | None:
         """Return the record of a study without a file, from here or from its published table."""
-        listing = self.store.listing(name) if self._stored else None
+        listing = None
+        if self._stored:
+            listing = self.store.listing(name)
         if listing is None and name in self.tables:
             listing = checked_listing(self.tables[name].about.get("listing"), name)
         return listing
 
     def listings(self) -> list[str]:
         """Return the names of studies without a file that are recorded here or published."""
-        names = set(self.store.listings() if self._stored else ())
+        names = set()
+        if self._stored:
+            names.update(self.store.listings())
         for name, table in self.tables.items():
             if table.about.get("listing") and self.listing(name):
                 names.add(name)
@@ -114,7 +120,7 @@ class RunIndex:
 
     def _stored_runs(self) -> list[tuple[Any, ...]]:
         runs = []
-        for run_id in self.store.runs() if self._stored else ():
+        for run_id in self.store.runs():
             status = self.store.status(run_id, quick=True)
             if status.identity is None and status.name == "damaged":
                 folder = self.store.run_folder(run_id)
@@ -122,8 +128,8 @@ class RunIndex:
                     f"{folder}: its {status.detail} is damaged; run its study again to retrain it"
                 )
             identity = status.identity or Identity(UNKNOWN, 0, 0)
-            amount = identity.seed, identity.steps
-            runs.append((run_id, identity.config_id, *amount, status.name, status.step, ""))
+            about = (run_id, identity.config_id, identity.seed, identity.steps)
+            runs.append(about + (status.name, status.step, ""))
         return runs
 
     def _read_row(self, run_id: str) -> Row | None:

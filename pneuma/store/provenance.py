@@ -154,8 +154,10 @@ def code() -> str:
     """Return the code's version, and for a source tree its git commit, marked if it has changes."""
     if CARRIED_CODE in os.environ:
         return os.environ[CARRIED_CODE]
-    commit = _commit(SOURCE) if _is_repository(SOURCE) else ""
-    return " ".join([_version("pneuma-rl") or "unknown", commit]).rstrip()
+    text = _version("pneuma-rl") or "unknown"
+    if _is_repository(SOURCE):
+        text += f" {_commit(SOURCE)}"
+    return text.rstrip()
 
 
 def uncommitted(source: Path = SOURCE) -> list[str]:
@@ -174,7 +176,9 @@ def file_at(path: Path, commit: str, line: str) -> str | None:
     if not re.fullmatch("[0-9a-f]{40}", commit):
         return None
     names = _git(path.parent, "grep", "--full-name", "-lFe", line, commit, "--", f":/*{path.suffix}")
-    return _git(path.parent, "show", names.splitlines()[0]) if names else None
+    if not names:
+        return None
+    return _git(path.parent, "show", names.splitlines()[0])
 
 
 def line_at(path: Path, commit: str, beginning: str, folder: str) -> str:
@@ -215,8 +219,10 @@ def packages_of(run: Run) -> dict[str, str]:
         modules.append(str(getattr(spec.entry_point, "__module__", "")))
     modules += [name for name in SIMULATORS if name in sys.modules]
     packages = {re.split(r"[.:]", module)[0] for module in modules} - {"gymnasium", "pneuma"}
-    distributions = packages_distributions() if packages else {}
-    versions = {}
+    versions: dict[str, str] = {}
+    if not packages:
+        return versions
+    distributions = packages_distributions()
     for package in sorted(packages):
         for name in distributions.get(package, ()):
             versions[name] = version(name)
@@ -267,11 +273,14 @@ def processors(origin: Mapping[str, Any]) -> tuple[str, ...]:
         return tuple(sorted({str(name) for name in listed}))
     machines = [origin]
     attempts = origin.get("attempts")
-    for attempt in attempts if isinstance(attempts, list) else []:
-        if isinstance(attempt, dict) and isinstance(attempt.get("machine"), dict):
-            machines.append(attempt["machine"])
+    if isinstance(attempts, list):
+        for attempt in attempts:
+            if isinstance(attempt, dict) and isinstance(attempt.get("machine"), dict):
+                machines.append(attempt["machine"])
     names = set()
     for about in machines:
-        device = about.get("device") or "cpu"
-        names.add(str(about.get("cpu") if device == "cpu" else device))
+        name = about.get("device") or "cpu"
+        if name == "cpu":
+            name = about.get("cpu")
+        names.add(str(name))
     return tuple(sorted(names))

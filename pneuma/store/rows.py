@@ -261,7 +261,9 @@ class Row:
         """Where it is, for messages."""
         if self.averaged_over:
             return "a study of imported logs"
-        return "the published table" if self.published else "the results folder"
+        if self.published:
+            return "the published table"
+        return "the results folder"
 
     @property
     def update_steps(self) -> int | None:
@@ -325,18 +327,22 @@ class Row:
         if not math.isnan(exact):
             return exact
         step, values = self.known_curve(quantity)
-        return STATISTICS[name](step, values, self.budget) if len(values) else math.nan
+        if not len(values):
+            return math.nan
+        return STATISTICS[name](step, values, self.budget)
 
     def exact(self, quantity: str, statistic: str) -> float:
         """Return a statistic of a curve at the run's end, with all digits; NaN if it is not kept."""
-        value = self.cell(f"{quantity} {statistic}")
-        return math.nan if value is None else float(value)
+        return self._number(f"{quantity} {statistic}", math.nan)
 
     @property
     def last_episodes(self) -> float:
         """The number of episodes that the last point of its return averages; infinite if it is not known."""
-        value = self.cell(LAST_EPISODES)
-        return math.inf if value is None else float(value)
+        return self._number(LAST_EPISODES, math.inf)
+
+    def _number(self, column: str, default: float) -> float:
+        value = self.cell(column)
+        return default if value is None else float(value)
 
     @cached_property
     def _evaluations(self) -> dict[str, np.ndarray]:
@@ -372,7 +378,9 @@ class Row:
     def wall_seconds(self) -> float | None:
         """Seconds of training, without loading and compiling if these were timed; None if unknown."""
         seconds = self.provenance.get("training_seconds", self.provenance.get("wall_seconds"))
-        return float(seconds) if isinstance(seconds, int | float) and seconds > 0 else None
+        if not isinstance(seconds, int | float) or seconds <= 0:
+            return None
+        return float(seconds)
 
     @property
     def processor_share(self) -> float | None:
@@ -383,11 +391,7 @@ class Row:
     def same_numbers(self, other: Row) -> bool:
         """Return whether two rows of one run agree in everything that both have, apart from provenance."""
         for name in (self._columns & other._columns) - {"provenance", "fields", EVALUATIONS}:
-            if column_type(name) == CURVE:
-                is_equal = np.array_equal(self._points(name), other._points(name), equal_nan=True)
-            else:
-                is_equal = repr(self.cell(name)) == repr(other.cell(name))  # as text, in which NaN is NaN
-            if not is_equal:
+            if repr(self.cell(name)) != repr(other.cell(name)):  # as text, in which NaN is NaN
                 return False
         for name in self._evaluations.keys() & other._evaluations.keys():
             if not np.array_equal(self.evaluations(name), other.evaluations(name), equal_nan=True):

@@ -146,7 +146,9 @@ def _checked(document: object, kind: type) -> Any:
 def checked_listing(document: object, study: str) -> Any:
     """Return a document if it is the record of this study; None if not."""
     listing = _checked(document, _Listing)
-    return listing if listing and listing["study"] == study else None
+    if listing and listing["study"] == study:
+        return listing
+    return None
 
 
 class Store:
@@ -205,12 +207,11 @@ class Store:
         status = Status("planned")
         if manifest:
             status = _manifest_status(manifest)
-            present = names_in(folder) if quick else []
+            names = names_in(folder)
             for name, expected in manifest["files"].items():
                 if name == ROW_FILE:
                     continue  # it is made again where it is missing
-                is_sound = name in present if quick else read_sound(folder, name, expected) is not None
-                if not is_sound:
+                if name not in names or not (quick or read_sound(folder, name, expected) is not None):
                     return replace(status, name="damaged", step=0, detail=name)
         if status.finished:
             return status
@@ -269,7 +270,7 @@ class Store:
         checksums = {name: checksum(data) for name, data in files.items()}
         self._write_all(folder, {**files, "status.json": _status_document(status, checksums)})
         for path in folder.glob("[!.]*"):
-            if path.name not in (*files, "status.json") and path.is_file():
+            if path.name not in checksums and path.name != "status.json" and path.is_file():
                 self.remove(path)
         if status.finished:  # whoever takes a lock from now on sees that nothing is left to train
             self.remove(folder / LOCK_FILE)
@@ -382,8 +383,10 @@ class Store:
         except FileNotFoundError:
             pass  # another process has removed a part of it
         except OSError as error:
-            kind = StorageError if is_storage_problem(error) else UserError
-            raise kind(f"{path}: cannot be removed ({error.strerror or error})") from None
+            message = f"{path}: cannot be removed ({error.strerror or error})"
+            if is_storage_problem(error):
+                raise StorageError(message) from None
+            raise UserError(message) from None
 
     @contextmanager
     def _writing(self, folder: Path) -> Iterator[None]:
@@ -404,13 +407,17 @@ def read_sound(folder: Path, name: str, expected: str | None) -> bytes | None:
         data = (folder / name).read_bytes()
     except OSError:
         return None
-    return data if checksum(data) == expected else None
+    if checksum(data) != expected:
+        return None
+    return data
 
 
 def read_checkpoint_name(name: str) -> tuple[int, str] | None:
     """Return the step and checksum in a checkpoint's file name; None for any other file."""
     match = _CHECKPOINT_NAME.fullmatch(name)
-    return (int(match[1]), match[2]) if match else None
+    if match is None:
+        return None
+    return int(match[1]), match[2]
 
 
 def run_identity(run: Run) -> Identity:

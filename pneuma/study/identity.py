@@ -112,16 +112,20 @@ def user_files(fields: Mapping[str, Any]) -> list[Path]:
 def own_names(fields: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     """Return the names of a user's own level, characters or modules, by field."""
     tests = {"level": is_own_level, "characters": are_own_characters, "algorithm": is_own_algorithm}
-    names: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for key, is_own in tests.items():
         if key in fields and is_own(fields[key]):
-            names[key] = fields[key]
+            values[key] = fields[key]
     for key in ("env_module", "wrappers"):
-        names[key] = fields.get(key)
-    names["reward"] = own_rewards(fields.get("reward", ()))
-    return {
-        key: (value,) if isinstance(value, str) else tuple(value) for key, value in names.items() if value
-    }
+        values[key] = fields.get(key)
+    values["reward"] = own_rewards(fields.get("reward", ()))
+    names: dict[str, tuple[str, ...]] = {}
+    for key, value in values.items():
+        if isinstance(value, str) and value:
+            names[key] = (value,)
+        elif value:
+            names[key] = tuple(value)
+    return names
 
 
 def files_beside(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
@@ -141,7 +145,9 @@ def files_beside(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _beside(folder: Path, key: str, name: str) -> str:
-    file, colon, class_name = name.partition(":") if key in CLASSES else (name, "", "")
+    file, colon, class_name = name, "", ""
+    if key in CLASSES:
+        file, colon, class_name = name.partition(":")
     module = file.replace(".", "/")
     for candidate in (file, f"{module}.py", f"{module}/__init__.py"):
         path = (folder / candidate).resolve()

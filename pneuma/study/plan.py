@@ -160,9 +160,7 @@ def make_plan(study: Study, query: Query, engine: Callable[[Run], str] | None = 
         for name, run in runs.items():
             if seed in seeds_by_condition[name]:
                 cells.append(Cell(name, seed, replace(run, seed=seed)))
-    notes = _notes(configurations.study, runs)
-    if query.steps:
-        notes = [*rounding_notes((query.steps, run) for run in runs.values()), *notes]
+    notes = _rounding_notes(query.steps, runs) + _notes(configurations.study, runs)
     return Plan(configurations.study, tuple(cells), preset, query, tuple(notes))
 
 
@@ -296,9 +294,9 @@ def _sweep(study: Study, swept: Swept) -> dict[str, _Variant]:
 def _with_changes(study: Study, name: str, known: Iterable[str]) -> _Variant:
     """Read the name of a condition with changed fields."""
     for origin in sorted(study.conditions, key=len, reverse=True):
-        first, *changes = re.split(r", (?=\w+=)", name.removeprefix(origin))
-        if name.startswith(f"{origin}, ") and not first:
-            levels = dict(change.split("=", 1) for change in changes)
+        parts = re.split(r", (?=\w+=)", name.removeprefix(origin))
+        if name.startswith(f"{origin}, ") and not parts[0]:
+            levels = dict(part.split("=", 1) for part in parts[1:])
             settings = own_fields({key: read_value(text) for key, text in levels.items()})
             return _Variant(origin, _read_settings(study, settings)[0], levels)
     raise unknown_name(f"condition of study {study.name}", name, known)
@@ -344,11 +342,11 @@ def _notes(study: Study, runs: Mapping[str, Run]) -> list[str]:
     return notes
 
 
-def rounding_notes(budgets: Iterable[tuple[int, Run]]) -> list[str]:
+def _rounding_notes(steps: int | None, runs: Mapping[str, Run]) -> list[str]:
     """Return notes on runs of more steps than were asked for."""
     notes: dict[str, None] = {}
-    for steps, run in budgets:
-        if steps != run.steps:
+    for run in runs.values():
+        if steps and steps != run.steps:
             update = run.steps_per_update
             notes[f"{steps:,} steps are rounded up to {run.steps:,}, whole updates of {update:,}"] = None
     return list(notes)

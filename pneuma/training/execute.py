@@ -123,7 +123,8 @@ def cell_results(
     for cell in plan.cells:
         status = store.status(cell.run_id)
         trained, reason = status.finished and cell.run_id in todo, ""
-        if event := end_events.get(cell.run_id):
+        event = end_events.get(cell.run_id)
+        if event:
             trained, reason = event["trained"], event.get("reason", "")
             if not status.finished:
                 status = Status(event["status"], status.step)
