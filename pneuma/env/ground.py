@@ -208,12 +208,7 @@ def visible_ground(level: Level) -> np.ndarray:
 def land_and_shore(levels: Sequence[Level]) -> Rectangle:
     """Return the box of the land of all levels and the water around, in art pixels."""
     land = np.any([level.terrain != rules.COAST for level in levels], axis=0)
-    first_row, end_row = _span(land.any(axis=1))
-    first_column, end_column = _span(land.any(axis=0))
-    return Rectangle(first_column * TILE, first_row * TILE, end_column * TILE, end_row * TILE)
-
-
-def _span(has_land: np.ndarray) -> tuple[int, int]:
-    """Return the first and the end of the rows, or columns, with land and the shore around."""
-    rows = np.flatnonzero(has_land).tolist() or [0, len(has_land) - 1]
-    return max(rows[0] - SHORE_TILES, 0), min(rows[-1] + 1 + SHORE_TILES, len(has_land))
+    places = np.argwhere(land)
+    top, left = np.maximum(places.min(axis=0) - SHORE_TILES, 0).tolist()
+    bottom, right = np.minimum(places.max(axis=0) + 1 + SHORE_TILES, land.shape).tolist()
+    return Rectangle(left * TILE, top * TILE, right * TILE, bottom * TILE)

@@ -115,16 +115,13 @@ def refuse_bad_places(
     closed = level.terrain == rules.COAST
     if config.trees == "wall":
         closed |= level.terrain == rules.SOLID
-    closed_to_monsters = closed
+    stopped = living
     if config.terrain_stops == "players":
-        closed_to_monsters = np.zeros_like(closed)
-    _refuse_terrain(level, starting, closed)
-    _refuse_terrain(level, living, closed_to_monsters)
+        stopped = []
+    _refuse_terrain(level, starting + stopped, closed)
+    _refuse_terrain(level, living, np.zeros_like(closed))  # none is beyond the grid
     longer_side = 2 * float(max(player_stats["half_width"].max(), player_stats["half_height"].max()))
-    reached = len(living)
-    if config.terrain_stops == "players":
-        reached = 0
-    cut_off = first_cut_off(level, ~closed, longer_side, reached)
+    cut_off = first_cut_off(level, ~closed, longer_side, len(stopped))
     if cut_off is not None:
         body = (starting[:: len(shapes)] + living)[cut_off]
         problem = f"{body.name} is walled in or off the land, for a body of {longer_side:g} px"
@@ -140,8 +137,8 @@ class _Body:
 
     def __init__(self, name: str, x: float, y: float, stats: np.void) -> None:
         self.name = f"{name} at ({x:g}, {y:g})"
-        middle = np.array([x + stats["body_x"], y + stats["body_y"]], np.float64)
-        half = np.array([stats["half_width"], stats["half_height"]], np.float64)
+        middle = np.array([x + stats["body_x"], y + stats["body_y"]])
+        half = np.array([stats["half_width"], stats["half_height"]])
         self.low = middle - half
         self.high = middle + half
 

@@ -203,7 +203,12 @@ class Renderer:
             flash_colour = ""
             if bitten[player_index]:
                 flash_colour = sprites.RED
-            picture = _player_picture(player_index, player, flash_colour)
+            pose = "stand"
+            if player["busy"] > 0:
+                pose = "strike"
+            elif int((player["x"] + player["y"]) // STRIDE) % 2:  # which foot is in front
+                pose = "stride"
+            picture = sprites.player_picture(player_index, FACINGS[player["facing"]], pose, flash_colour)
             yield from self._standing(picture, player, player_stats)
             if player["busy"] == 0:
                 continue
@@ -227,29 +232,22 @@ class Renderer:
 
     def _blow(self, player: Any, player_stats: Any) -> Iterator[Item]:
         """Yield a sword, and the arc over the box that it strikes."""
-        facing = player["facing"]
-        direction = FACINGS[facing]
+        facing, strike = player["facing"], player_stats["sword"]
         moment = int(sprites.SWINGS * (player_stats["swing"] - player["busy"]) // player_stats["swing"])
-        strike = player_stats["sword"]
-        half_width, half_height = strike["half_width"][facing], strike["half_height"][facing]
         x, y = player["x"] + strike["x"][facing], player["y"] + strike["y"][facing]
-        first_column, first_row = self._place(x - half_width, y - half_height)
-        last_column, last_row = self._place(x + half_width, y + half_height)
-        arc = sprites.slash_picture(
-            width=last_column - first_column + 1,
-            height=last_row - first_row + 1,
-            facing=direction,
-            moment=moment,
-        )
-        _, arc_foot = self._place(0.0, max(y + half_height, _foot(player, player_stats)))
-        yield Item(arc_foot + 0.1, arc, first_column, first_row)
-        x, y = self._place(player["x"] + strike["hilt_x"][facing], player["y"] + strike["hilt_y"][facing])
+        half_width, half_height = strike["half_width"][facing], strike["half_height"][facing]
+        left, top = self._place(x - half_width, y - half_height)
+        right, bottom = self._place(x + half_width, y + half_height)
+        arc = sprites.slash_picture(right - left + 1, bottom - top + 1, FACINGS[facing], moment)
         _, foot = self._place(0.0, _foot(player, player_stats))
-        sword = sprites.sword_picture(direction, moment)
-        if direction == "up":
-            yield _centred(foot - 0.2, sword, x, y)
+        yield Item(max(foot, bottom) + 0.1, arc, left, top)
+        if FACINGS[facing] == "up":
+            foot -= 0.2
         else:
-            yield _centred(foot + 0.2, sword, x, y)
+            foot += 0.2
+        sword = sprites.sword_picture(FACINGS[facing], moment)
+        hilt = self._place(player["x"] + strike["hilt_x"][facing], player["y"] + strike["hilt_y"][facing])
+        yield _centred(foot, sword, *hilt)
 
     def _flames(self, player: Any, player_stats: Any) -> Iterator[Item]:
         """Yield flames all over the box that burns, which die down in the last third."""
@@ -283,7 +281,7 @@ class Renderer:
         for bodies, stats_by_body, colour, height in groups:
             for body, stats in zip(bodies, stats_by_body, strict=True):
                 if 0 < body["hp"] < stats["hp"]:
-                    bar = _gauge(body["hp"], stats["hp"], colour, BAR_WIDTH)
+                    bar = sprites.gauge_picture(body["hp"], stats["hp"], colour, BAR_WIDTH)
                     x, y = self._place(body["x"], _foot(body, stats))
                     yield Item(inf, bar, x - bar.shape[1] // 2, y - height)
 
@@ -328,12 +326,12 @@ class Renderer:
         player_stats = self.worlds.player_stats[player_index]
         hp, most_hp = player["hp"], player_stats["hp"]
         pictures = [
-            _gauge(hp, most_hp, sprites.GOLD, *PANEL_BAR),
+            sprites.gauge_picture(hp, most_hp, sprites.GOLD, *PANEL_BAR),
             sprites.text_picture(f"HP {ceil(hp)}/{ceil(most_hp)}"),
         ]
         if self.worlds.config.magic:
             energy, most_energy = player["energy"], player_stats["energy"]
-            pictures.append(_gauge(energy, max(most_energy, 1.0), sprites.BLUE, *PANEL_BAR))
+            pictures.append(sprites.gauge_picture(energy, max(most_energy, 1.0), sprites.BLUE, *PANEL_BAR))
             pictures.append(sprites.text_picture(f"EN {int(energy)}/{ceil(most_energy)}"))
         pictures.append(sprites.text_picture(f"XP {ceil(player['xp'])}"))
         return pictures
@@ -349,14 +347,6 @@ class Renderer:
         if state["ending"] != rules.RUNNING:
             texts.append(worlds.ending(world_index).replace("-", " "))
         return [sprites.text_picture(text) for text in texts]
-
-
-def _gauge(points: float, full_points: float, colour: str, width: int, height: int = 1) -> np.ndarray:
-    """Return a bar of the points that are left; it is empty only if there are none."""
-    filled = round(width * float(points) / float(full_points))
-    if points > 0:
-        filled = max(filled, 1)
-    return sprites.bar_picture(min(filled, width), width, colour, height)
 
 
 def _foot(body: Any, stats: Any) -> float:
@@ -384,16 +374,6 @@ def _obstacles(solid: np.ndarray, ground: np.ndarray) -> Iterator[Item]:
         middle = tile_column * sprites.TILE + sprites.TILE // 2
         foot = (tile_row + 1) * sprites.TILE - 2
         yield from _upright(picture, middle, foot)
-
-
-def _player_picture(player_index: int, player: Any, flash_colour: str) -> np.ndarray:
-    """Return a player standing, walking or attacking; the position decides which foot is in front."""
-    pose = "stand"
-    if player["busy"] > 0:
-        pose = "strike"
-    elif int((player["x"] + player["y"]) // STRIDE) % 2:
-        pose = "stride"
-    return sprites.player_picture(player_index, FACINGS[player["facing"]], pose, flash_colour)
 
 
 def _clamp(centre: int, length: int, available: int) -> int:

@@ -129,9 +129,11 @@ def plus_picture() -> np.ndarray:
 # --- Bars and text -------------------------------------------------------------------------------
 
 
-@cache
-def bar_picture(filled: int, width: int, colour: str, height: int = 1) -> np.ndarray:
-    """Return a framed bar with the first `filled` of its `width` art pixels coloured."""
+def gauge_picture(points: float, full_points: float, colour: str, width: int, height: int = 1) -> np.ndarray:
+    """Return a framed bar of the points that are left; it is empty only if there are none."""
+    filled = min(round(width * float(points) / float(full_points)), width)
+    if points > 0:
+        filled = max(filled, 1)
     picture = np.empty((height + 2, width + 2, 4), np.uint8)
     picture[...] = _opaque(OUTLINE)
     picture[1:-1, 1:-1] = _opaque("7a6070")
