@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -24,7 +25,8 @@ from pneuma.study.spec import load_study
 
 from .cli.calls import save_finished
 
-DOCS = Path(__file__).parents[1] / "docs"
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
 BLOCK = re.compile(
     r"(?:^`(?P<file>[\w./]+)`\n)?^```(?P<language>\w+)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE
 )
@@ -61,6 +63,16 @@ def test_the_pages_python_runs(tmp_path: Path) -> None:
     figures = {path.name for path in (tmp_path / "figures").iterdir()}
     curves = {f"study-horizon-arena-return-entropy-minmax.{form}" for form in ("png", "svg")}
     assert figures == {*curves, "study-horizon-arena-summary.pdf"}
+
+
+@pytest.mark.slow
+def test_a_users_script_passes_strict_types(tmp_path: Path) -> None:
+    """A policy is a `PolicyPredictor`, and an answer has tables."""
+    script = shutil.copy(Path(__file__).with_name("user_script.py"), tmp_path)
+    options = ["--strict", "--follow-imports=silent", "--cache-dir", ROOT / ".mypy_cache"]
+    command = [sys.executable, "-m", "mypy", *options, script]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
 
 
 @pytest.mark.slow

@@ -31,8 +31,8 @@ def report(
     from pneuma.figures.report import gather_report, report_page
     from pneuma.store.index import RunIndex
 
-    contents = gather_report(RunIndex(store), names or [], write_hint, aside)
-    page = report_page(**contents)
+    contents = gather_report(RunIndex(store), names or [], aside)
+    page = report_page(**contents, write=write_hint)
     write_file(out, page)
     document = {"file": out, "bytes": len(page)}
     for name in ("studies", "claims"):

@@ -10,16 +10,13 @@ from typing import Annotated, Any
 
 from pneuma.cli import delete, study_answers, study_files, study_run, study_verify
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, Table, answer_result, listed_result, say, write_file
+from pneuma.cli.output import Result, Table, answer_result, frame_table, listed_result, say, write_file
 from pneuma.config import is_gymnasium_id, reads
 from pneuma.errors import UserError, unknown_name
 from pneuma.files import create_whole
 from pneuma.store.store import Store
-from pneuma.study import plan, shipped, spec
-from pneuma.values import shown_seeds, shown_value
-
-MOST_NAMED = 4
-"""Most conditions that are named where they have one value."""
+from pneuma.study import shipped, spec
+from pneuma.values import shown_seeds
 
 app = opt.Commands("study", "Compare conditions over many seeds.")
 
@@ -98,26 +95,23 @@ def _amounts(study: spec.Study, preset: str) -> dict[str, dict[str, Any]]:
 def _show(
     study: spec.Study, fields: Mapping[str, Mapping[str, Any]], is_in_own_worlds: bool
 ) -> Iterator[str | Table]:
-    differing = plan.differing_fields(fields)
+    from pneuma.answers.settings import compare_settings
+
+    differing, shared = compare_settings(fields)
     yield study.title + (f" (thesis section {study.section})" if study.section else "")
     if study.path:
         yield study.about
     yield ""
     if len(fields) > 1:
-        yield "The conditions differ in:" if differing else "The conditions do not differ."
-        for key, values in differing.items():
-            values_by_condition = {name: shown_value(value) for name, value in values.items()}
-            parts = []
-            for value, names in _names_by_value(values_by_condition).items():
-                named = ", ".join(names) if len(names) <= MOST_NAMED else f"{len(names)} conditions"
-                parts.append(f"{value} ({named})")
-            yield f"  {key}: {'; '.join(parts)}"
+        if len(differing.columns) > 1:
+            yield frame_table(differing)
+        else:
+            yield "The conditions do not differ."
         yield f"Compared with: {study.baseline}"
         yield ""
     yield "All conditions share:" if len(fields) > 1 else "The one condition has:"
-    for key, value in next(iter(fields.values()), {}).items():
-        if key not in (*differing, "seed", "steps"):
-            yield f"  {key} = {shown_value(value)}"
+    for key, value in shared.items():
+        yield f"  {key} = {value}"
     if study.path is None:
         return
     yield ""
@@ -127,20 +121,14 @@ def _show(
     yield "Presets:"
     rows: list[tuple[str, str, str]] = []
     for preset in study.presets:
-        amounts = {}
+        names_by_amount: dict[str, list[str]] = {}
         for condition, amount in _amounts(study, preset).items():
-            amounts[condition] = f"seeds {shown_seeds(amount['seeds'])}, {amount['steps']:,} steps"
-        for text, names in _names_by_value(amounts).items():
+            text = f"seeds {shown_seeds(amount['seeds'])}, {amount['steps']:,} steps"
+            names_by_amount.setdefault(text, []).append(condition)
+        for text, names in names_by_amount.items():
             is_every = len(names) == len(study.conditions)
             rows.append((f"  {preset}", text, "" if is_every else ", ".join(names)))
     yield Table([""] * 3, rows)
-
-
-def _names_by_value(values: Mapping[str, str]) -> dict[str, list[str]]:
-    names: dict[str, list[str]] = {}
-    for name, value in values.items():
-        names.setdefault(value, []).append(name)
-    return names
 
 
 # --- status ----------------------------------------------------------------------------------------

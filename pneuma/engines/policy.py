@@ -153,17 +153,17 @@ class Policy:
 
     def predict(
         self,
-        observation: np.ndarray,
-        state: None = None,
+        observation: np.ndarray | dict[str, np.ndarray],
+        state: tuple[np.ndarray, ...] | None = None,
         episode_start: np.ndarray | None = None,
         deterministic: bool = False,
-    ) -> tuple[np.ndarray, None]:
+    ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
         """Return actions for one observation, (features,), or several, (N, features), and no state.
 
-        A model of Stable-Baselines3 does the same, so that its `evaluate_policy` can play a policy. Sampled
-        actions follow `numpy.random.seed`.
+        A model of Stable-Baselines3 does the same, so that its `evaluate_policy` can play a policy. The
+        types are those of its `PolicyPredictor`. Sampled actions follow `numpy.random.seed`.
         """
-        rows = np.reshape(observation, (-1, self.features))
+        rows = np.reshape(np.asarray(observation), (-1, self.features))
         generator = np.random.default_rng(np.random.randint(2**31))
         actions = self.best(rows) if deterministic else self.sample(rows, generator)
         if np.ndim(observation) == 1:
