@@ -177,7 +177,7 @@ def _draw_legend(figure: Figure, words: set[str]) -> None:
         for name, look in LOOKS.items()
         if name in words
     ]
-    figure.legend(handles=marks, loc="lower left", ncols=5, bbox_to_anchor=(0.0, 0.0), fontsize=TYPE)
+    figure.legend(handles=marks, loc="lower left", ncols=4, bbox_to_anchor=(0.0, 0.0), fontsize=TYPE)
     text = (
         "Differences with their intervals, in margins: to the right as the sentence says;\n"
         "grey: too small to count. “Little to no effect” and “similar” hold within the grey.\n"
