@@ -31,7 +31,7 @@ def _page(name: str = "tanh") -> bytes:
     ratio = comparison("inconclusive", 1.3, (0.7, 2.4), (3, 3), steadier)
     claims = {
         better.name: judged(better, text=("supported", "", (won, won)), arena=("untestable", name, ())),
-        "steadier": judged(steadier, text=("inconclusive", "", (ratio,))),
+        "steadier": judged(steadier, text=("inconclusive", "", (ratio,)), godot=("described", "", (ratio,))),
     }
     numbers = (name, ("Condition", *(f"outcome {k}\nmean" for k in range(9))), [[name, *["0.5"] * 9]])
     data: Any = SimpleNamespace(call=Hint)
@@ -68,9 +68,10 @@ def test_every_link_leads_to_one_place_of_the_page(page: Any) -> None:
 
 def test_verdicts_are_counted_and_shown_world_by_world(page: Any) -> None:
     counts = [each.text for each in page.all("td", "number")]
-    assert counts[:8] == ["1", "0", "1", "0", "0", "0", "0", "1"]
+    assert counts[:12] == ["1", "0", "1", "0", "0", "0", "0", "0", "0", "0", "0", "1"]
     words = " ".join(page.all("main")[0].text.split())
     assert "✔ holds kills 62 against 50 % (5 to 19) preregistered" in words
+    assert "· described kills 180 against 50 % (70 to 240) preregistered" in words
     assert "? undecided kills 180 against 50 % (70 to 240) preregistered" in words
     assert "tanh against relu, n = 10 and 10" in words
 
