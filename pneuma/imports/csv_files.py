@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import pandas as pd
 
@@ -66,8 +67,8 @@ def import_csv(paths: Sequence[Path], columns: Columns, store: Store, name: str 
         UserError: for whatever could be read in two ways.
     """
     shared = Path(os.path.commonpath([path.resolve().parent for path in paths]))
-    alone = len(paths) == 1 and paths[0].name != MONITOR
-    study = choose_study_name(name, paths[0].with_suffix("") if alone else shared, store, SOURCE)
+    is_single = len(paths) == 1 and paths[0].name != MONITOR
+    study = choose_study_name(name, paths[0].with_suffix("") if is_single else shared, store, SOURCE)
     logs: list[Log] = []
     monitors: dict[Path, str] = {}
     for path in sorted(set(paths)):
@@ -80,10 +81,11 @@ def import_csv(paths: Sequence[Path], columns: Columns, store: Store, name: str 
         raise UserError(
             f"{next(iter(monitors))}: is a monitor, whose columns are known: leave out --step and --value"
         )
+    runs = [{path: text} for path, text in monitors.items()]
     if monitors and columns.condition and columns.seed:
-        logs.append(_read_monitors(monitors, shared, columns))
-    else:
-        logs += [_read_monitors({path: text}, shared, columns) for path, text in monitors.items()]
+        runs = [monitors]
+    for files in runs:
+        logs.append(_read_monitors(files, shared, columns))
     return store_logs(logs, store, SOURCE, study, adds=name is not None)
 
 
@@ -97,24 +99,21 @@ def _name_parts(path: Path, shared: Path) -> tuple[str, ...]:
 
 
 def _make_log(
-    name: str,
-    run: tuple[str, int],
-    points: list[pd.DataFrame],
-    selection: Sequence[object],
-    averaged_over: int | None,
-    files: Iterable[str],
-    notes: list[str],
+    name: str, run: tuple[str, int], points: list[pd.DataFrame], texts: Iterable[str], **selection: Any
 ) -> Log:
-    facts = [file_facts(text.encode()) for text in files]
-    about = {"import_version": IMPORT_VERSION, "averaged_over": averaged_over, "selection": selection}
+    """Return the log of a run; `selection` is what selects its data, which is part of its id."""
+    about = {
+        "import_version": IMPORT_VERSION,
+        **selection,
+        "files": [file_facts(text.encode()) for text in texts],
+    }
     return Log(
         name=name,
         condition=run[0],
         seed=run[1],
         points=pd.concat(points, ignore_index=True).assign(superseded=False),
-        identity=repr([SOURCE, run, about, facts]),
-        provenance={"imported": SOURCE, **about, "files": facts},
-        notes=notes,
+        identity=repr([SOURCE, run, about]),
+        provenance={"imported": SOURCE, **about},
     )
 
 
@@ -125,46 +124,46 @@ def _read_runs(path: Path, shared: Path, text: str, columns: Columns) -> Iterato
     """Yield the runs of a table."""
     table = _read_cells(path, text)
     if not (columns.step and columns.values):
-        raise UserError(_columns_to_choose(path, _names(table)))
+        raise UserError(_columns_to_choose(path, table))
     quantities = dict(_column_and_quantity(table, value) for value in columns.values)
     if len(set(quantities.values())) < len(columns.values):
         raise UserError("--value: names two columns for one quantity; give one of them, or COLUMN=QUANTITY")
     steps = _whole_numbers(path, _find_column(table, "--step", columns.step))
-    values = {column: _numbers(path, table[column]) for column in quantities}
     condition, seed = condition_and_seed(_name_parts(path, shared))
     runs = pd.DataFrame({"condition": columns.condition or condition, "seed": seed}, index=table.index)
     if columns.condition in table:
-        runs["condition"] = table[columns.condition]
-        _refuse_cells(path, table[columns.condition][table[columns.condition] == ""], "a condition")
-    if columns.seed.isdecimal():
-        runs["seed"] = int(columns.seed)
+        runs["condition"] = table[columns.condition].str.strip()
+        _refuse_cells(path, table[columns.condition][runs["condition"] == ""], "a condition")
+    if columns.seed in table:
+        runs["seed"] = _whole_numbers(path, table[columns.seed])
     elif columns.seed:
-        runs["seed"] = _whole_numbers(path, _find_column(table, "--seed", columns.seed))
-    for condition, seed in runs.drop_duplicates().itertuples(index=False):
-        rows = runs.index[(runs["condition"] == condition) & (runs["seed"] == seed)]
-        run = f"{condition} with seed {seed}"
+        runs["seed"] = _read_seed(columns.seed, list(table))
+    values = {column: _numbers(path, table[column]) for column in quantities}
+    for (condition, seed), rows in runs.groupby(["condition", "seed"], sort=False).groups.items():
+        name = f"{condition} with seed {seed}"
         notes, points = [], []
         for column, quantity in quantities.items():
-            finite = values[column][rows][values[column][rows].map(math.isfinite)]
+            finite = values[column][rows].replace([math.inf, -math.inf], math.nan).dropna()
             lost = len(rows) - len(finite)
             if lost:
                 notes.append(
                     f"{lost} of {counted(len(rows), 'row')} have no finite {column} and are left out"
                 )
-            _refuse_two_runs(path, steps[finite.index], run)
+            _refuse_two_runs(path, steps[finite.index], name)
             mean_tag, single_tag = QUANTITIES[quantity]
-            as_means = quantity in EPISODE_QUANTITIES and columns.averaged_over != 1
-            tag = mean_tag if as_means else single_tag
+            are_means = quantity in EPISODE_QUANTITIES and columns.averaged_over != 1
+            tag = mean_tag if are_means else single_tag
             points.append(pd.DataFrame({"tag": tag, "step": steps[finite.index], "value": finite}))
-        yield _make_log(
-            name=f"{path.name}, {run}",
-            run=(condition, int(seed)),
-            points=points,
-            selection=[columns.step, quantities, columns.condition, columns.seed],
+        log = _make_log(
+            f"{path.name}, {name}",
+            (str(condition), int(seed)),
+            points,
+            [text],
             averaged_over=columns.averaged_over,
-            files=[text],
-            notes=notes,
+            selection=[columns.step, quantities, columns.condition, columns.seed],
         )
+        log.notes += notes
+        yield log
 
 
 def _read_cells(path: Path, text: str) -> pd.DataFrame:
@@ -173,34 +172,38 @@ def _read_cells(path: Path, text: str) -> pd.DataFrame:
         rows = pd.read_csv(io.StringIO(text), header=None, dtype=str, keep_default_na=False)
     except ValueError as error:
         raise UserError(f"{path}: cannot be read as CSV ({str(error).strip()})") from None
-    rows = rows.apply(lambda cells: cells.str.strip())
     rows.index += 1
-    header = rows.iloc[0]
+    header = rows.iloc[0].str.strip()
     if header.duplicated().any():
         raise UserError(f"{path}: two columns are called {header[header.duplicated()].iloc[0]!r}; rename one")
     return rows.iloc[1:].set_axis(list(header), axis="columns")
 
 
-def _columns_to_choose(path: Path, header: Sequence[str]) -> str:
+def _columns_to_choose(path: Path, table: pd.DataFrame) -> str:
     """Return which columns a table has, and a command with those that their names suggest."""
     words = ["pneuma", "import", "csv", str(path)]
     for option, pattern in SUGGESTED.items():
-        names = [name for name in header if re.fullmatch(pattern, name.lower())]
+        names = [name for name in table if re.fullmatch(pattern, name.lower())]
         if len(names) == 1:
             words += [option, names[0]]
         elif option in ("--step", "--value"):
             words += [option, "COLUMN"]
-    return f"{path}: choose from its columns {', '.join(header)}, as in {shlex.join(words)}"
-
-
-def _names(table: pd.DataFrame) -> list[str]:
-    return [str(name) for name in table]
+    return f"{path}: choose from its columns {', '.join(table)}, as in {shlex.join(words)}"
 
 
 def _find_column(table: pd.DataFrame, option: str, name: str) -> pd.Series:
     if name not in table:
-        raise unknown_name(f"column in {option}", name, _names(table))
+        raise unknown_name(f"column in {option}", name, list(table))
     return table[name]
+
+
+def _read_seed(text: str, columns: Sequence[str] = ()) -> int:
+    """Return the seed of all rows."""
+    if re.fullmatch("[0-9]{1,18}", text):
+        return int(text)
+    if columns:
+        raise unknown_name("column in --seed", text, columns)
+    raise UserError(f"--seed {text}: must be a number, as a monitor has no column of seeds")
 
 
 def _column_and_quantity(table: pd.DataFrame, value: str) -> tuple[str, str]:
@@ -221,7 +224,7 @@ def _column_and_quantity(table: pd.DataFrame, value: str) -> tuple[str, str]:
 def _numbers(path: Path, cells: pd.Series) -> pd.Series:
     """Return the numbers of a column; NaN where there is none."""
     numbers = pd.to_numeric(cells, errors="coerce").astype(float)
-    unclear = numbers.isna() & ~cells.str.lower().isin(["", "nan"])
+    unclear = numbers.isna() & ~cells.str.strip().str.lower().isin(["", "nan"])
     _refuse_cells(path, cells[unclear], "a plain number as 1024 or 0.5")
     return numbers
 
@@ -229,7 +232,7 @@ def _numbers(path: Path, cells: pd.Series) -> pd.Series:
 def _whole_numbers(path: Path, cells: pd.Series) -> pd.Series:
     """Return steps or seeds; refuse others, and such as 1.000, which may be a thousand."""
     numbers = _numbers(path, cells)
-    thousands = cells.str.fullmatch(r"[1-9]\d{0,2}(\.\d{3})+")
+    thousands = cells.str.strip().str.fullmatch(r"[1-9]\d{0,2}(\.\d{3})+")
     whole = numbers.between(0, 2**53) & (numbers % 1 == 0) & ~thousands
     _refuse_cells(path, cells[~whole], "a whole number as 1024")
     return numbers.astype("int64")
@@ -266,21 +269,20 @@ def _read_monitors(files: Mapping[Path, str], shared: Path, columns: Columns) ->
                     f"{path}: its clock begins again, so that it cannot be joined with other monitors"
                 )
         episodes = episodes.sort_values("t", kind="stable")
-    sound = (episodes["l"] >= 1) & episodes[["r", "l", "t"]].map(math.isfinite).all(axis="columns")
-    if not sound.all():
+    is_sound = episodes["l"].between(1, 2**53) & episodes[["r", "t"]].map(math.isfinite).all(axis="columns")
+    if not is_sound.all():
         raise UserError(f"{first}: a row lacks its return r, length l or time t; remove it")
-    if columns.seed and not columns.seed.isdecimal():
-        raise UserError(f"--seed {columns.seed}: must be a number, as {first} is a monitor")
     condition, seed = condition_and_seed(_name_parts(first, shared))
-    run = columns.condition or condition, int(columns.seed or seed)
+    if columns.seed:
+        seed = _read_seed(columns.seed)
     steps = episodes["l"].cumsum().astype("int64")
     points = []
     for quantity, column in (("return", "r"), ("length", "l")):
         values = episodes[column].astype(float)
         points.append(pd.DataFrame({"tag": TAGS[quantity][1], "step": steps, "value": values}))
-    return _make_log(
-        ", ".join(path.name for path in files), run, points, ["monitors"], 1, [*files.values()], []
-    )
+    name = ", ".join(path.name for path in files)
+    run = (columns.condition or condition, seed)
+    return _make_log(name, run, points, files.values(), averaged_over=1, selection=["monitors"])
 
 
 def _load_monitors(files: Mapping[Path, str]) -> pd.DataFrame:

@@ -80,33 +80,34 @@ def store_logs(logs: Sequence[Log], store: Store, source: str, study: str, adds:
     Raises:
         UserError: for two runs of one name or with the same data, or a study that has other runs.
     """
-    kept, notes = [], []
+    notes: list[str] = []
+    by_name: dict[object, Log] = {}
+    by_id: dict[str, Log] = {}
     for log in sorted(logs, key=lambda log: (log.condition, log.seed)):
         notes += [f"{log.name}: {note}" for note in log.notes]
-        if log.steps > 0:
-            kept.append(log)
-        else:
+        if log.steps == 0:
             notes.append(f"{log.name}: has no values at agent steps, and is left out")
+            continue
+        other = by_name.setdefault((log.condition, log.seed), log)
+        if other is not log:
+            both = f"{other.name} and {log.name} are two runs of one name, "
+            raise UserError(f"{both}{log.condition} with seed {log.seed}: give each its own")
+        other = by_id.setdefault(log.run_id, log)
+        if other is not log:
+            raise UserError(f"{other.name} and {log.name} hold the same data: import one of them")
+    kept = list(by_id.values())
     if not kept:
         raise UserError(
             f"{logs[0].name}: has no values at agent steps as Stable-Baselines3 or CleanRL log them"
         )
-    by_name: dict[object, Log] = {}
-    by_id: dict[str, Log] = {}
-    for log in kept:
-        other = by_name.setdefault((log.condition, log.seed), log)
-        if other is not log:
-            both = (
-                f"{other.name} and {log.name} are two runs of one name, {log.condition} with seed {log.seed}"
-            )
-            raise UserError(f"{both}: give each its own")
-        other = by_id.setdefault(log.run_id, log)
-        if other is not log:
-            raise UserError(f"{other.name} and {log.name} hold the same data: import one of them")
     listing = store.listing(study) or {"baseline": kept[0].condition, "runs": []}
-    others = [run for run in listing["runs"] if (run["condition"], run["seed"]) not in by_name]
-    replaced = len(listing["runs"]) - len(others) - sum(run["run_id"] in by_id for run in listing["runs"])
-    if replaced > 0:
+    others, replaced = [], 0
+    for run in listing["runs"]:
+        if (run["condition"], run["seed"]) not in by_name:
+            others.append(run)
+        elif run["run_id"] not in by_id:
+            replaced += 1
+    if replaced:
         notes.append(
             f"{counted(replaced, 'run')} of study {study} had other data before; another --name keeps both"
         )

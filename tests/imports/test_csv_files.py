@@ -139,6 +139,7 @@ def test_without_columns_they_are_listed_with_a_command_to_copy() -> None:
         ("8,", "", "has no values at agent steps"),
         ("8,5", "--step steps", "unknown column in --step 'steps' (did you mean step?)"),
         ("8,5", "--seed seed", "unknown column in --seed 'seed'"),
+        ("8,5", f"--seed {'9' * 5000}", "unknown column in --seed '999"),
         ("8,5", "--value return=reward", "unknown quantity in --value return=reward: 'reward'"),
         ("8,5", "--value step --value return", "names two columns for one quantity"),
         ("8,5", "--name activation", "a shipped study is called that"),
