@@ -23,6 +23,8 @@ from pneuma.errors import Message, UserError, plain, written
 
 STOPPED = 130
 """The exit code after Ctrl-C; it is 1 if runs failed, and 0 if all is done."""
+LONGEST_MESSAGE = 4000
+"""Characters of a message, whose middle is left out if it is longer."""
 COMMANDS = {
     "study": ("study", "Compare conditions over many seeds."),
     "run": ("runs", "Inspect, export and delete single runs."),
@@ -146,5 +148,8 @@ def _refuse(message: str) -> int:
     if message.startswith("Usage:"):  # a command was left out: Typer's message is the help itself
         print(message, file=sys.stderr)
     else:
-        print(f"pneuma: {plain(' '.join(message.split()))}", file=sys.stderr)
+        text = plain(" ".join(message.split()))
+        if len(text) > LONGEST_MESSAGE:  # of a value of a file, which may be endless
+            text = f"{text[: LONGEST_MESSAGE // 2]} … {text[-LONGEST_MESSAGE // 2 :]}"
+        print(f"pneuma: {text}", file=sys.stderr)
     return 2

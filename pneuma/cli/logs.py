@@ -63,20 +63,20 @@ def _imported(imported: Import, results: Path) -> Result:
     study, logs, notes = imported
     for note in notes:
         say(f"Note: {note}.")
-    rows = [
-        {"run_id": log.run_id, "condition": log.condition, "seed": log.seed, "steps": log.steps,
-         "imported": log.new}
-        for log in logs
-    ]  # fmt: skip
-    new = sum(log.new for log in logs)
-    points = sum(len(log.points) for log in logs)
+    runs: list[dict[str, object]] = []
+    new = points = 0
+    for log in logs:
+        identity = {"run_id": log.run_id, "condition": log.condition, "seed": log.seed}
+        runs.append({**identity, "steps": log.steps, "imported": log.new})
+        new += log.new
+        points += len(log.points)
+    amount = f"{counted(len(logs), 'run')}, {counted(points, 'point')}"
     lines = [
-        f"{study}: {counted(len(logs), 'run')}, {counted(points, 'point')}; {new} imported now, "
-        f"{len(logs) - new} were stored.",
+        f"{study}: {amount}; {new} imported now, {len(logs) - new} were stored.",
         _averaging(logs),
         f"Draw it with: {command('study', 'plot', study, *results_words(results))}",
     ]
-    return Result({"study": study, "runs": rows, "notes": notes}, lines)
+    return Result({"study": study, "runs": runs, "notes": notes}, lines)
 
 
 def _averaging(logs: list[Log]) -> str:
@@ -85,7 +85,8 @@ def _averaging(logs: list[Log]) -> str:
     if None in averaged:
         return "Returns are as in the file; --averaged-over 1 averages single episodes as runs trained here."
     episodes = max(100, *averaged)
-    means = f"Returns are means of {episodes} episodes"
-    if episodes > 100:
-        return f"{means}; those of runs trained here are of 100, and less smooth."
-    return f"{means}."
+    if episodes == 100:
+        return "Returns are means of 100 episodes."
+    return (
+        f"Returns are means of {episodes} episodes; those of runs trained here are of 100, and less smooth."
+    )

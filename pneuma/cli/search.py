@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from optuna.trial import FrozenTrial
 
     from pneuma.search.log import Record
-    from pneuma.search.spec import Search
     from pneuma.study.plan import Plan
     from pneuma.training.execute import CellResult
 
@@ -171,11 +170,14 @@ def run(
             planned, location.store, paused, retry_failed=retry_failed, quiet=quiet, say=say_once
         )
 
-    progress = _Progress(search, quiet)
-    code = 0
+    document: dict[str, Any] = {}
+    code = printed = 0
     try:
         for record in run_search(search, budget, location.store, train, report):
-            progress.show(record)
+            document = record.document()
+            for line in _news(record, printed):
+                report(line)
+            printed = len(document["trials"])
     except Unfinished as error:
         say(f"Stopped: {error}. To try crashed runs again, add --retry-failed.")
         code = 1
@@ -186,34 +188,24 @@ def run(
     if not code and not quiet:
         lines = [f"See its trials with: {location.command('status', name)}"]
         lines.append(f"Draw it with: {location.command('plot', name)}")
-    return Result(progress.document, lines, code=code)
+    return Result(document, lines, code=code)
 
 
-class _Progress:
-    """Prints each trial once it has ended, and the best one so far."""
+def _news(record: Record, printed: int) -> Iterator[str]:
+    """Yield a line for each trial that has ended after those that were printed, then the best one so far."""
+    from pneuma.search.log import STATES
+    from pneuma.search.spec import shown_params
 
-    def __init__(self, search: Search, quiet: bool) -> None:
-        self.document: dict[str, Any] = {"search": search.name, "trials": [], "best": None}
-        self._say = partial(say, quiet=quiet)
-        self._printed: set[int] = set()
-
-    def show(self, record: Record) -> None:
-        from pneuma.search.log import STATES
-        from pneuma.search.spec import shown_params
-
-        is_first = not self.document["trials"]
-        self.document, best = record.document(), record.best
-        new_trials = [trial for trial in record.ended if trial.number not in self._printed]
-        for trial in new_trials:
-            self._printed.add(trial.number)
-            text = f"trial {trial.number}: {STATES[trial.state]}, {_value(trial)}"
-            texts = [text, shown_params(trial.params), trial.user_attrs.get("note", "")]
-            self._say("; ".join(filter(None, texts)))
+    best, ended = record.best, record.ended
+    for trial in ended[printed:]:
+        text = f"trial {trial.number}: {STATES[trial.state]}, {_value(trial)}; {shown_params(trial.params)}"
+        note = trial.user_attrs.get("note")
+        yield f"{text}; {note}" if note else text
+    if len(ended) > printed or not ended:
         best_text = f"front: {best}" if best else "none is complete yet"
         if isinstance(best, int):
             best_text = f"best: trial {best}, {_value(record.trials[best])}"
-        if new_trials or is_first:
-            self._say(f"{len(self._printed)} of {counted(record.budget.trials, 'trial')}; {best_text}")
+        yield f"{len(ended)} of {counted(record.budget.trials, 'trial')}; {best_text}"
 
 
 def _value(trial: FrozenTrial) -> str:

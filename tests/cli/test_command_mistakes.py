@@ -57,6 +57,12 @@ def test_a_mistake_is_one_line_and_nothing_is_written(words: str, here: Path) ->
     assert os.listdir(here) == []
 
 
+def test_of_an_endless_message_both_ends_are_printed(here: Path) -> None:
+    (here / "x.toml").write_text(f'base = "{"x" * 99_999}"')
+    message = refused("study", "plan", "x.toml")
+    assert len(message) < 5000 and "x.toml" in message and "missing" in message
+
+
 def test_a_study_is_found_by_its_figure_and_a_folder_without_results_is_noted(here: Path) -> None:
     called = call("study", "summary", "fig-6-4", "--results", "nowhere")
     assert called.out.startswith("Optimizer") and "Note: nowhere has no results." in called.err

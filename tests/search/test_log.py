@@ -154,6 +154,10 @@ REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
         lambda log: log.replace("[0.5, null]", '[\\"0.5\\", \\"none\\"]'),
         "trial 0 is not the search's",
     ),
+    "ids that are no text": (
+        lambda log: log.replace('"run_ids":[', '"run_ids":[[],'),
+        "trial 0 is not the search's",
+    ),
     "an infinite value": (
         lambda log: log.replace('"values":[0.', '"values":[Infinity,0.'),
         "cannot be read",
