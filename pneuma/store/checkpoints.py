@@ -127,10 +127,9 @@ def checkpoint_files(folder: Path) -> list[CheckpointFile]:
     """Return the checkpoint files in a run's folder, the latest first; they may be damaged."""
     files = []
     for path in (folder / CHECKPOINTS).glob("*.safetensors"):
-        parts = read_checkpoint_name(path.name)
-        if parts:
-            step, digest = parts
-            files.append(CheckpointFile(step, digest, path))
+        step_and_digest = read_checkpoint_name(path.name)
+        if step_and_digest:
+            files.append(CheckpointFile(*step_and_digest, path))
     return sorted(files, reverse=True)
 
 

@@ -141,8 +141,8 @@ class RunIndex:
         except UserError as error:
             self.problems.append(str(error))
             return next((row for _, row in self._published(run_id)), None)
-        for path, other in self._published(run_id):
-            if not other.same_numbers(row):
+        for path, published in self._published(run_id):
+            if not published.same_numbers(row):
                 self.problems.append(f"{path}: its run {run_id} has other numbers here; those here are used")
         return row
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from pneuma.store.quantities import EPISODE_QUANTITIES, EVALUATION_TAGS, NEGATED, TAGS, UPDATE_QUANTITIES
+from pneuma.store.quantities import EPISODE_QUANTITIES, EVALUATION_TAGS, NEGATED, TAGS, TRAINING_QUANTITIES
 from pneuma.store.series import TRAILING_EPISODES, Recorded
 
 WALL_CLOCK = ("time/", "charts/SPS")
@@ -22,30 +22,29 @@ def of_log(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> Recorded:
     Returns that are means of fewer episodes than elsewhere are averaged further. Those of which nobody said
     how many episodes they average are taken as they are.
     """
-    named, averaged_over = _named(scalars, provenance)
+    points, averaged_over = _named_points(scalars, provenance)
     series = {}
-    for quantity in (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES):
-        points = named[named["name"] == quantity]
-        if len(points):
-            series[quantity] = points["step"].to_numpy(float), points["value"].to_numpy(float)
-    return Recorded(series, _evaluations(named), averaged_over=averaged_over)
+    for quantity, rows in points.groupby("name"):
+        if quantity in TRAINING_QUANTITIES:
+            series[str(quantity)] = rows["step"].to_numpy(float), rows["value"].to_numpy(float)
+    return Recorded(series, _evaluations(points), averaged_over=averaged_over)
 
 
 def by_step(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> pd.DataFrame:
     """Return a log's points with a column for each quantity or tag; returns are named as averaged."""
-    named, averaged_over = _named(scalars, provenance)
-    named = named[~named["name"].str.startswith(WALL_CLOCK)]
-    frame = _pivoted(named).set_index("step")
+    points, averaged_over = _named_points(scalars, provenance)
+    points = points[~points["name"].str.startswith(WALL_CLOCK)]
+    frame = _pivoted(points).set_index("step")
     quantities = [name for name in TAGS if name in frame]
-    others = sorted(set(frame.columns) - set(quantities))
-    frame = frame[quantities + others]
+    other_tags = sorted(set(frame.columns) - set(quantities))
+    frame = frame[quantities + other_tags]
     frame.columns.name = None
     if averaged_over > 1:
         frame = frame.rename(columns={name: f"{name}_mean_{averaged_over}" for name in EPISODE_QUANTITIES})
     return frame.reset_index()
 
 
-def _named(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> tuple[pd.DataFrame, int]:
+def _named_points(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> tuple[pd.DataFrame, int]:
     """Return name, step and value of every point that no restart superseded, by step, then as written.
 
     Also of how many episodes returns and lengths are means then; 1 if they are as they were logged.
@@ -62,19 +61,21 @@ def _named(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> tuple[pd.Dat
             window = math.ceil(TRAILING_EPISODES / episodes)
             values[tags == tag] = values[tags == tag].rolling(window, min_periods=1).mean()
     plain_tags = tags.where(tags.str.contains("/"), "logged/" + tags)
-    named = scalars.assign(name=tags.map(names).fillna(plain_tags), value=values)
-    return named, max(logged_over, TRAILING_EPISODES) if logged_over else 1
+    points = scalars.assign(name=tags.map(names).fillna(plain_tags), value=values)
+    if not logged_over:
+        return points, 1
+    return points, max(logged_over, TRAILING_EPISODES)
 
 
-def _evaluations(named: pd.DataFrame) -> list[Any]:
+def _evaluations(points: pd.DataFrame) -> list[Any]:
     columns = {tag: name for name, tag in EVALUATION_TAGS.items()}
-    evaluations = named[named["name"].str.startswith("eval/") & (named["name"] != "eval/step")]
+    evaluations = points[points["name"].str.startswith("eval/") & (points["name"] != "eval/step")]
     tags = evaluations["name"]
     evaluations = evaluations.assign(name=tags.map(columns).fillna(tags.str.removeprefix("eval/")))
     return _pivoted(evaluations[~evaluations["name"].isin(RUN_COLUMNS)]).to_dict("records")
 
 
-def _pivoted(named: pd.DataFrame) -> pd.DataFrame:
+def _pivoted(points: pd.DataFrame) -> pd.DataFrame:
     """Return a column for each name, by step; of points of one step the last."""
-    last = named.drop_duplicates(["name", "step"], keep="last")
-    return last.pivot(index="step", columns="name", values="value").reset_index()
+    last_points = points.drop_duplicates(["name", "step"], keep="last")
+    return last_points.pivot(index="step", columns="name", values="value").reset_index()

@@ -32,9 +32,9 @@ def encode_published(
     table = _without_folders(table.combine_chunks())
     curve_names = [name for name in table.column_names if column_type(name) == CURVE]
     if curves is not None:
-        others = [name for name in curve_names if name.partition(" ")[0] not in curves]
-        table = table.drop_columns(others)
-        curve_names = [name for name in curve_names if name not in others]
+        left_out = [name for name in curve_names if name.partition(" ")[0] not in curves]
+        table = table.drop_columns(left_out)
+        curve_names = [name for name in curve_names if name not in left_out]
     metadata = {"pneuma": json.dumps({"schema": SCHEMA, **about}), "pneuma.checksum": _NO_CHECKSUM}
     table = table.cast(pa.schema(map(_as_parquet, table.schema))).replace_schema_metadata(metadata)
     sink = io.BytesIO()
@@ -106,7 +106,7 @@ class Published:
             if self.about.get("schema") != SCHEMA:
                 raise ValueError("of another version of Pneuma")
             self.index = index.cast(_INDEX_SCHEMA).replace_schema_metadata()
-        self.places = {run_id: place for place, run_id in enumerate(self.index["run_id"].to_pylist())}
+        self.places = {run_id: index for index, run_id in enumerate(self.index["run_id"].to_pylist())}
 
     def document(self, column: str, run_id: str) -> dict[str, Any]:
         """Return the fields or the provenance of one of its runs; empty if they make no sense."""

@@ -235,15 +235,15 @@ def _rounded(values: np.ndarray, quantity: str) -> np.ndarray:
     finite = values[np.isfinite(values)]
     if not len(finite) or finite.min() == finite.max():
         return values
-    least, most = float(finite.min()), float(finite.max())
-    if least >= 0 and (quantity in RELATIVE or most > LEVELS * finite[finite > 0].min()):
+    lowest, highest = float(finite.min()), float(finite.max())
+    if lowest >= 0 and (quantity in RELATIVE or highest > LEVELS * finite[finite > 0].min()):
         fraction, exponent = np.frexp(values)
         return np.ldexp(np.round(fraction * LEVELS) / LEVELS, exponent)
-    span = most - least
+    span = highest - lowest
     if not sys.float_info.min * LEVELS < span < math.inf:
         return values
     level = 2.0 ** math.ceil(math.log2(span / LEVELS))
     levels = np.round(values / level)
-    if least < 0:  # the sign of a return is a sign of collapse, so it stays
+    if lowest < 0:  # the sign of a return is a sign of collapse, so it stays
         levels = np.where((levels == 0) & (values != 0), np.sign(values), levels)
     return levels * level

@@ -159,7 +159,7 @@ def _are_evaluations(column_type: pa.DataType) -> bool:
         return False
     if not pa.types.is_struct(column_type.value_type):
         return bool(pa.types.is_null(column_type.value_type))
-    types = {part.name: part.type for part in column_type.value_type}
+    types = {column.name: column.type for column in column_type.value_type}
     if len(types) < column_type.value_type.num_fields:
         return False  # two columns have one name
     numbers = {pa.int64(), pa.float64()}
@@ -351,10 +351,10 @@ class Row:
         if evaluations is None or pa.types.is_null(evaluations.type):
             return {}
         columns = {}
-        for part in evaluations.type:
-            column = evaluations.field(part.name)
+        for field_type in evaluations.type:
+            column = evaluations.field(field_type.name)
             if column.null_count < len(column):
-                columns[part.name] = column.to_numpy(zero_copy_only=False)
+                columns[field_type.name] = column.to_numpy(zero_copy_only=False)
         return columns
 
     @property

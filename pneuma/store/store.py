@@ -136,9 +136,9 @@ class _Listing(TypedDict):
 _adapter = cache(TypeAdapter)
 
 
-def _checked(document: object, kind: type) -> Any:
+def _checked(document: object, document_type: type) -> Any:
     try:
-        return _adapter(kind).validate_python(document, strict=True)
+        return _adapter(document_type).validate_python(document, strict=True)
     except ValidationError:
         return None
 

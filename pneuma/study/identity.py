@@ -133,15 +133,15 @@ def files_beside(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
 
     What is not there is looked for when it is used: here, and modules among those that are installed.
     """
-    found = dict(fields)
+    resolved = dict(fields)
     for key, names in own_names(fields).items():
         paths = {name: _beside(path.parent, key, name) for name in names}
         value = fields[key]
         if isinstance(value, str):
-            found[key] = paths[value]
+            resolved[key] = paths[value]
         else:
-            found[key] = tuple(paths.get(name, name) for name in value)
-    return found
+            resolved[key] = tuple(paths.get(name, name) for name in value)
+    return resolved
 
 
 def _beside(folder: Path, key: str, name: str) -> str:

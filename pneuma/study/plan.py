@@ -263,7 +263,7 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
     for key, value in settings.items():
         values = value
         if isinstance(value, str):
-            values = [read_value(part) for part in split_list(value)]
+            values = [read_value(text) for text in split_list(value)]
         is_list = isinstance(values, list | tuple) and len(values) > 1
         try:
             single[key] = read(key, value)
@@ -291,15 +291,15 @@ def _sweep(study: Study, swept: Swept) -> dict[str, _Variant]:
     return variants
 
 
-def _with_changes(study: Study, name: str, known: Iterable[str]) -> _Variant:
+def _with_changes(study: Study, name: str, condition_names: Iterable[str]) -> _Variant:
     """Read the name of a condition with changed fields."""
     for origin in sorted(study.conditions, key=len, reverse=True):
-        parts = re.split(r", (?=\w+=)", name.removeprefix(origin))
-        if name.startswith(f"{origin}, ") and not parts[0]:
-            levels = dict(part.split("=", 1) for part in parts[1:])
+        changes = re.split(r", (?=\w+=)", name.removeprefix(origin))
+        if name.startswith(f"{origin}, ") and not changes[0]:
+            levels = dict(change.split("=", 1) for change in changes[1:])
             settings = own_fields({key: read_value(text) for key, text in levels.items()})
             return _Variant(origin, _read_settings(study, settings)[0], levels)
-    raise unknown_name(f"condition of study {study.name}", name, known)
+    raise unknown_name(f"condition of study {study.name}", name, condition_names)
 
 
 def differing_fields(conditions: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:

@@ -54,38 +54,50 @@ def studies_by_figure() -> dict[str, str]:
 
 
 def find_file(
-    what: str, name: str, folder: Path, others: Iterable[str] = (), kept: Path | None = None
+    what: str, name: str, folder: Path, other_names: Iterable[str] = (), copies: Path | None = None
 ) -> Path:
     """Return the path of a file by itself, by a shipped name, or by that of NAME.toml here or in examples.
 
     A study has the name of its figure, too.
 
-    Of none of these, `kept` may have it, a folder of files as they were run. A mistyped name may mean one of
-    `others`.
+    Args:
+        what: a study or a search; for messages.
+        name: as the user typed it.
+        folder: of the shipped files.
+        other_names: which a mistyped name may mean.
+        copies: a folder of files as they were run, in which the last resort is looked for.
     """
-    known = shipped_names(folder)
-    if name in known:
+    shipped = shipped_names(folder)
+    if name in shipped:
         return folder / f"{name}.toml"
-    path = Path(name if name.endswith(".toml") else f"{name}.toml")
-    if name.endswith(".toml") and not os.path.exists(name) and os.path.isfile(shipped := folder / path):
-        return shipped  # such as examples/cartpole.toml, from any folder
-    if not name.endswith(".toml") and not os.path.isfile(path):  # a Path would refuse a long name
-        examples = shipped_names(folder / "examples")
-        if os.path.isfile(f"examples/{name}.toml"):
-            path = Path("examples") / path
-        elif name in examples:
-            return folder / "examples" / path
-        elif kept and (kept / path).is_file():
-            return kept / path
-        else:
-            figures = {} if what != "study" else studies_by_figure()
-            if name in figures:
-                return folder / f"{figures[name]}.toml"
-            if what == "study" and name in shipped_names(folder / "search"):
-                raise UserError(f"{name} is a search, not a study: `pneuma search run {name}`")
-            raise unknown_name(what, name, [*known, *others, *examples])
+    if name.endswith(".toml"):
+        path = Path(name)
+        if not os.path.exists(name) and os.path.isfile(folder / name):  # a Path would refuse a long name
+            return folder / path  # such as examples/cartpole.toml, from any folder
+    else:
+        file = f"{name}.toml"
+        places = [Path(file), Path("examples", file), folder / "examples" / file]
+        if copies:
+            places.append(copies / file)
+        existing = [path for path in places if os.path.isfile(path)]
+        if not existing:
+            return _by_figure(what, name, folder, [*shipped, *other_names])
+        path = existing[0]
+        if path not in places[:2]:
+            return path
     refuse_taken_name(path, folder / path.name, what)
     return path
+
+
+def _by_figure(what: str, name: str, folder: Path, names: list[str]) -> Path:
+    """Return the study of a figure of this name."""
+    if what == "study":
+        figures = studies_by_figure()
+        if name in figures:
+            return folder / f"{figures[name]}.toml"
+        if name in shipped_names(folder / "search"):
+            raise UserError(f"{name} is a search, not a study: `pneuma search run {name}`")
+    raise unknown_name(what, name, names + shipped_names(folder / "examples"))
 
 
 def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:

@@ -231,11 +231,11 @@ class Study(Table):
         return {**data, "presets": presets, "run": run}
 
     @classmethod
-    def without_file(cls, name: str, title: str, conditions: Iterable[str], **more: Any) -> Study:
+    def without_file(cls, name: str, title: str, conditions: Iterable[str], **changes: Any) -> Study:
         """Return a study whose runs are listed; the first condition is the baseline."""
         empty: dict[str, dict[str, Any]] = {condition: {} for condition in conditions}
         fields = {"baseline": next(iter(empty)), "figure": name, "presets": {}, "worlds": tuple(WORLDS)}
-        fields.update(more)
+        fields.update(changes)
         return cls.model_construct(name=name, title=title, conditions=empty, **fields)
 
     def fields(self, condition: str, overrides: Mapping[str, Any] = MappingProxyType({})) -> dict[str, Any]:
@@ -287,13 +287,13 @@ def join_fields(base: str, fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def load_study(
-    name: str, world: str | None = None, others: Iterable[str] = (), kept: Path | None = None
+    name: str, world: str | None = None, other_names: Iterable[str] = (), copies: Path | None = None
 ) -> Study:
     """Load a shipped study by its name, or any study by the path of its file or by NAME for NAME.toml here.
 
     Its usual world is the arena, if it is run in it. `find_file` tells of the others.
     """
-    study = _read_study(find_file("study", name, studies_folder(), others, kept))
+    study = _read_study(find_file("study", name, studies_folder(), other_names, copies))
     return study.in_world(checked_world(world) or usual_world(study.worlds))
 
 
@@ -306,12 +306,12 @@ def _read_study(path: Path) -> Study:
         raise file.mistake((), "a study needs at least one condition", "conditions")
     baseline = study.baseline or next(iter(conditions))
     mentioned: list[tuple[Where, str, str]] = [((), "baseline", baseline)]
-    parts = {name for values in study.factors.values() for name in values}
+    factor_names = {name for values in study.factors.values() for name in values}
     for levels in study.levels.values():
-        parts.add(levels.get(CONDITION, ""))
+        factor_names.add(levels.get(CONDITION, ""))
     for key in ("labels", "colors"):
         for name in getattr(study, key):
-            if name not in parts:
+            if name not in factor_names:
                 mentioned.append(((key,), name, name))
     for preset, amounts in study.presets.items():
         mentioned += _mentioned_conditions(("presets", preset), amounts)
@@ -404,7 +404,7 @@ def _crossed(file: TomlFile, study: Study) -> Study:
             fields.update(factors[factor][name])
             levels[joined][factor] = name.removeprefix(f"{factor}=")
             if name in study.labels:
-                labels.setdefault(joined, ", ".join(study.labels.get(part, part) for part in names))
+                labels.setdefault(joined, ", ".join(study.labels.get(value, value) for value in names))
             if name in study.colors and joined not in study.colors:
                 colors[joined] = study.colors[name]
         if baseline in names:

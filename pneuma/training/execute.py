@@ -169,8 +169,10 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
         runs = counted(len(open_runs), "run")
         notes.append(f"{runs} by a learner whose state is not stored: stopped or killed, it begins anew")
     if failures:
-        kinds = ", ".join(sorted(set(failures)))
-        notes.append(f"{counted(len(failures), 'run')} failed before ({kinds}); --retry-failed tries again")
+        statuses_text = ", ".join(sorted(set(failures)))
+        notes.append(
+            f"{counted(len(failures), 'run')} failed before ({statuses_text}); --retry-failed tries again"
+        )
     return notes
 
 

@@ -16,7 +16,7 @@ from pneuma.study.identity import config_id, run_id
 from pneuma.study.plan import Cell, Query, make_plan
 from pneuma.study.spec import load_study
 
-ACTIVATION_QUICK_SEED_0 = {
+ACTIVATION_SEED_0 = {
     "tanh": "044a83d2515676df",
     "relu": "63b62db827f7bf47",
     "leaky-relu": "0f86b74715fa6f79",
@@ -30,9 +30,9 @@ UNREAD = {"momentum": 0.9, "noise": 0.01, "target_kl": 0.02, "buffer_size": 64}
 
 
 def test_the_shipped_studys_runs_keep_their_names() -> None:
-    selection = Query(preset="quick", seeds=(0,), settings={"slots": 1})
+    selection = Query(seeds=(0,), steps=50_000, settings={"slots": 1})
     cells = make_plan(load_study("activation", "text"), selection).cells
-    assert {cell.condition: cell.run_id for cell in cells} == ACTIVATION_QUICK_SEED_0
+    assert {cell.condition: cell.run_id for cell in cells} == ACTIVATION_SEED_0
 
 
 def test_a_configuration_is_a_run_without_its_seed_and_steps() -> None:
