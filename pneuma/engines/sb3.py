@@ -245,8 +245,10 @@ def visited_metrics(
 def extract_policy(model: Any, run: Run) -> Policy:
     """Copy the learner's networks into a `Policy`; a network of action values is its actor."""
     networks: dict[str, Layers] = {"actor": (), "critic": ()}
-    for name, layers in linear_layers(model).items():
-        networks[name] = tuple(_copied_layer(layer) for layer in layers)
+    for name, modules in linear_layers(model).items():
+        for layer in modules:
+            weight, bias = layer.weight.detach().numpy(), layer.bias.detach().numpy()
+            networks[name] += ((weight.T.copy(), bias.copy()),)  # torch keeps (outputs, inputs)
     of_actions: dict[str, Any] = {}
     if isinstance(model, DQN):
         of_actions = {"exploration": run.exploration}
@@ -257,11 +259,6 @@ def extract_policy(model: Any, run: Run) -> Policy:
     elif isinstance(model.action_space, spaces.MultiDiscrete):
         of_actions = {"choices": choices_of(model.env.slots.action_space)}
     return Policy(run.activation, networks["actor"], networks["critic"], **of_actions)
-
-
-def _copied_layer(layer: nn.Linear) -> tuple[np.ndarray, np.ndarray]:
-    """Return a layer's weight, (inputs, outputs), and bias; torch keeps (outputs, inputs)."""
-    return layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy().copy()
 
 
 def is_finite(metrics: Mapping[str, float], model: Learner) -> bool:

@@ -34,7 +34,8 @@ def make_model(run: Run, env: VecEnv, extractor: Mapping[str, Any] | None = None
     """Set up a run's learner, one of `Learner`; `extractor` are arguments of what its networks see.
 
     The global generators of torch and NumPy have separate streams. Torch's gives the initial weights, then
-    the actions, and the start of TRPO's conjugate gradient; NumPy's gives the minibatches.
+    the actions, and the start of TRPO's conjugate gradient; NumPy's gives the minibatches, and whether DQN
+    explores. DQN's random actions are drawn by its action space.
     """
     torch.manual_seed(stream_seed(run.seed, "weights"))
     arguments = learner_arguments(run, env.num_envs)
@@ -45,7 +46,10 @@ def make_model(run: Run, env: VecEnv, extractor: Mapping[str, Any] | None = None
             for layers in linear_layers(model).values():
                 layers[0].weight.mul_(run.first_layer_scale)
     model.set_logger(Logger(folder=None, output_formats=[]))
-    seed_streams(model, run)
+    torch.manual_seed(stream_seed(run.seed, "actions"))
+    np.random.seed(stream_seed(run.seed, "minibatches") % 2**32)
+    if isinstance(model, DQN):
+        model.action_space.seed(stream_seed(run.seed, "random-actions"))
     return model
 
 
@@ -53,7 +57,9 @@ def learner_arguments(run: Run, slots: int) -> dict[str, Any]:
     """Return the arguments of a learner of `LEARNERS` that follow from a run's fields."""
     arguments: dict[str, Any] = {}
     for argument, name in arguments_of(run):
-        arguments[argument] = scheduled(run, name)
+        arguments[argument] = getattr(run, name)
+        if name in ANNEALED and getattr(run, f"{name}_schedule") == "linear":
+            arguments[argument] = LinearSchedule(arguments[argument], 0.0, 1.0)
     net_arch: Any = list(run.actor)
     if issubclass(LEARNERS[run.algorithm], DQN):
         assert run.target_every
@@ -63,11 +69,17 @@ def learner_arguments(run: Run, slots: int) -> dict[str, Any]:
         arguments["rollout_buffer_class"] = None if run.value_baseline else WithoutBaseline
     if "max_grad_norm" in arguments and (run.gradient_limit is None or run.clip != "joint"):
         arguments["max_grad_norm"] = float("inf")
+    # Stable-Baselines3 uses epsilon 1e-5 only if no optimizer arguments are given, otherwise torch's 1e-8
+    optimizer = OPTIMIZERS[run.optimizer]
+    optimizer_arguments = {"weight_decay": run.weight_decay}
+    for name in optimizer.defaults:
+        (argument,) = FIELDS[name].arguments or (name,)
+        optimizer_arguments[argument] = getattr(run, name)
     arguments["policy_kwargs"] = {
         "net_arch": net_arch,
         "activation_fn": getattr(nn, ACTIVATIONS[run.activation]),
-        "optimizer_class": getattr(torch.optim, OPTIMIZERS[run.optimizer].torch_class),
-        "optimizer_kwargs": optimizer_arguments(run),
+        "optimizer_class": getattr(torch.optim, optimizer.torch_class),
+        "optimizer_kwargs": optimizer_arguments,
     }
     return arguments
 
@@ -90,38 +102,6 @@ def _linear(network: nn.Module) -> list[nn.Linear]:
 
 def has_finite_weights(model: Any) -> bool:
     return all(bool(torch.isfinite(parameter).all()) for parameter in model.policy.parameters())
-
-
-def scheduled(run: Run, name: str) -> Any:
-    """Return a field's value, or the schedule by which it falls; a .zip then needs nothing of Pneuma."""
-    value = getattr(run, name)
-    if name in ANNEALED and getattr(run, f"{name}_schedule") == "linear":
-        return LinearSchedule(value, 0.0, 1.0)
-    return value
-
-
-def seed_streams(model: Learner, run: Run) -> None:
-    """Seed the random streams of a run's actions and minibatches.
-
-    DQN uses NumPy's generator for minibatches and for whether to explore, and that of its action space for
-    random actions.
-    """
-    torch.manual_seed(stream_seed(run.seed, "actions"))
-    np.random.seed(stream_seed(run.seed, "minibatches") % 2**32)
-    if isinstance(model, DQN):
-        model.action_space.seed(stream_seed(run.seed, "random-actions"))
-
-
-def optimizer_arguments(run: Run) -> dict[str, Any]:
-    """Return all keyword arguments of the run's torch optimizer.
-
-    Stable-Baselines3 uses epsilon 1e-5 only if no optimizer arguments are given, otherwise torch's 1e-8.
-    """
-    arguments = {"weight_decay": run.weight_decay}
-    for name in OPTIMIZERS[run.optimizer].defaults:
-        (argument,) = FIELDS[name].arguments or (name,)
-        arguments[argument] = getattr(run, name)
-    return arguments
 
 
 class DoubleDQN(DQN):

@@ -77,7 +77,9 @@ class BatchedTrainer(ResumableTrainer):
         self.collector.restore_state(checkpoint.arrays)
         self.collector.generator.bit_generator.state = numbers["actions"]
         for player, learner in enumerate(self.learners):
-            _restore_learner(learner, player, checkpoint)
+            learner.networks = _restored(learner.networks, player, "networks", checkpoint)
+            learner.optimizer = _restored(learner.optimizer, player, "optimizer", checkpoint)
+            learner.generator.bit_generator.state = numbers["minibatches"][player]
 
 
 def _means(metrics_of_learners: Sequence[Mapping[str, float]]) -> dict[str, float]:
@@ -95,12 +97,6 @@ def _stack(networks: Sequence[Layers]) -> Layers:
     """Return the networks of several players as one."""
     layers: Layers = jax.tree.map(lambda *arrays: np.stack(arrays), *networks)
     return layers
-
-
-def _restore_learner(learner: Learner, player: int, checkpoint: Checkpoint) -> None:
-    learner.networks = _restored(learner.networks, player, "networks", checkpoint)
-    learner.optimizer = _restored(learner.optimizer, player, "optimizer", checkpoint)
-    learner.generator.bit_generator.state = checkpoint.numbers["minibatches"][player]
 
 
 def _restored(tree: Any, player: int, kind: str, checkpoint: Checkpoint) -> Any:
