@@ -396,7 +396,7 @@ def beyond_engine(run: Run) -> str:
     if ENGINES[0] not in find_algorithm(run.algorithm).engines:
         return f"the algorithm {run.algorithm}"
     if run.policy or run.algorithm_kwargs:
-        return f"a run with {'policy' if run.policy else 'algorithm_kwargs'}"
+        return "a run with policy or algorithm_kwargs"
     if not run.value_baseline:
         return "advantages without a baseline"
     return ""

@@ -132,7 +132,9 @@ def learn_by_values(model: DQN, run: Run, visited: Visited) -> dict[str, float]:
         if model.num_timesteps > model.learning_starts:
             model.train(batch_size=model.batch_size, gradient_steps=model.gradient_steps)
             losses.append(logged_losses(model)["value_loss"])
-    mean_loss = float(np.mean(losses)) if losses else NAN  # `sum` rounds differently from Python 3.12 on
+    mean_loss = NAN
+    if losses:
+        mean_loss = float(np.mean(losses))  # `sum` rounds differently from Python 3.12 on
     observations, actions = visited.take()
     return {"value_loss": mean_loss, **visited_metrics(run, policy, observations, actions)}
 

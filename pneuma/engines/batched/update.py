@@ -73,24 +73,20 @@ def run_numbers(run: Run, player: int = 0, budget_left: float = 1.0) -> dict[str
     Some fall with the share of the budget that is left. An absent limit is infinite. The key of UPGD's noise,
     (2,) uint32, is with them.
     """
-    limit = math.inf if run.gradient_limit is None else run.gradient_limit
-    numbers = {
-        "joint_limit": limit if run.clip == "joint" else math.inf,
-        "part_limit": limit if run.clip == "separate" else math.inf,
-    }
+    numbers = {"joint_limit": math.inf, "separate_limit": math.inf}
+    if run.gradient_limit is not None:
+        numbers[f"{run.clip}_limit"] = run.gradient_limit
     for name in _LEARNING_NUMBERS:
         numbers[name] = getattr(run, name)
     for name in ANNEALED:
         if getattr(run, f"{name}_schedule") == "linear":
             numbers[name] *= budget_left
-    for name in OPTIMIZERS[run.optimizer].defaults:
-        value = getattr(run, name)
-        names_and_values = (
-            zip(("beta_1", "beta_2"), value, strict=True) if name == "betas" else [(name, value)]
-        )
-        for argument, number in names_and_values:
-            numbers[argument] = number
-            numbers[f"log_{argument}"] = math.log(number) if number else -math.inf
+    optimizer_numbers = {name: getattr(run, name) for name in OPTIMIZERS[run.optimizer].defaults}
+    if "betas" in optimizer_numbers:
+        optimizer_numbers["beta_1"], optimizer_numbers["beta_2"] = optimizer_numbers.pop("betas")
+    for name, number in optimizer_numbers.items():
+        numbers[name] = number
+        numbers[f"log_{name}"] = math.log(number) if number else -math.inf
     arrays: dict[str, Any] = {name: np.float32(number) for name, number in numbers.items()}
     arrays["noise_key"] = np.array([stream_seed(run.seed, "upgd-noise", player)], np.uint64).view(np.uint32)
     return arrays
@@ -187,7 +183,7 @@ def _step(carry: Tree, batch: Mapping[str, Any], numbers: Any, program: Program)
     joint_factor = _shrink(norm, numbers["joint_limit"])
     clipped = {}
     for network, gradient in gradients.items():
-        factor = joint_factor * _shrink(norms[network], numbers["part_limit"])
+        factor = joint_factor * _shrink(norms[network], numbers["separate_limit"])
         clipped[network] = jax.tree.map(partial(jnp.multiply, factor), gradient)
     if program.decays:
         clipped = jax.tree.map(lambda g, p: g + numbers["weight_decay"] * p, clipped, parameters)
