@@ -118,7 +118,7 @@ def test_a_block_without_an_end_takes_nothing_with_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("page", "horizons", "seeds"),
     [
-        ("README.md", {"short": 128, "long": 1024}, 3),
+        ("README.md", {"short": 128, "long": 1024}, 5),
         ("docs/tutorial.md", {"short": 256, "long": 2048}, 5),
     ],
 )
