@@ -8,6 +8,7 @@ import json
 import math
 import os
 import re
+import stat
 import time
 import uuid
 from collections.abc import Iterator, Mapping
@@ -68,6 +69,14 @@ def stored_file(path: Path) -> Iterator[None]:
     except Exception as error:
         file = getattr(error, "filename", None) or path
         raise UserError(f"{file}: cannot be read ({_reason(error)})") from None
+
+
+def read_stored(path: Path) -> bytes:
+    """Return the contents of a stored file; OSError for a pipe, which would be waited for, or the like."""
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(errno.EINVAL, "is not a regular file", str(path))
+        return file.read()
 
 
 def _reason(error: Exception) -> str:
@@ -239,7 +248,7 @@ def dump_checksummed(document: Mapping[str, Any]) -> bytes:
 def load_checksummed(path: Path) -> dict[str, Any] | None:
     """Return a document that `dump_checksummed` wrote; None if it is missing or damaged."""
     try:
-        data = path.read_bytes()
+        data = read_stored(path)
         start, _, end = data.rpartition(_CHECKSUM_LINE.encode())
         without_checksum = start + _END.encode()
         if end.decode() != f'{checksum(without_checksum)}"{_END}':

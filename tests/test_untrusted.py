@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -96,6 +97,20 @@ def test_untrusted_odd_numbers_are_numbers(store: Store, name: str, change: Any)
     assert diagnose(run) is not None
     assert all(isinstance(outcome(run, outcome_name), float) for outcome_name in OUTCOMES)
     assert len(exported_table(data, "curves", store)) and encode_published([run], {})
+
+
+def test_untrusted_a_pipe_in_the_place_of_a_file_is_not_waited_for(store: Store, tmp_path: Path) -> None:
+    clone = Store(tmp_path / "clone")
+    table = publish(study_of(store, ONE), clone)
+    status = store.run_folder(RUN) / "status.json"
+    records = [path for path in status.parent.iterdir() if path != status]
+    for paths in ([*records, table], [status], [store.listing_path("mine")]):
+        for path in paths:
+            path.unlink()
+            os.mkfifo(path)
+        assert call("study", "summary", "mine", "--results", store.root).code == 2
+        assert "damaged" in call("run", "show", RUN, "--results", store.root).out
+    assert call("study", "summary", "mine", "--results", clone.root).code == 2
 
 
 def _publish_changed(data: StudyData, store: Store, about: dict[str, Any], column: str, value: Any) -> None:

@@ -28,7 +28,7 @@ from pneuma.engines.records import (
     Row,
 )
 from pneuma.errors import StorageError, UserError
-from pneuma.files import SCHEMA, checksum
+from pneuma.files import SCHEMA, checksum, read_stored
 from pneuma.store.provenance import Attempt, finished_provenance
 from pneuma.store.store import CHECKPOINTS, Store, read_checkpoint_name
 from pneuma.store.tables import from_parquet, to_parquet
@@ -150,7 +150,7 @@ def file_name(step: int, data: bytes) -> str:
 def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, Any]]] | None:
     """Read a checkpoint and its attempts; None if it is damaged, no checkpoint, or of another step or run."""
     try:
-        data = file.path.read_bytes()
+        data = read_stored(file.path)
         if checksum(data)[:16] != file.digest:
             return None
         checkpoint, about = decode(data)

@@ -15,7 +15,7 @@ import pyarrow as pa
 from pneuma.algorithms import find_algorithm
 from pneuma.config import Run
 from pneuma.errors import UserError
-from pneuma.files import stored_file
+from pneuma.files import read_stored, stored_file
 from pneuma.store.published import Published
 from pneuma.store.row_builder import UNKNOWN, stored_row
 from pneuma.store.rows import Row
@@ -165,4 +165,4 @@ def _read_table(path: Path) -> Published:
 
 @lru_cache(maxsize=100)
 def _read_version(path: Path, *_version: int) -> Published:
-    return Published(path, path.read_bytes())
+    return Published(path, read_stored(path))

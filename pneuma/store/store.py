@@ -46,6 +46,7 @@ from pneuma.files import (
     load_checksummed,
     names_in,
     parse_json,
+    read_stored,
     replace_files,
     stale_files,
     to_json,
@@ -404,7 +405,7 @@ def read_sound(folder: Path, name: str, expected: str | None) -> bytes | None:
     if not expected or not _FILE_NAME.fullmatch(name):
         return None
     try:
-        data = (folder / name).read_bytes()
+        data = read_stored(folder / name)
     except OSError:
         return None
     if checksum(data) != expected:
