@@ -411,7 +411,7 @@ def _seeds(seeds: int | Sequence[int] | None) -> tuple[int, ...] | None:
         return None
     try:
         given = plain(seeds)
-        return read_seeds(given if isinstance(given, int | str) else plain([*given]))
+        return read_seeds(given if isinstance(given, int | str) else plain(list(given)))
     except (ValueError, TypeError):
         raise UserError(f"seeds = {seeds!r} is not allowed: a count, or different whole numbers") from None
 

@@ -110,13 +110,13 @@ def incidence(data: StudyData, diagnosed: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for condition in data.conditions:
         runs = diagnosed[diagnosed["condition"] == condition]
-        known = runs[runs["collapsed"].notna()]
-        count, collapsed = len(known), int(known["collapsed"].sum())
+        judged = runs[runs["collapsed"].notna()]
+        count, collapsed = len(judged), int(judged["collapsed"].sum())
         interval = incidence_interval(collapsed, count)
         rows.append({
             "condition": condition,
             "runs": count,
-            "diverged": int((known["status"] == "diverged").sum()),
+            "diverged": int((judged["status"] == "diverged").sum()),
             "collapsed": collapsed,
             "share": collapsed / count if count else float("nan"),
             "low": interval.low,

@@ -44,15 +44,15 @@ def by_environment(data: StudyData) -> dict[str, StudyData]:
     levels: dict[str, dict[str, str]] = {}
     names: dict[str, dict[str, str]] = {}
     for condition, fields in data.fields.items():
-        levels[condition], parts = {}, []
+        levels[condition], data_by_env = {}, []
         for factor, level in study.levels.get(condition, {}).items():
             if any("env" in set_fields for set_fields in study.factors.get(factor, {}).values()):
                 continue
             levels[condition][factor] = level
             with_factor = f"{factor}={level}"  # where values have no names
-            parts.append(with_factor if with_factor in condition else level)
+            data_by_env.append(with_factor if with_factor in condition else level)
         env = str(fields.get("env"))
-        names.setdefault(env, {})[condition] = ", ".join(parts) or condition
+        names.setdefault(env, {})[condition] = ", ".join(data_by_env) or condition
     if study.levels:
         data = replace(data, study=study.model_copy(update={"levels": {**study.levels, **levels}}))
     return {env: data.renamed(names_in_env) for env, names_in_env in names.items()}
@@ -62,21 +62,21 @@ def environments(data: StudyData) -> list[str]:
     return [*dict.fromkeys(str(fields.get("env")) for fields in data.fields.values())]
 
 
-def in_environment_of(data: StudyData, other: StudyData) -> StudyData | None:
+def in_environment_of(data: StudyData, second: StudyData) -> StudyData | None:
     """Return another study's runs in a study's environment; None without any.
 
     Those of logs are returned as they are, because logs do not contain their environment.
     """
-    if data.averaged_over or other.averaged_over:
-        return other
-    parts = by_environment(other)
-    for env, part in parts.items():
+    if data.averaged_over or second.averaged_over:
+        return second
+    data_by_env = by_environment(second)
+    for env, env_data in data_by_env.items():
         if env in environments(data):
-            return other if len(parts) == 1 else part
+            return second if len(data_by_env) == 1 else env_data
     return None
 
 
-def references(parts: Parts, outcome: str = OUTCOME) -> dict[str, tuple[float, float]]:
+def references(data_by_env: Parts, outcome: str = OUTCOME) -> dict[str, tuple[float, float]]:
     """Return the outcomes that are scores of 0 and 1 in each environment.
 
     They are those of [scores] in the study's file, or else the mean return of the random player's episodes,
@@ -86,7 +86,7 @@ def references(parts: Parts, outcome: str = OUTCOME) -> dict[str, tuple[float, f
         UserError: when the two are equal, or not known.
     """
     scales = {}
-    for env, data in parts.items():
+    for env, data in data_by_env.items():
         scale = data.study.scores.get(env)
         if scale:
             low, high = scale.random, scale.expert
@@ -105,31 +105,31 @@ def references(parts: Parts, outcome: str = OUTCOME) -> dict[str, tuple[float, f
     return scales
 
 
-def scores(parts: Parts, outcome: str = OUTCOME) -> dict[str, list[np.ndarray]]:
+def scores(data_by_env: Parts, outcome: str = OUTCOME) -> dict[str, list[np.ndarray]]:
     """Return the scores of each condition that has runs in every environment: (runs,) by environment."""
     scores_by_condition: dict[str, list[np.ndarray]] = {}
-    for env, (low, high) in references(parts, outcome).items():
-        for condition in parts[env].conditions:
-            values = known_values(parts[env], condition, outcome)
+    for env, (low, high) in references(data_by_env, outcome).items():
+        for condition in data_by_env[env].conditions:
+            values = known_values(data_by_env[env], condition, outcome)
             if len(values):
                 scores_by_condition.setdefault(condition, []).append((values - low) / (high - low))
-    return {name: by_env for name, by_env in scores_by_condition.items() if len(by_env) == len(parts)}
+    return {name: by_env for name, by_env in scores_by_condition.items() if len(by_env) == len(data_by_env)}
 
 
-def over_environments(parts: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
+def over_environments(data_by_env: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
     """Return condition, statistic, value, low, high: one row for each of `AGGREGATES`."""
     rows = []
-    for condition, by_env in scores(parts, outcome).items():
+    for condition, by_env in scores(data_by_env, outcome).items():
         for name, aggregate in AGGREGATES.items():
             rows.append((condition, name, float(aggregate(by_env)), *bootstrap(aggregate, by_env)))
     return pd.DataFrame(rows, columns=["condition", "statistic", "value", "low", "high"])
 
 
-def profiles(parts: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
+def profiles(data_by_env: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
     """Return the share of runs with a score above each x: condition, x, centre, low, high, runs."""
-    scores_by_condition = scores(parts, outcome)
+    scores_by_condition = scores(data_by_env, outcome)
     if not scores_by_condition:
-        raise UserError(f"no condition has runs in every environment: {', '.join(parts)}")
+        raise UserError(f"no condition has runs in every environment: {', '.join(data_by_env)}")
     everything = [np.concatenate(by_env) for by_env in scores_by_condition.values()]
     ends = np.concatenate([[0.0, 1.0], *everything])
     thresholds = np.linspace(ends.min(), ends.max(), PROFILE_POINTS)
@@ -142,13 +142,13 @@ def profiles(parts: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True)
 
 
-def improvements(parts: Parts, a: str, b: str, outcome: str = OUTCOME) -> pd.DataFrame:
+def improvements(data_by_env: Parts, a: str, b: str, outcome: str = OUTCOME) -> pd.DataFrame:
     """Return how likely a run of `a` is above one of `b` over all environments, and differences of scores."""
-    scores_by_condition = scores(parts, outcome)
+    scores_by_condition = scores(data_by_env, outcome)
     for name in (a, b):
         if name not in scores_by_condition:
-            known = ", ".join(scores_by_condition) or "none"
-            raise UserError(f"{name}: no runs in every environment; there are {known}")
+            candidates = ", ".join(scores_by_condition) or "none"
+            raise UserError(f"{name}: no runs in every environment; there are {candidates}")
     statistics: dict[str, Statistic] = {"P(better)": improvement}
     for name, aggregate in AGGREGATES.items():
         statistics[f"{name}, difference"] = partial(_difference, aggregate)

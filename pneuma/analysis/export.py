@@ -52,7 +52,7 @@ def exported_table(
         lack = f"study {data.study.name}: published tables hold no {table}"
         raise UserError(f"{lack}; train the runs, or choose others by ", Hint("steps"))
     frames = []
-    for keys in data.runs[[*RUN_KEY_COLUMNS]].to_dict("records"):
+    for keys in data.runs[list(RUN_KEY_COLUMNS)].to_dict("records"):
         frame = record_frame(store, str(keys["run_id"]), table)
         frame = frame.drop(columns=list(RUN_KEY_COLUMNS), errors="ignore")
         for place, name in enumerate(RUN_KEY_COLUMNS):
@@ -157,11 +157,11 @@ def _formatted_rows(frame: pd.DataFrame) -> list[list[str]]:
     rows = []
     for row in frame.to_dict("records"):
         if {"value", "low", "high"} <= row.keys():
-            places = decimals(row["value"], row["low"], row["high"])
+            digits = decimals(row["value"], row["low"], row["high"])
             if row.get("statistic") == "count":
-                places = 0
+                digits = 0
             for key in ("value", "low", "high"):
-                row[key] = shown(row[key], places)
+                row[key] = shown(row[key], digits)
         rows.append([_formatted(value) for value in row.values()])
     return rows
 

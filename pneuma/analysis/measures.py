@@ -56,8 +56,8 @@ def late_mean(values: np.ndarray) -> float:
 def late_mean_of_known(values: np.ndarray) -> float:
     """Return the mean of the last evaluations that have a value."""
     late = values[-LATE:]
-    known = late[np.isfinite(late)]
-    return known.mean() if len(known) else NAN
+    finite = late[np.isfinite(late)]
+    return finite.mean() if len(finite) else NAN
 
 
 def late_fall(values: np.ndarray) -> float:
@@ -84,8 +84,8 @@ def rise(values: np.ndarray) -> float:
     late = values[-LATE:]
     if len(late) < 2:
         return NAN
-    places = np.arange(len(late)) - (len(late) - 1) / 2
-    return (len(late) - 1) * (places @ late) / (places**2).sum()
+    offsets = np.arange(len(late)) - (len(late) - 1) / 2
+    return (len(late) - 1) * (offsets @ late) / (offsets**2).sum()
 
 
 def roughness(values: np.ndarray) -> float:
@@ -108,9 +108,9 @@ def lasting_one_action(run: Row) -> float:
     if not len(shares):
         return NAN
     in_one_action = shares > ONE_ACTION
-    for place in range(len(shares) - LATE + 1):
-        if in_one_action[place : place + LATE].all():
-            return float(steps[place])
+    for start in range(len(shares) - LATE + 1):
+        if in_one_action[start : start + LATE].all():
+            return float(steps[start])
     return np.inf
 
 

@@ -38,18 +38,18 @@ def seeds_table(data: StudyData, outcome: str, difference: float) -> pd.DataFram
     return pd.DataFrame(rows, columns=["", "against", "SD", "its SD", "runs", "seeds"])
 
 
-def _seeds(base: np.ndarray, other: np.ndarray, difference: float) -> str:
-    if min(len(base), len(other)) < 2:
+def _seeds(base: np.ndarray, values: np.ndarray, difference: float) -> str:
+    if min(len(base), len(values)) < 2:
         return "needs 2 runs of each"
-    if np.isin(np.concatenate([base, other]), (0, 1)).all():  # whether a run has something
+    if np.isin(np.concatenate([base, values]), (0, 1)).all():  # whether a run has something
         share = float(base.mean())
         other_share = share + difference
         if other_share > 1:
             other_share = share - difference
         return seeds_text(seeds_for_shares(share, other_share))
-    if np.ptp(base) == 0 and np.ptp(other) == 0:
+    if np.ptp(base) == 0 and np.ptp(values) == 0:
         return "runs are all equal"
-    return seeds_text(seeds_for_means(difference, float(base.std(ddof=1)), float(other.std(ddof=1))))
+    return seeds_text(seeds_for_means(difference, float(base.std(ddof=1)), float(values.std(ddof=1))))
 
 
 def seeds_text(seeds: int | None) -> str:

@@ -172,8 +172,8 @@ class StudyData:
         if self.plan is not None and published and count < planned:
             parts += [" The others are trained by `", self.call("run_study", unpublished=True), "`."]
         if self.other_presets:
-            others = [f"{name} ({counted(runs, 'run')})" for name, runs in self.other_presets.items()]
-            parts.append(f" Also: {', '.join(others)}.")
+            preset_texts = [f"{name} ({counted(runs, 'run')})" for name, runs in self.other_presets.items()]
+            parts.append(f" Also: {', '.join(preset_texts)}.")
         return Message(*parts)
 
     def call(self, function: str, results: Path | None = None, unpublished: bool = False) -> StudyCall:
@@ -365,10 +365,10 @@ class StudyData:
         if quantity in self.quantities and quantity not in run.quantities:
             return np.full(self.grid.shape, np.nan)
         if quantity not in self.quantities or window not in run.windows_of(quantity):
-            known = ", ".join(self.quantities) or "none"
+            curve_names = ", ".join(self.quantities) or "none"
             raise UserError(
                 f"study {self.study.name}: {self.what} holds no {quantity} in the window {window}; "
-                f"its curves are: {known}"
+                f"its curves are: {curve_names}"
             )
         values = run.curve(quantity, window)
         return values if run.budget == self.budget else held_curve(run.grid, values, self.grid, run.end)

@@ -67,7 +67,7 @@ def summary_table(data: StudyData, outcomes: Sequence[str] = ()) -> pd.DataFrame
     names.pop("collapsed", None)  # it is always there
     table = []
     for condition in data.conditions:
-        for outcome, statistic, value, interval, runs in _summary_rows(data, condition, [*names]):
+        for outcome, statistic, value, interval, runs in _summary_rows(data, condition, list(names)):
             ends = (interval.low, interval.high, interval.method)
             table.append((condition, outcome, statistic, value, *ends, runs))
     return pd.DataFrame(table, columns=COLUMNS)
@@ -133,8 +133,8 @@ def outcomes_to_compare(a: Group, b: Group) -> list[str]:
     """Return the outcomes that are compared by default: returns only if they have one unit."""
     default = a.data.study.outcomes or (primary(a.data), *COMPARED)
     if len(_units_of_return(a, b)) <= 1:
-        return [*default]
-    return [name for name in default if not is_return(name)] or [*default]
+        return list(default)
+    return [name for name in default if not is_return(name)] or list(default)
 
 
 def _units_of_return(a: Group, b: Group) -> set[str]:

@@ -28,8 +28,8 @@ def with_cells(summary: pd.DataFrame, form: str = "interval") -> pd.DataFrame:
     for label, row in summary[summary["statistic"] == "mean"].iterrows():
         mean, deviation = row["value"], deviations[row["condition"], row["outcome"]]
         if np.isfinite(deviation):
-            places = decimals(mean, mean - deviation, mean + deviation)
-            summary.loc[label, "cell"] = f"{shown(mean, places)} ± {shown(deviation, places)}"
+            digits = decimals(mean, mean - deviation, mean + deviation)
+            summary.loc[label, "cell"] = f"{shown(mean, digits)} ± {shown(deviation, digits)}"
     return summary
 
 
@@ -45,7 +45,7 @@ def pivot_cells(
         row_labels: the rows, in order; those without a cell have `NO_CELL`.
         column_labels: likewise.
     """
-    table = summary.pivot(index=[*rows], columns=[*columns], values="cell")
+    table = summary.pivot(index=list(rows), columns=list(columns), values="cell")
     return table.reindex(index=row_labels, columns=column_labels).astype(object).fillna(NO_CELL)
 
 
@@ -60,13 +60,13 @@ def condition_cells(
     is_of_fewer = summary["runs"] < summary["condition"].map(runs)
     fewer = summary["runs"].map(" (n = {})".format).where(is_of_fewer, "")
     summary = summary.assign(cell=summary["cell"] + fewer)
-    table = pivot_cells(summary, ["condition"], ["outcome", "statistic"], data.conditions, [*statistics])
+    table = pivot_cells(summary, ["condition"], ["outcome", "statistic"], data.conditions, list(statistics))
     heads = []
     for name, statistic in statistics:
         head = name if statistic == "share" else with_unit(name)
         heads.append(f"{head}, median" if statistic == "median" else head)
     table.columns = pd.Index(heads)
-    table.insert(0, "runs", [*runs.values()])
+    table.insert(0, "runs", list(runs.values()))
     return table
 
 

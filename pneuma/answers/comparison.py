@@ -68,19 +68,19 @@ def compare(
     if a == b:
         raise UserError(f"{a} and {b} are one condition; name two of {', '.join(data.conditions)}")
     title = f"{data.full_title}: {a} against {b}"
-    parts = by_environment(data)
-    if a not in data.fields and len(parts) > 1:
-        pairs = {env: (_group(part, a), _group(part, b)) for env, part in parts.items()}
+    data_by_env = by_environment(data)
+    if a not in data.fields and len(data_by_env) > 1:
+        pairs = {env: (_group(env_data, a), _group(env_data, b)) for env, env_data in data_by_env.items()}
         outcomes = outcomes or [OUTCOME]
         answer = _compare_pairs(data, pairs, [a, b], title, outcomes, shared="environment")
-        scores = improvements(parts, a, b, outcomes[0])
+        scores = improvements(data_by_env, a, b, outcomes[0])
         cells = with_cells(scores)[["statistic", "cell"]]
         cells.columns = pd.Index(["scores over all", f"{a} against {b}"])
         return replace(
             answer,
             tables={**answer.tables, "scores": scores},
             cells=[*answer.cells, cells],
-            notes=[*answer.notes, few_runs(parts)],
+            notes=[*answer.notes, few_runs(data_by_env)],
             legend=[*answer.legend, *SCALE],
         )
     claims = [] if outcomes else _claims_about(data, a, b)

@@ -91,10 +91,10 @@ def _expected_time(
         expected = []
         for run_id, run in todo.items():
             expected.append(_published_seconds(index, run, run.steps - execute.kept_step(statuses[run_id])))
-    known = [run_seconds for run_seconds in expected if run_seconds is not None]
-    if len(known) < len(todo):
+    known_seconds = [run_seconds for run_seconds in expected if run_seconds is not None]
+    if len(known_seconds) < len(todo):
         return "unknown until a run of each kind has ended"
-    total = max(sum(known) / workers, *known)
+    total = max(sum(known_seconds) / workers, *known_seconds)
     return f"about {duration(total)}{machine}, with {workers} at once"
 
 
@@ -146,8 +146,8 @@ def seeds_to_detect(data: StudyData | None, detect: float, outcome: str, sd: flo
         )
     outcome = outcome or primary(data)
     tables = {}
-    for env, part in by_environment(data).items():
-        tables[env] = seeds_table(part, outcome, detect)
+    for env, env_data in by_environment(data).items():
+        tables[env] = seeds_table(env_data, outcome, detect)
     table = pd.concat(tables, names=["environment"]).reset_index(level=0)
     if len(tables) == 1:
         table = table.drop(columns="environment")

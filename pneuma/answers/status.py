@@ -37,8 +37,8 @@ def study_status(index: RunIndex, data: StudyData) -> Answer:
     rows = _count_states(first, data)
     for preset in data.study.presets:
         if preset != first:
-            other = find_study(index, Query(data.study.file, data.study.world, preset))
-            rows += _count_states(preset, other)
+            preset_data = find_study(index, Query(data.study.file, data.study.world, preset))
+            rows += _count_states(preset, preset_data)
     table = pd.DataFrame(rows).fillna(0)
     states = [state for state in STATES if state in table]
     table = table[HEADS + states].astype(dict.fromkeys(states, int))

@@ -47,9 +47,9 @@ def summarize(
     Raises:
         UserError: for an unknown outcome.
     """
-    parts = by_environment(data)
-    if len(parts) > 1 and data.study.factors and not all_statistics and len(outcomes) <= 1:
-        return _summarize_environments(data, parts, (*outcomes, OUTCOME)[0], paper_cells or "interval")
+    data_by_env = by_environment(data)
+    if len(data_by_env) > 1 and data.study.factors and not all_statistics and len(outcomes) <= 1:
+        return _summarize_environments(data, data_by_env, (*outcomes, OUTCOME)[0], paper_cells or "interval")
     table = summary_table(data, outcomes)
     listed = list(outcomes)
     if all_statistics:
@@ -67,28 +67,30 @@ def summarize(
 
 
 def _summarize_environments(
-    data: StudyData, parts: Mapping[str, StudyData], outcome: str, form: str
+    data: StudyData, data_by_env: Mapping[str, StudyData], outcome: str, form: str
 ) -> Answer:
     """Summarize an outcome: the mean of each condition in each environment, and its scores over all."""
     frames = []
-    for env, part in parts.items():
-        frames.append(with_cells(summary_table(part, [outcome]), form).assign(environment=env))
+    for env, env_data in data_by_env.items():
+        frames.append(with_cells(summary_table(env_data, [outcome]), form).assign(environment=env))
     summary = pd.concat(frames, ignore_index=True)
     summary = summary[(summary["outcome"] == outcome) & (summary["statistic"] == "mean")]
-    scores = over_environments(parts, outcome)
+    scores = over_environments(data_by_env, outcome)
     conditions = list(summary["condition"].unique())
-    means = pivot_cells(summary, ["condition"], ["environment"], conditions, list(parts))
+    means = pivot_cells(summary, ["condition"], ["environment"], conditions, list(data_by_env))
     statistics = list(scores["statistic"].unique())
     over_all = pivot_cells(with_cells(scores), ["condition"], ["statistic"], conditions, statistics)
     cells = pd.concat([means, over_all], axis=1)
-    cells.columns = pd.Index(list(parts) + statistics)
+    cells.columns = pd.Index(list(data_by_env) + statistics)
     runs = []
     for condition in conditions:
-        runs.append(", ".join(str(len(part.of_condition(condition))) for part in parts.values()))
+        runs.append(
+            ", ".join(str(len(env_data.of_condition(condition))) for env_data in data_by_env.values())
+        )
     cells.insert(0, "runs", runs)
     legend = [f"{with_unit(outcome)} in each environment, then scores over all.", *SCALE]
     tables = {"summary": summary.drop(columns="cell"), "scores": scores}
-    notes = [data.ends, few_runs(parts)]
+    notes = [data.ends, few_runs(data_by_env)]
     return Answer(data.full_title, data.about, tables, [cells.reset_index()], notes, legend)
 
 
@@ -163,14 +165,14 @@ def _failed_shares(summary: pd.DataFrame, name: str) -> pd.Series:
 
 def _missing_values(data: StudyData, table: pd.DataFrame, outcomes: Sequence[str]) -> list[str]:
     """Return which conditions have no value of an outcome that was asked for, and why."""
-    known = set(zip(table["outcome"], table["condition"], strict=True))
+    pairs_with_values = set(zip(table["outcome"], table["condition"], strict=True))
     notes = []
     untrained = [condition for condition in data.conditions if not data.of_condition(condition)]
     if untrained:
         notes.append(f"no run has finished of {'; '.join(untrained)}")
     for condition in data.conditions:
         for outcome in outcomes:
-            if condition not in untrained and (outcome, condition) not in known:
+            if condition not in untrained and (outcome, condition) not in pairs_with_values:
                 cause = reason(data.of_condition(condition)[0], outcome)
                 notes.append(f"{outcome}, {condition}: {cause}")
     return notes
@@ -187,11 +189,11 @@ def few_episodes(data: StudyData, outcomes: Sequence[str]) -> str:
     return f"final-return of {counted(len(counts), 'run')} is a mean of few episodes: {between}."
 
 
-def few_runs(parts: Mapping[str, StudyData]) -> str:
+def few_runs(data_by_env: Mapping[str, StudyData]) -> str:
     """Return that intervals over environments are of few runs; empty if they are not."""
     counts = []
-    for part in parts.values():
-        counts += [len(part.of_condition(condition)) for condition in part.conditions]
+    for env_data in data_by_env.values():
+        counts += [len(env_data.of_condition(condition)) for condition in env_data.conditions]
     if min(counts) >= LEAST_RUNS:
         return ""
     return f"Bootstrap intervals of fewer than {LEAST_RUNS} runs in an environment are too narrow."

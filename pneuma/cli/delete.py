@@ -18,7 +18,7 @@ from pneuma.study.spec import LAST
 Yes = Annotated[bool, opt.flag("--yes", "Remove them without asking.")]
 
 
-def delete_study(name: opt.Study, picked: opt.RunFilter, yes: Yes = False) -> Result:
+def delete_study(name: opt.Study, selection: opt.RunFilter, yes: Yes = False) -> Result:
     """Remove the runs of a study's cells from the results folder.
 
     Runs of another study that was run here too stay until that one is removed. Published tables are not
@@ -26,23 +26,23 @@ def delete_study(name: opt.Study, picked: opt.RunFilter, yes: Yes = False) -> Re
     """
     from pneuma.analysis.runs import find_study, studies_here
 
-    index = picked.index
-    data = find_study(index, picked.query(name))
+    index = selection.index
+    data = find_study(index, selection.query(name))
     study, store = data.study, index.store
     stored = set(data.runs["run_id"][data.runs["where"] == ""])
-    kept: dict[str, str] = {}
-    for other in studies_here(index):
-        if (other.study.name, other.study.world) != (study.name, study.world):
-            kept |= dict.fromkeys(stored.intersection(other.runs["run_id"]), other.where)
+    shared: dict[str, str] = {}
+    for held in studies_here(index):
+        if (held.study.name, held.study.world) != (study.name, study.world):
+            shared |= dict.fromkeys(stored.intersection(held.runs["run_id"]), held.where)
     notes = []
-    if kept:
-        notes.append(f"Note: kept, as {kept[min(kept)]} has them too: {counted(len(kept), 'run')}.")
-    result = _delete(store, sorted(stored - kept.keys()), yes, notes, data.coverage)
-    if set(result.document["removed"]) != stored - kept.keys():
+    if shared:
+        notes.append(f"Note: kept, as {shared[min(shared)]} has them too: {counted(len(shared), 'run')}.")
+    result = _delete(store, sorted(stored - shared.keys()), yes, notes, data.coverage)
+    if set(result.document["removed"]) != stored - shared.keys():
         return result  # nobody agreed
     last = last_query(store, study.name, study.world)
     if study.path is None:
-        if stored.issuperset(data.runs["run_id"]) and not picked.condition and picked.seeds is None:
+        if stored.issuperset(data.runs["run_id"]) and not selection.condition and selection.seeds is None:
             store.remove(store.listing_path(study.name))
     elif last is not None:
         runs = find_study(index, replace(last, preset=LAST)).runs
@@ -62,9 +62,9 @@ def _delete(
 ) -> Result:
     if not run_ids and not notes:
         raise UserError(f"nothing to remove: no such run is stored in {store.root}")
-    nothing = Result({"removed": []}, ["Nothing was removed."], notes=notes)
+    unchanged = Result({"removed": []}, ["Nothing was removed."], notes=notes)
     if not run_ids:
-        return nothing
+        return unchanged
     lines = [about] if about else []
     for run_id in run_ids:
         status = store.status(run_id, quick=True)
@@ -79,7 +79,7 @@ def _delete(
             say(line)
         print(f"Remove {counted(len(run_ids), 'run')}? [y/N] ", end="", file=sys.stderr, flush=True)
         if sys.stdin.readline().strip().lower() not in ("y", "yes"):
-            return nothing
+            return unchanged
     for run_id in run_ids:
         store.delete_run(run_id)
     text = f"Removed {counted(len(run_ids), 'run')} from {store.root}."

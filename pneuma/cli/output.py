@@ -158,11 +158,11 @@ def print_result(result: Result, form: str) -> None:
         elif text:
             say(text)
     if form == "table":
-        for part in result.shown:
-            if isinstance(part, Table):
-                _print_table(part)
+        for item in result.shown:
+            if isinstance(item, Table):
+                _print_table(item)
             else:
-                print(plain(part))
+                print(plain(item))
     elif form == "json":
         from pydantic_core import to_jsonable_python
 

@@ -136,7 +136,7 @@ def _show(
 
 @app.command(short_help="Show the progress of a study's runs.")
 def status(
-    picked: opt.RunFilter,
+    selection: opt.RunFilter,
     name: Annotated[str | None, opt.argument("NAME[@PRESET]", "A study; default: all that were run.")] = None,
     runs: Annotated[bool, opt.flag("--runs", "List each run.")] = False,
     format: opt.Format = opt.TABLE,
@@ -146,11 +146,11 @@ def status(
     from pneuma.answers.status import runs_status, studies_status, study_status
 
     if name is None:
-        return replace(answer_result(studies_status(picked.index, picked.world)), numbers=None)
-    data = find_study(picked.index, picked.query(name))
+        return replace(answer_result(studies_status(selection.index, selection.world)), numbers=None)
+    data = find_study(selection.index, selection.query(name))
     say(data.coverage)
-    for problem in picked.index.problems:
+    for problem in selection.index.problems:
         say(f"Note: {problem}.")
     if runs or data.plan is None:
         return answer_result(runs_status(data))
-    return answer_result(study_status(picked.index, data))
+    return answer_result(study_status(selection.index, data))

@@ -15,7 +15,7 @@ PAPER_FORMATS = ("markdown", "latex")
 
 def summary(
     name: opt.Study,
-    picked: opt.RunFilter,
+    selection: opt.RunFilter,
     outcome: opt.Outcomes = None,
     all_: Annotated[bool, opt.flag("--all", "Show all statistics of the default outcomes.")] = False,
     format: opt.Format = opt.TABLE,
@@ -29,7 +29,7 @@ def summary(
     """
     if cells and format not in PAPER_FORMATS:
         raise UserError(f"--cells requires --format {' or '.join(PAPER_FORMATS)}")
-    data = picked.open(name)
+    data = selection.open(name)
     from pneuma.answers.summary import summarize
 
     paper_cells = (cells or "sd") if format in PAPER_FORMATS else ""
@@ -38,7 +38,7 @@ def summary(
 
 def compare(
     name: opt.Study,
-    picked: opt.RunFilter,
+    selection: opt.RunFilter,
     a: Annotated[str | None, opt.argument("A", "A condition.")] = None,
     b: Annotated[str | None, opt.argument("B", "The condition that A is compared with.")] = None,
     with_: Annotated[
@@ -55,19 +55,19 @@ def compare(
     from pneuma.answers import comparison
 
     if with_ and a is None:
-        other = replace(picked, condition=None, set_=None)
-        answer = comparison.compare(picked.open(name), outcomes=outcome or (), other=other.open(with_))
+        second = replace(selection, condition=None, set_=None)
+        answer = comparison.compare(selection.open(name), outcomes=outcome or (), second=second.open(with_))
     elif a and b and not with_:
-        data = picked.open(comparison.narrowed(picked.query(name), a, b))
+        data = selection.open(comparison.narrowed(selection.query(name), a, b))
         answer = comparison.compare(data, a, b, outcome or ())
     else:
         raise UserError("name two conditions, A and B, or another study by --with STUDY")
     return answer_result(answer)
 
 
-def collapse(name: opt.Study, picked: opt.RunFilter) -> Result:
+def collapse(name: opt.Study, selection: opt.RunFilter) -> Result:
     """Show which runs collapsed, when, by which signs, and how often in each condition."""
-    data = picked.open(name)
+    data = selection.open(name)
     from pneuma.answers.collapse import find_collapses
 
     return answer_result(find_collapses(data))

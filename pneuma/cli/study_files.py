@@ -91,7 +91,7 @@ class Drawing:
 
 
 def plot(
-    picked: opt.RunFilter,
+    selection: opt.RunFilter,
     drawing: Drawing,
     names: Annotated[opt.Several, opt.argument("NAME", "Studies; left out: all that were run.")] = None,
     out: opt.PlotFolder = None,
@@ -104,7 +104,7 @@ def plot(
     if drawing.figure in (SUMMARY, PROFILE, ONE_ACTION) and is_of_curves:
         options = "--quantity, --band, --window, --x, --beside and --log"
         raise UserError(f"{options} require --figure {CURVES}")
-    formats, store = read_formats(drawing.formats, out), picked.store
+    formats, store = read_formats(drawing.formats, out), selection.store
     nothing = nothing_yet(store)
     if not names and nothing:
         raise UserError(nothing)
@@ -114,10 +114,10 @@ def plot(
     look = Look(drawing.width, drawing.height, drawing.title, drawing.style, drawing.plain)
     beside = None
     if drawing.beside:
-        beside = opt.RunFilter(results=picked.results, world=picked.world).open(drawing.beside)
+        beside = opt.RunFilter(results=selection.results, world=selection.world).open(drawing.beside)
 
     def draw(folder: Path) -> Iterator[Path]:
-        for page in _pages(picked, drawing, names, beside):
+        for page in _pages(selection, drawing, names, beside):
             yield from save_page(page, folder, formats, look)
 
     files = keep_files(store, out, draw)
@@ -125,22 +125,22 @@ def plot(
 
 
 def _pages(
-    picked: opt.RunFilter, drawing: Drawing, names: opt.Several, beside: StudyData | None
+    selection: opt.RunFilter, drawing: Drawing, names: opt.Several, beside: StudyData | None
 ) -> Iterator[Page]:
     """Yield the figures of some studies, or of those that were run here and can be drawn."""
     if names:
         for name in names:
-            yield _page(picked.open(name), drawing, beside)
+            yield _page(selection.open(name), drawing, beside)
         return
     from pneuma.analysis.runs import studies_here
 
     problems: list[UserError] = []
     is_any_drawn = False
-    for data in studies_here(picked.index, picked.world):
+    for data in studies_here(selection.index, selection.world):
         if not len(data.finished):
             continue
         try:
-            opened = replace(picked, world=data.world or None).open(data.study.file)
+            opened = replace(selection, world=data.world or None).open(data.study.file)
             yield _page(opened, drawing, beside)
             is_any_drawn = True
         except UserError as error:
@@ -148,7 +148,7 @@ def _pages(
     if problems and not is_any_drawn:
         raise problems[0]
     if not is_any_drawn:
-        raise UserError(f"no run of a study has finished in {picked.store.root}")
+        raise UserError(f"no run of a study has finished in {selection.store.root}")
     for problem in problems:
         say(Message("Note: ", *problem.args, "."))
 
@@ -161,41 +161,41 @@ def _page(data: StudyData, drawing: Drawing, beside: StudyData | None) -> Page:
     from pneuma.figures.summary import summary_page
     from pneuma.figures.words import fits_panel
 
-    parts = {env: part for env, part in by_environment(data).items() if part.rows}
-    shown = parts if len(parts) > 1 else data
+    data_by_env = {env: env_data for env, env_data in by_environment(data).items() if env_data.rows}
+    drawn = data_by_env if len(data_by_env) > 1 else data
     if beside is not None and data.asked.conditions:
-        beside = _alike_conditions(data, parts, beside)
-    kind = drawing.figure
-    if kind is None:
+        beside = _alike_conditions(data, data_by_env, beside)
+    figure = drawing.figure
+    if figure is None:
         is_of_curves = drawing.quantity or beside or drawing.curve_options
-        fits = all(map(fits_panel, parts.values())) and not data.study.outcomes
-        kind = CURVES if is_of_curves or fits else SUMMARY
-    if kind == SUMMARY:
-        page = summary_page(shown)
-    elif kind == CURVES:
+        fits = all(map(fits_panel, data_by_env.values())) and not data.study.outcomes
+        figure = CURVES if is_of_curves or fits else SUMMARY
+    if figure == SUMMARY:
+        page = summary_page(drawn)
+    elif figure == CURVES:
         quantities = _quantities(data, drawing.quantity or [])
-        page = curves_page(shown, quantities, beside=beside, **drawing.curve_options)
-    elif kind == ONE_ACTION:
+        page = curves_page(drawn, quantities, beside=beside, **drawing.curve_options)
+    elif figure == ONE_ACTION:
         from pneuma.figures.one_action import one_action_page  # SciPy's statistics take half a second
 
         page = one_action_page(data)
-    elif len(parts) == 1:
-        raise UserError(f"--figure {kind}: is over several environments; {data.study.name} has one")
+    elif len(data_by_env) == 1:
+        raise UserError(f"--figure {figure}: is over several environments; {data.study.name} has one")
     else:
-        page = profile_page(data, parts)
-    if len(parts) == 1:
+        page = profile_page(data, data_by_env)
+    if len(data_by_env) == 1:
         return page
     studies = [data] if beside is None else [data, beside]
     return replace(page, runs=lines_of_runs(*studies))  # under the names that tell the environment
 
 
-def _alike_conditions(data: StudyData, parts: dict[str, StudyData], beside: StudyData) -> StudyData:
+def _alike_conditions(data: StudyData, data_by_env: dict[str, StudyData], beside: StudyData) -> StudyData:
     """Return the conditions of another study that are called as some of a study; all if none is."""
     names = set(data.conditions)
-    for part in parts.values():
-        names.update(part.conditions)
-    alike = [name for name in beside.conditions if name in names and beside.of_condition(name)]
-    return beside.of_conditions(alike) if alike else beside
+    for env_data in data_by_env.values():
+        names.update(env_data.conditions)
+    same_names = [name for name in beside.conditions if name in names and beside.of_condition(name)]
+    return beside.of_conditions(same_names) if same_names else beside
 
 
 def _quantities(data: StudyData, names: list[str]) -> list[str]:
@@ -249,7 +249,7 @@ def table(
 
 def export(
     name: opt.Study,
-    picked: opt.RunFilter,
+    selection: opt.RunFilter,
     table: Annotated[str, opt.choice(EXPORT_TABLES, "What to export.")],
     out: Annotated[Path, opt.option("FILE", f"The file to write, in {_ENDINGS}; - prints CSV.")],
     band: Annotated[str | None, opt.choice(EDGED_BANDS, "Of curves: low and high (default: sd).")] = None,
@@ -261,10 +261,10 @@ def export(
     is_printed = str(out) == "-"
     if not is_printed:
         check_file(out, EXPORT_SUFFIXES)
-    data = picked.open(name)
+    data = selection.open(name)
     from pneuma.analysis.export import encode_frame, exported_table
 
-    frame = exported_table(data, table, picked.store, window, band or EDGED_BANDS[0])
+    frame = exported_table(data, table, selection.store, window, band or EDGED_BANDS[0])
     if is_printed:
         return Result({}, file=encode_frame(frame, "csv"))
     write_file(out, encode_frame(frame, EXPORT_SUFFIXES[out.suffix.lower()]))
@@ -280,8 +280,8 @@ def _read_curves(text: str) -> tuple[str, ...]:
         return ()
     allowed = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES, ACTIONS)
     quantities: list[str] = []
-    for part in text.split(","):
-        name = part.strip()
+    for env_data in text.split(","):
+        name = env_data.strip()
         if name not in allowed:
             raise UserError(f"--curves {name}: {unknown_name('value', name, allowed)}")
         quantities += ACTION_QUANTITIES if name == ACTIONS else [name]
@@ -290,7 +290,7 @@ def _read_curves(text: str) -> tuple[str, ...]:
 
 def publish(
     name: opt.Study,
-    picked: opt.RunFilter,
+    selection: opt.RunFilter,
     curves: Annotated[
         Any, opt.option("NAME,…|none", "Quantities whose curves are kept.", _read_curves)
     ] = None,
@@ -299,11 +299,11 @@ def publish(
 
     Rows that the table has already stay in it. The same runs give the same bytes.
     """
-    data = picked.open(name)
+    data = selection.open(name)
     from pneuma.analysis.export import publish_runs
 
     kept_curves = PUBLISHED_CURVES if curves is None else curves
-    path, new, staying, size = publish_runs(picked.store, data, kept_curves)
+    path, new, staying, size = publish_runs(selection.store, data, kept_curves)
     text = f"wrote {path}: {counted(new, 'run')} from here"
     if staying:
         text += f", {staying} as they were published before"

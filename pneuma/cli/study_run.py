@@ -30,7 +30,7 @@ Unpublished = Annotated[
 
 def plan_(
     name: opt.Study,
-    picked: opt.RunFilter,
+    selection: opt.RunFilter,
     unpublished: Unpublished = False,
     detect: Annotated[float | None, opt.option("X", "How many seeds find a difference of X.")] = None,
     outcome: Annotated[
@@ -42,18 +42,18 @@ def plan_(
     from pneuma.answers import planned
 
     if detect is not None:
-        data = None if sd else picked.open(name)
+        data = None if sd else selection.open(name)
         answer = planned.seeds_to_detect(data, detect, outcome or "", sd)
         return replace(answer_result(answer), numbers=None)
     if outcome or sd:
         raise UserError(f"{'--outcome' if outcome else '--sd'} requires --detect")
-    planned_runs = _plan(picked, name, unpublished)
-    return answer_result(planned.plan_answer(picked.index, planned_runs, opt.Place().config().workers))
+    planned_runs = _plan(selection, name, unpublished)
+    return answer_result(planned.plan_answer(selection.index, planned_runs, opt.Place().config().workers))
 
 
 def run(
     name: opt.Study,
-    picked: opt.RunFilter,
+    selection: opt.RunFilter,
     place: opt.Place,
     checkpoint_seconds: Annotated[float, opt.option("S", "Between a run's checkpoints.", min=0.01)] = 15.0,
     tensorboard: Annotated[Path | None, opt.option("DIR", "Log to TensorBoard while runs train.")] = None,
@@ -62,7 +62,7 @@ def run(
     quiet: opt.Quiet = False,
 ) -> Result:
     """Train the missing runs of a study, resuming those that were stopped."""
-    if picked.preset == spec.CLAIMS:
+    if selection.preset == spec.CLAIMS:
         changed = uncommitted()
         if changed:
             raise UserError(
@@ -71,11 +71,11 @@ def run(
             )
         from pneuma.analysis.claims.history import refuse_changed
 
-        refuse_changed(picked.index, spec.load_study(name, picked.world))
-    planned = _plan(picked, name, unpublished)
+        refuse_changed(selection.index, spec.load_study(name, selection.world))
+    planned = _plan(selection, name, unpublished)
     logs = _log_folders(planned, tensorboard) if tensorboard else {}
     config = replace(place.config(), checkpoint_seconds=checkpoint_seconds, logs=logs)
-    return train(planned, picked.store, config, retry_failed, quiet)
+    return train(planned, selection.store, config, retry_failed, quiet)
 
 
 def train(
@@ -135,16 +135,16 @@ def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
     return {cell.run_id: str(study_folder / f"{slugs[cell.condition]}_{cell.seed}") for cell in planned.cells}
 
 
-def _plan(picked: opt.RunFilter, name: str, unpublished: bool) -> plan.Plan:
+def _plan(selection: opt.RunFilter, name: str, unpublished: bool) -> plan.Plan:
     """Plan a study; with `unpublished`, skip published runs."""
     from pneuma import api
 
-    planned = api.plan_study(picked.query(name), picked.store, say)
+    planned = api.plan_study(selection.query(name), selection.store, say)
     if not unpublished:
         return planned
     from pneuma.store.index import RunIndex
 
-    index = RunIndex(picked.store, stored=False)
+    index = RunIndex(selection.store, stored=False)
     published = frozenset(cell.run_id for cell in planned.cells if cell.run_id in index.frame.index)
     for problem in index.problems:
         say(f"Note: {problem}; its runs are trained.")
