@@ -87,20 +87,20 @@ class Ground:
 
 
 def move(
-    place: Pair, offset: Pair, half: Pair, steps: Pair, ground: Ground, closed: Collection[int],
-    others: Sequence[Box],
+    start: Pair, offset: Pair, half: Pair, steps: Pair, ground: Ground, closed: Collection[int],
+    obstacles: Sequence[Box],
 ) -> Pair:  # fmt: skip
     """Return where a body gets, first along x, then along y, among tiles and the bodies of others.
 
     On each axis it goes its whole step, or up to the first thing that stops it, and never back. `offset` is
-    the centre of its box from its place.
+    the centre of its box from its position.
     """
-    position = list(place)
+    position = list(start)
     for axis, step in enumerate(steps):
         if step == 0.0:
             continue
         body = Box((position[0] + offset[0], position[1] + offset[1]), half)
-        limits = [ground.stop(body, axis, step, closed), *_stops_at_bodies(body, axis, step, others)]
+        limits = [ground.stop(body, axis, step, closed), *_stops_at_bodies(body, axis, step, obstacles)]
         end = body.centre[axis] + step
         if step > 0 and end > min(limits):
             position[axis] = max(position[axis], min(limits) - offset[axis])
@@ -111,16 +111,19 @@ def move(
     return position[0], position[1]
 
 
-def _stops_at_bodies(body: Box, axis: int, step: float, others: Sequence[Box]) -> list[float]:
+def _stops_at_bodies(body: Box, axis: int, step: float, obstacles: Sequence[Box]) -> list[float]:
     """Return where a body's centre touches each body that is ahead, not beside it or around it."""
     across, direction = 1 - axis, math.copysign(1.0, step)
     stops = []
-    for other in others:
-        touching = body.half[axis] + other.half[axis]
-        aside = abs(body.centre[across] - other.centre[across])
-        ahead = (other.centre[axis] - body.centre[axis]) * direction
-        if aside < body.half[across] + other.half[across] - CONTACT_EPS and ahead >= touching - CONTACT_EPS:
-            stops.append(other.centre[axis] - touching * direction)
+    for obstacle in obstacles:
+        touching = body.half[axis] + obstacle.half[axis]
+        aside = abs(body.centre[across] - obstacle.centre[across])
+        ahead = (obstacle.centre[axis] - body.centre[axis]) * direction
+        if (
+            aside < body.half[across] + obstacle.half[across] - CONTACT_EPS
+            and ahead >= touching - CONTACT_EPS
+        ):
+            stops.append(obstacle.centre[axis] - touching * direction)
     return stops
 
 
@@ -138,7 +141,7 @@ class Rulebook:
     closed_to_monsters: frozenset[int]
     settings: Row  # ticks, and scales of observations
     stats: list[Row]
-    kinds: list[list[Row]]
+    monster_stats: list[list[Row]]
     grounds: list[Ground]
     starts: list[list[Pair]]
     homes: list[list[Pair]]  # of the monsters
@@ -252,7 +255,7 @@ class Player:
 class Monster:
     """A monster; lists and sets go by player."""
 
-    kind: Row
+    stats: Row
     x: float
     y: float
     hp: float
@@ -267,13 +270,13 @@ class Monster:
 
     @property
     def box(self) -> Box:
-        return box_of(self, self.kind)
+        return box_of(self, self.stats)
 
     def knock_back(self, blow: Blow) -> None:
         """Fly from the hilt, unless it flies already; one that is right there stays there."""
         if blow.strike.knock_ticks < 0 or self.knocked > 0:
             return
-        source = self.kind if self.kind.knock_ticks >= 0 else blow.strike
+        source = self.stats if self.stats.knock_ticks >= 0 else blow.strike
         away_x, away_y = self.x - blow.hilt[0], self.y - blow.hilt[1]
         length = math.sqrt(away_x * away_x + away_y * away_y)
         self.knocked, self.knock_x, self.knock_y = source.knock_ticks, 0.0, 0.0
@@ -283,9 +286,9 @@ class Monster:
 
     def approach(self, offset: float) -> float:
         """Return a chasing monster's step on one axis: its full pace, or none within its stand-off."""
-        if abs(offset) <= self.kind.stand_off:
+        if abs(offset) <= self.stats.stand_off:
             return 0.0
-        return math.copysign(self.kind.speed, offset)
+        return math.copysign(self.stats.speed, offset)
 
 
 # --- The world -------------------------------------------------------------------------------------
@@ -320,20 +323,20 @@ class Oracle:
         self.steps, self.ending, self.level, self.start = 0, RUNNING, 0, start
         if len(book.starts) > 1:
             self.level = self._draw_below(len(book.starts))
-        places = book.starts[self.level]
+        starts = book.starts[self.level]
         if start < 0:
-            self.start = self._draw_below(len(places))
+            self.start = self._draw_below(len(starts))
         for index, player in enumerate(self.players):
-            x, y = places[(self.start + index) % len(places)]
+            x, y = starts[(self.start + index) % len(starts)]
             fresh = Player(player.stats, player.reward, x, y, events=player.events)
             fresh.hp, fresh.energy = player.stats.hp, player.stats.energy
             if book.config.xp_scope == "forever":
                 fresh.xp = player.xp
             self.players[index] = fresh
         self.monsters = []
-        for kind, (x, y) in zip(book.kinds[self.level], book.homes[self.level], strict=True):
+        for stats, (x, y) in zip(book.monster_stats[self.level], book.homes[self.level], strict=True):
             none_yet = [0] * len(self.players)
-            self.monsters.append(Monster(kind, x, y, kind.hp, none_yet, none_yet.copy()))
+            self.monsters.append(Monster(stats, x, y, stats.hp, none_yet, none_yet.copy()))
         self.monsters_left, self.players_left = len(self.monsters), len(self.players)
 
     def step(self, actions: list[int]) -> bool:
@@ -440,12 +443,12 @@ class Oracle:
         player.energy = min(player.energy + stats.energy_gain, stats.energy)
         return blow
 
-    def walked(self, player: Player, others: list[Box]) -> Pair:
-        """Return where one tick of walking the way it faces takes a player among others."""
+    def walked(self, player: Player, obstacles: list[Box]) -> Pair:
+        """Return where one tick of walking the way it faces takes a player among obstacles."""
         stats, (x, y) = player.stats, DIRECTIONS[player.facing]
         steps, offset = (x * stats.speed, y * stats.speed), (stats.body_x, stats.body_y)
         closed = self.book.closed_to_players
-        return move((player.x, player.y), offset, player.box.half, steps, self.ground, closed, others)
+        return move((player.x, player.y), offset, player.box.half, steps, self.ground, closed, obstacles)
 
     def _others(self, mover: Player | Monster) -> list[Box]:
         """Return the bodies that stop one: of all others who live."""
@@ -483,17 +486,17 @@ class Oracle:
             steps = monster.knock_x, monster.knock_y
         elif target is not None:
             steps = monster.approach(target.x - monster.x), monster.approach(target.y - monster.y)
-        place, offset = (monster.x, monster.y), (monster.kind.body_x, monster.kind.body_y)
-        closed, others = self.book.closed_to_monsters, self._others(monster)
-        monster.x, monster.y = move(place, offset, monster.box.half, steps, self.ground, closed, others)
+        position, offset = (monster.x, monster.y), (monster.stats.body_x, monster.stats.body_y)
+        closed, obstacles = self.book.closed_to_monsters, self._others(monster)
+        monster.x, monster.y = move(position, offset, monster.box.half, steps, self.ground, closed, obstacles)
 
     def _strike(
         self, monster: Monster, striker: int, blow: Blow, present: list[int], gains: list[Gain]
     ) -> None:
         """Strike a living monster that a blow meets for the first time."""
-        kind = monster.kind
+        stats = monster.stats
         monster.struck_by[striker] = blow.number
-        monster.safe = kind.safe
+        monster.safe = stats.safe
         monster.hp = max(monster.hp - blow.strike.damage, 0.0)
         gains[striker].hits += 1
         if monster.hp > 0.0:
@@ -508,37 +511,37 @@ class Oracle:
                 earns = monster.bite[index] > 0
             if earns:
                 gains[index].paying_deaths += 1
-                gains[index].xp += kind.xp
-                gains[index].kill_heal += kind.heal
+                gains[index].xp += stats.xp
+                gains[index].kill_heal += stats.heal
 
     def _sense(self, monster: Monster, present: list[int], gains: list[Gain]) -> Player | None:
         """Let a monster look for all players, and bite; return the nearest that it notices.
 
         In flight it does not bite: what is due then comes when it has landed.
         """
-        kind, target, nearest = monster.kind, None, math.inf
+        stats, target, nearest = monster.stats, None, math.inf
         flies = monster.knocked > 0
         for index in present:
             player, gain = self.players[index], gains[index]
-            gap = player.gap_squared(monster.x + kind.notice_x, monster.y + kind.notice_y)
-            if gap > kind.notice_squared:
+            gap = player.gap_squared(monster.x + stats.notice_x, monster.y + stats.notice_y)
+            if gap > stats.notice_squared:
                 monster.noticed.discard(index)
             else:
                 gain.notices += index not in monster.noticed
                 monster.noticed.add(index)
                 if gap < nearest:
                     target, nearest = player, gap
-            gap = player.gap_squared(monster.x + kind.attack_x, monster.y + kind.attack_y)
-            if gap > kind.attack_squared:
+            gap = player.gap_squared(monster.x + stats.attack_x, monster.y + stats.attack_y)
+            if gap > stats.attack_squared:
                 monster.bite[index] = 0
             elif monster.bite[index] > 1:
                 monster.bite[index] -= 1
             else:
                 gain.contacts += monster.bite[index] == 0
-                monster.bite[index] = 1 if flies else kind.bite_ticks
+                monster.bite[index] = 1 if flies else stats.bite_ticks
                 # A player who is safe after a bite gets one a tick.
                 if not flies and (player.stats.safe == 0 or gain.bitten == 0.0):
-                    gain.bitten += kind.damage
+                    gain.bitten += stats.damage
         return target
 
     # --- A tick: what it brought -----------------------------------------------------------------

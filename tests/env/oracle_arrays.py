@@ -45,7 +45,7 @@ def read_rulebook(worlds: Worlds) -> Rulebook:
         closed_to_monsters=frozenset(closed_to_monsters),
         settings=settings,
         stats=[_read_row(stats) for stats in worlds.player_stats],
-        kinds=[[_read_row(kind) for kind in level_stats] for level_stats in worlds.monster_stats],
+        monster_stats=[[_read_row(stats) for stats in level_stats] for level_stats in worlds.monster_stats],
         grounds=[Ground((left, top), settings.tile, level.terrain.tolist()) for level in worlds.levels],
         starts=[[(x, y) for x, y in level.starts.tolist()] for level in worlds.levels],
         homes=[[(x, y) for _, x, y in level.monsters] for level in worlds.levels],

@@ -40,7 +40,7 @@ Tile = tuple[int, int]
 
 @dataclass(frozen=True)
 class Map:
-    """A level to be: tiles by (column, row), places in pixels from the origin."""
+    """A level to be: tiles by (column, row), positions in pixels from the origin."""
 
     columns: int = 16
     rows: int = 16
@@ -77,9 +77,9 @@ class Map:
 
 @st.composite
 def maps(draw: st.DrawFn) -> Map:
-    """Draw a level whose start places and monsters are around one point, with some room between."""
-    least, most = draw(st.sampled_from([(12, 20), (12, 20), (6, 8)]))  # now and then hardly any room
-    columns, rows = draw(st.integers(least, most)), draw(st.integers(least, most))
+    """Draw a level whose start positions and monsters are around one point, with some room between."""
+    fewest, largest = draw(st.sampled_from([(12, 20), (12, 20), (6, 8)]))  # now and then hardly any room
+    columns, rows = draw(st.integers(fewest, largest)), draw(st.integers(fewest, largest))
     tile = draw(st.sampled_from([64.0, 64.0, 40.0, 48.0, 50.5, 96.0]))
     tiles = st.lists(st.tuples(st.integers(0, columns - 1), st.integers(0, rows - 1)), max_size=12)
     across, down = int(columns * tile / CELL), int(rows * tile / CELL)
@@ -88,19 +88,19 @@ def maps(draw: st.DrawFn) -> Map:
     most_bodies = draw(st.sampled_from([8, 8, CROWD]))
     count = draw(st.integers(2, min(most_bodies, len(cells))))
     off_centre = st.integers(-9, 9).map(lambda third: CELL / 2 + third / 3)
-    places, under = [], set()
+    positions, under = [], set()
     for column, row in draw(st.permutations(cells[: 3 * count // 2]))[:count]:
-        place = (column * CELL + draw(off_centre), row * CELL + draw(off_centre))
-        places.append(place)
+        position = (column * CELL + draw(off_centre), row * CELL + draw(off_centre))
+        positions.append(position)
         for dx, dy in itertools.product((-REACH, -REACH / 3, REACH / 3, REACH), repeat=2):
-            under_column = min(max(int((place[0] + dx) // tile), 0), columns - 1)
-            under.add((under_column, min(max(int((place[1] + dy) // tile), 0), rows - 1)))
+            under_column = min(max(int((position[0] + dx) // tile), 0), columns - 1)
+            under.add((under_column, min(max(int((position[1] + dy) // tile), 0), rows - 1)))
     starts = draw(st.integers(1, min(3, count - 1)))
     names = st.sampled_from(sorted(CODES))
     return Map(
         columns, rows, tile, shore=draw(st.integers(0, 2)), lakes=tuple(draw(tiles)[:4]),
-        obstacles=tuple(draw(tiles)), starts=tuple(places[:starts]),
-        monsters=tuple((draw(names), *place) for place in places[starts:]), clear=frozenset(under),
+        obstacles=tuple(draw(tiles)), starts=tuple(positions[:starts]),
+        monsters=tuple((draw(names), *position) for position in positions[starts:]), clear=frozenset(under),
     )  # fmt: skip
 
 

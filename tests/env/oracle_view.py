@@ -17,7 +17,7 @@ from .oracle import Ground, Monster, Oracle, Pair, Player
 ROW = {"thesis": 4, "pygame": 5, "godot": 5}
 """Numbers a monster, by layout."""
 TERRAIN, PLAYER, MONSTERS = 0, 1, 2
-"""What rays meet: from the last on, monsters by the number of their kind."""
+"""What rays meet: from the last on, monsters by the number of their stats."""
 
 
 def observe(world: Oracle, player: Player) -> list[float]:
@@ -60,13 +60,13 @@ def _perceived(world: Oracle, player: Player) -> list[Monster]:
 
     Nearest first, without the dead; or in fixed order, where the dead are the furthest of all.
     """
-    monsters, most = world.monsters, world.book.settings.perceived
+    monsters, limit = world.monsters, world.book.settings.perceived
     living = [monster for monster in monsters if monster.hp > 0.0]
     living.sort(key=lambda monster: _distance(monster, player))
     if world.book.config.order == "nearest":
-        return living[:most]
+        return living[:limit]
     dead = [monster for monster in monsters if monster.hp <= 0.0]
-    nearest = {id(monster) for monster in (living + dead)[:most]}
+    nearest = {id(monster) for monster in (living + dead)[:limit]}
     return [monster for monster in monsters if id(monster) in nearest]
 
 
@@ -92,17 +92,17 @@ def _about_monster(world: Oracle, player: Player, monster: Monster) -> list[floa
 
     The published code's layout shows the dead where they died (AIController2D.gd:20-25).
     """
-    settings, layout, kind = world.book.settings, world.book.config.observation, monster.kind
+    settings, layout, stats = world.book.settings, world.book.config.observation, monster.stats
     alive = monster.hp > 0.0
     distance, inverse = _distance(monster, player), 0.0
     if (alive or layout == "godot") and distance > 0.0:
         inverse = 1.0 / distance
-    hp = monster.hp * kind.hp_scale
+    hp = monster.hp * stats.hp_scale
     if layout == "godot":
         x = (monster.x - settings.middle_x) * settings.scale_x
         y = (monster.y - settings.middle_y) * settings.scale_y
         return [x, y, hp, (player.x - monster.x) * inverse, (player.y - monster.y) * inverse]
-    scaled_distance, xp = distance * kind.distance_scale, kind.xp * kind.xp_scale
+    scaled_distance, xp = distance * stats.distance_scale, stats.xp * stats.xp_scale
     if not alive:
         scaled_distance = xp = 0.0
     row = [scaled_distance, (monster.x - player.x) * inverse, (monster.y - player.y) * inverse, hp]
@@ -131,8 +131,8 @@ def _look_around(world: Oracle, player: Player) -> list[float]:
 
 def _ends_at_bodies(world: Oracle, player: Player, ray: Pair) -> list[tuple[float, int]]:
     """Return how far off each living body is entered, and what it is; one that is only touched is not."""
-    boxes = [(monster.box, MONSTERS + monster.kind.sight) for monster in world.monsters if monster.hp > 0.0]
-    boxes += [(other.box, PLAYER) for other in world.players if other is not player and other.hp > 0.0]
+    boxes = [(monster.box, MONSTERS + monster.stats.sight) for monster in world.monsters if monster.hp > 0.0]
+    boxes += [(mate.box, PLAYER) for mate in world.players if mate is not player and mate.hp > 0.0]
     ends = []
     for (centre, half), sight in boxes:
         low = centre[0] - half[0], centre[1] - half[1]

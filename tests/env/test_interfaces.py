@@ -169,19 +169,19 @@ N = 4
 MODES = list(AutoresetMode)
 
 
-def assert_same(ours: Any, theirs: Any) -> None:
+def assert_same(value: Any, expected: Any) -> None:
     """Compare what two resets or steps returned, infos and all, bit for bit."""
-    if isinstance(theirs, dict):
-        assert set(ours) == set(theirs)
-        for key in theirs:
-            assert_same(ours[key], theirs[key])
-    elif isinstance(theirs, tuple) or getattr(theirs, "dtype", None) == np.dtype(object):
-        for our, their in zip(ours, theirs, strict=True):
-            assert_same(our, their)
+    if isinstance(expected, dict):
+        assert set(value) == set(expected)
+        for key in expected:
+            assert_same(value[key], expected[key])
+    elif isinstance(expected, tuple) or getattr(expected, "dtype", None) == np.dtype(object):
+        for item, expected_item in zip(value, expected, strict=True):
+            assert_same(item, expected_item)
     else:
-        assert type(ours) is type(theirs)
-        assert np.asarray(ours).dtype == np.asarray(theirs).dtype
-        assert np.array_equal(ours, theirs)
+        assert type(value) is type(expected)
+        assert np.asarray(value).dtype == np.asarray(expected).dtype
+        assert np.array_equal(value, expected)
 
 
 def pit_actions(generator: np.random.Generator) -> np.ndarray:
@@ -193,22 +193,22 @@ def pit_actions(generator: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize("mode", MODES)
 def test_every_autoreset_mode_does_what_gymnasiums_vector_does(pit: str, mode: AutoresetMode) -> None:
     settings: dict[str, Any] = {"level": pit, "episode_steps": 20}
-    ours = PneumaVectorEnv(N, autoreset_mode=mode, **settings)
-    theirs = SyncVectorEnv([lambda: PneumaEnv(**settings)] * N, autoreset_mode=mode)
+    env = PneumaVectorEnv(N, autoreset_mode=mode, **settings)
+    reference = SyncVectorEnv([lambda: PneumaEnv(**settings)] * N, autoreset_mode=mode)
     generator = np.random.default_rng(3)
-    assert_same(ours.reset(seed=3), theirs.reset(seed=3))
+    assert_same(env.reset(seed=3), reference.reset(seed=3))
     ends = np.zeros(2)
     for _ in range(300):
         actions = pit_actions(generator)
-        expected = theirs.step(actions)
-        assert_same(ours.step(actions), expected)
-        over = expected[2] | expected[3]
+        expected = reference.step(actions)
+        assert_same(env.step(actions), expected)
+        ended = expected[2] | expected[3]
         ends += expected[2].sum(), expected[3].sum()
-        if mode == AutoresetMode.DISABLED and over.any():
-            by_hand, infos = ours.reset(options={"reset_mask": over.copy()})
+        if mode == AutoresetMode.DISABLED and ended.any():
+            by_hand, infos = env.reset(options={"reset_mask": ended.copy()})
             assert infos["_action_mask"].all()  # Gymnasium's vector has those of the worlds reset only
-            infos["_action_mask"], infos["action_mask"][~over] = over, 0
-            assert_same((by_hand, infos), theirs.reset(options={"reset_mask": over.copy()}))
+            infos["_action_mask"], infos["action_mask"][~ended] = ended, 0
+            assert_same((by_hand, infos), reference.reset(options={"reset_mask": ended.copy()}))
     assert (ends > 10).all()
 
 
@@ -311,15 +311,15 @@ def test_it_steps_and_notes_episodes_as_a_monitored_dummy_vec_env_of_single_envi
     settings: dict[str, Any] = {"level": pit, "episode_steps": 20}
     env = PneumaVecEnv(N, seed=3, **settings)
     env.keep_finished = True
-    ours, theirs = VecMonitor(env), VecMonitor(DummyVecEnv([lambda: PneumaEnv(**settings)] * N))
-    theirs.seed(3)
+    monitored, reference = VecMonitor(env), VecMonitor(DummyVecEnv([lambda: PneumaEnv(**settings)] * N))
+    reference.seed(3)
     generator = np.random.default_rng(1)
-    assert_same(ours.reset(), theirs.reset())
+    assert_same(monitored.reset(), reference.reset())
     episodes: list[tuple[float, ...]] = []
     for number in range(1, 301):
         actions = pit_actions(generator)
-        *values, infos = ours.step(actions)
-        *expected, their_infos = theirs.step(actions)
+        *values, infos = monitored.step(actions)
+        *expected, their_infos = reference.step(actions)
         assert_same(tuple(values), tuple(expected))
         for slot, is_done in enumerate(np.asarray(expected[2]).tolist()):
             if is_done:

@@ -51,8 +51,8 @@ def refusal(**settings: Any) -> str:
 
 def test_the_shipped_level_has_the_published_places() -> None:
     thesis = load_level("thesis", CODES)
-    assert thesis.starts.tolist() == [list(place) for place in STARTS]
-    assert list(thesis.monsters) == [("bamboo", *place) for place in MONSTERS]
+    assert thesis.starts.tolist() == [list(start) for start in STARTS]
+    assert list(thesis.monsters) == [("bamboo", *home) for home in MONSTERS]
 
 
 # --- Folders -------------------------------------------------------------------------------------
@@ -142,10 +142,10 @@ def test_bodies_that_begin_in_what_stops_them_are_refused(
 ) -> None:  # fmt: skip
     """A pixel less and they touch: 34 px to the right of a player, 24 x 50 px for two bamboos, 47 x 48."""
 
-    def settings(places: list[Place], homes: list[Place]) -> dict[str, Any]:
+    def settings(positions: list[Place], homes: list[Place]) -> dict[str, Any]:
         bamboos = tuple(("bamboo", x, y) for x, y in homes)
-        level = replace(EMPTY, starts=tuple(places), monsters=bamboos, obstacles=tuple(obstacles))
-        return {"level": level.write(tmp_path), "players": len(places), **allowed}
+        level = replace(EMPTY, starts=tuple(positions), monsters=bamboos, obstacles=tuple(obstacles))
+        return {"level": level.write(tmp_path), "players": len(positions), **allowed}
 
     refused = settings(starts, monsters)
     for name in allowed:
@@ -184,8 +184,13 @@ def test_a_door_must_let_a_body_of_48_px_through(tmp_path: Path, tile: int, door
 
 
 def digest(level: Level) -> str:
-    parts = (level.ground, level.terrain, level.starts, np.array([place[1:] for place in level.monsters]))
-    return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
+    arrays = (
+        level.ground,
+        level.terrain,
+        level.starts,
+        np.array([monster[1:] for monster in level.monsters]),
+    )
+    return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
 
 
 def test_the_islands_are_those_that_stored_runs_were_trained_on() -> None:
@@ -208,8 +213,8 @@ def test_every_monster_can_be_walked_to_from_every_start(split: str) -> None:
     for number in range(30):
         level = random_level(split, number)
         regions, _ = label(level.terrain == rules.OPEN)
-        places = np.concatenate([level.starts, [place[1:] for place in level.monsters]])
-        columns, rows = (((places - (level.left, level.top)) // 64).astype(int)).T
+        positions = np.concatenate([level.starts, [monster[1:] for monster in level.monsters]])
+        columns, rows = (((positions - (level.left, level.top)) // 64).astype(int)).T
         (region,) = set(regions[rows, columns].tolist())
         assert region > 0
 
@@ -217,23 +222,23 @@ def test_every_monster_can_be_walked_to_from_every_start(split: str) -> None:
 def test_an_episode_draws_its_level_and_then_its_start() -> None:
     worlds = Worlds(1, make_env_config({"level": "random:train:5", "random_levels": 4}))
     worlds.worlds["key"] = 0
-    drawn = []
+    draws = []
     for _ in range(2):
         worlds.reset()
-        drawn.append((int(worlds.worlds["level"][0]), int(worlds.worlds["start"][0])))
+        draws.append((int(worlds.worlds["level"][0]), int(worlds.worlds["start"][0])))
     # The published stream of key 0 begins 0xE220…, 0x6E78…, 0x06C4…, 0xF88B…: as shares of 2**64
     # 0.883, 0.432, 0.026 and 0.971. Of 4 levels and 6 starts: 3.53, 2.59, 0.11, 5.83.
-    assert drawn == [(3, 2), (0, 5)]
+    assert draws == [(3, 2), (0, 5)]
 
 
 @pytest.mark.parametrize("scale", SCALES)
 def test_a_place_is_observed_alike_whichever_levels_are_played_together(scale: str) -> None:
     """So that what was learned on some islands holds on others."""
-    alone = Worlds(1, make_env_config({"level": "random:train:5", "scale": scale}))
+    single = Worlds(1, make_env_config({"level": "random:train:5", "scale": scale}))
     names = ["middle_x", "middle_y", "scale_x", "scale_y", "xp_scale"]
     for level, count in (("random:train:5", 20), ("random:test:3", 2)):
         settings = {"level": level, "random_levels": count, "scale": scale}
         together = Worlds(1, make_env_config(settings))
-        assert together.space == alone.space
-        assert [together.settings[name] for name in names] == [alone.settings[name] for name in names]
-        assert together.monster_stats["distance_scale"][0, 0] == alone.monster_stats["distance_scale"][0, 0]
+        assert together.space == single.space
+        assert [together.settings[name] for name in names] == [single.settings[name] for name in names]
+        assert together.monster_stats["distance_scale"][0, 0] == single.monster_stats["distance_scale"][0, 0]

@@ -67,9 +67,9 @@ def play(case: Case, worlds: Worlds, counts: Counter[str]) -> None:
             assert np.isfinite(space.high).all()
         for world, allowed in zip(pair.oracles, before, strict=True):
             assert overlaps(world) <= allowed
-        for player, place in masked:
+        for player, before_step in masked:
             counts["masked"] += 1
-            assert player.hp == 0 or place == (player.x, player.y, player.facing)
+            assert player.hp == 0 or before_step == (player.x, player.y, player.facing)
         ended = np.flatnonzero(worlds.worlds["ending"] != RUNNING).tolist()
         pause = case.breaks[step // MOOD_STEPS]
         if pause >= 250 and step % MOOD_STEPS == 0:
@@ -96,9 +96,9 @@ def overlaps(world: Oracle) -> set[tuple[int, ...]]:
         for column, row in itertools.product(*(world.ground.covered(box, axis) for axis in (0, 1))):
             if world.ground.is_closed(column, row, closed):
                 inside.add((number,))
-    for (number, body), (other_number, other) in itertools.combinations(living, 2):
-        if shrunk(body, CONTACT_EPS + ROUNDING).meets(other.box):
-            inside.add((number, other_number))
+    for (number, body), (second_number, second) in itertools.combinations(living, 2):
+        if shrunk(body, CONTACT_EPS + ROUNDING).meets(second.box):
+            inside.add((number, second_number))
     return inside
 
 

@@ -53,7 +53,7 @@ def test_ground_is_blue_exactly_where_the_coast_is() -> None:
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "left", "top"),
+    ("x", "y", "first_column", "first_row"),
     [
         (0.0, 0.0, MIDDLE - 120, MIDDLE - 88),  # half of a view of 240 x 176 art pixels
         (540.0, 540.0, 320 - 240, 320 - 176),
@@ -61,24 +61,28 @@ def test_ground_is_blue_exactly_where_the_coast_is() -> None:
     ],
 )
 def test_following_camera_is_the_map_around_the_player(
-    arena: str, x: float, y: float, left: int, top: int
+    arena: str, x: float, y: float, first_column: int, first_row: int
 ) -> None:
     """Law: every art pixel is the map's, four times as large; the window never leaves the map."""
     pair = stage(arena)
     pair.put(x=x, y=y)
-    expected = bare(pair.worlds)[top : top + 176, left : left + 240].repeat(4, 0).repeat(4, 1)
+    expected = (
+        bare(pair.worlds)[first_row : first_row + 176, first_column : first_column + 240]
+        .repeat(4, 0)
+        .repeat(4, 1)
+    )
     np.testing.assert_array_equal(Renderer(pair.worlds, "follow", panel=False).frame(), expected)
 
 
-@pytest.mark.parametrize(("spell", "least", "most"), [(FLAME, 70, 86), (HEAL, 0, 12)])
-def test_a_spell_shows_while_it_is_cast(arena: str, spell: int, least: int, most: int) -> None:
+@pytest.mark.parametrize(("spell", "nearest", "farthest"), [(FLAME, 70, 86), (HEAL, 0, 12)])
+def test_a_spell_shows_while_it_is_cast(arena: str, spell: int, nearest: int, farthest: int) -> None:
     """It lasts 24 ticks, 3 steps. The flame's box reaches 320 px ahead; signs of healing stay near."""
     pair = stage(arena, magic=True)
     reaches = []
     for _ in range(3):
         pair.play(spell)
         reaches.append(action_pixels(pair.worlds)[0].max(initial=0))
-    assert reaches[2] == 0 and least < min(reaches[:2]) and max(reaches[:2]) <= most
+    assert reaches[2] == 0 and nearest < min(reaches[:2]) and max(reaches[:2]) <= farthest
 
 
 @pytest.mark.parametrize("facing", range(4))
@@ -189,8 +193,10 @@ def test_gif_has_every_frame_pixel_by_pixel() -> None:
     frames = np.zeros((30, 64, 64, 3), np.uint8)
     frames[..., 0] = np.arange(64)[:, None] // 8 * 20
     for number in range(30):
-        left = number // 2 * 3
-        frames[number, left : left + 8, left : left + 8] = 255  # a square that moves with every other frame
+        column = number // 2 * 3
+        frames[number, column : column + 8, column : column + 8] = (
+            255  # a square that moves with every other frame
+        )
     pictures, milliseconds = [], []
     with Image.open(BytesIO(watch.encode_gif(frames, 30))) as image:
         for picture in ImageSequence.Iterator(image):

@@ -27,9 +27,13 @@ def test_a_blow_knocks_back_60_px_away_from_the_hilt(arena: str) -> None:
     # The monster at (84, -26) is (30, -40) = 50 x (0.6, -0.8) from the hilt. 2 px a tick for 30 ticks:
     # 60 x (0.6, -0.8) = (36, -48), so it lands at (120, -74).
     pair = stage(arena, (84.0, -26.0), ticks=1)
-    for ticks, place in ((1, (85.2, -27.6)), (29, (120.0, -74.0)), (1, (117.5, -71.5))):  # then it comes back
+    for ticks, position in (
+        (1, (85.2, -27.6)),
+        (29, (120.0, -74.0)),
+        (1, (117.5, -71.5)),
+    ):  # then it comes back
         pair.play(*[ATTACK] * ticks)
-        assert pair.monster("x", "y") == pytest.approx(place)
+        assert pair.monster("x", "y") == pytest.approx(position)
 
 
 def test_a_second_blow_does_not_extend_a_flight(arena: str) -> None:
@@ -89,8 +93,8 @@ def test_a_flame_burns_the_320_x_64_px_ahead_and_nothing_else(arena: str, facing
     for far, aside in ((320 + along, 0.0), (-along, 0.0), (160.0, 32 + across), (160.0, -32 - across)):
         for inside, hp in ((0.001, 31), (0.0, 40)):
             far_inside, aside_inside = far - inside * np.sign(far - 160), aside - inside * np.sign(aside)
-            place = x * far_inside + y * aside_inside, y * far_inside + x * aside_inside - 2
-            pair = stage(arena, place, facing=facing, still=True, magic=True)
+            position = x * far_inside + y * aside_inside, y * far_inside + x * aside_inside - 2
+            pair = stage(arena, position, facing=facing, still=True, magic=True)
             pair.play(FLAME, FLAME, FLAME)
             assert pair.monster("hp", "knocked") == (hp, 0), (far, aside)
 
