@@ -1,10 +1,8 @@
 """The storm of readers: two processes train, draw, summarize and delete runs of one study at once.
 
-    python -m tests.study.readers [SECONDS]     five minutes unless it is told
-
-`test_storm.py` runs a short form. Only errors that name what is missing are allowed. Afterwards one more
-command makes the study whole again, with the bits of one that nobody disturbed, and a second study in the
-same folder, whose runs nobody deletes, has lost nothing.
+Only errors that name what is missing are allowed. Afterwards one more command makes the study whole again,
+with the bits of one that nobody disturbed, and a second study in the same folder, whose runs nobody deletes,
+has lost nothing.
 """
 
 from __future__ import annotations
@@ -12,7 +10,6 @@ from __future__ import annotations
 import os
 import random
 import re
-import sys
 import tempfile
 import time
 import traceback
@@ -131,14 +128,3 @@ def storm_of_readers(seconds: float, processes: int = 2) -> Reading:
 def _failures(words: tuple[str, ...]) -> list[str]:
     code, _, told = call(*words)
     return [f"{words}: exit {code}: {told}"] if code else []
-
-
-def main() -> int:
-    """Run the storm of readers and print what was done; return 1 if anything was found."""
-    reading = storm_of_readers(float(sys.argv[1]) if len(sys.argv) > 1 else 300.0)
-    print(f"{dict(reading.done)}, {len(reading.found)} found", *reading.found, sep="\n  ")
-    return int(bool(reading.found))
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

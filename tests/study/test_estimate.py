@@ -48,10 +48,7 @@ def test_a_run_like_those_that_ended_takes_as_long_on_such_a_processor(tmp_path:
     save(store, replace(RUN, seed=2), 2560, 2560 * 0.9, HERE, XEON)
     save(store, replace(RUN, seed=3), 2560, 2560 * 0.001, HERE)
     assert pace(store) == pytest.approx(0.001)
-
-
-def test_of_a_run_unlike_all_others_the_time_is_unknown() -> None:
-    assert expected_seconds({}, RUN, RUN.steps) is None
+    assert expected_seconds({}, RUN, RUN.steps) is None  # it is unlike all others
 
 
 def test_a_pace_is_of_the_steps_that_were_trained(tmp_path: Path) -> None:

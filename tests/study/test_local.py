@@ -7,7 +7,6 @@ import resource
 import signal
 import subprocess
 import sys
-import tempfile
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,7 +19,7 @@ from pneuma.errors import StorageError
 from pneuma.store.store import Store
 from pneuma.study.identity import run_id
 from pneuma.training.executors import local
-from pneuma.training.executors.base import Event, ExecutorConfig, Job
+from pneuma.training.executors.base import Event, ExecutorConfig
 from pneuma.training.executors.local import Interrupts
 
 RUN = make_run({"steps": 256})
@@ -98,20 +97,6 @@ def test_a_dying_worker_takes_only_its_own_run_with_it(
     assert notes == [second] and ends == [(first, "done"), (second, "crashed")]
     error = Store(tmp_path / "results").read_file(second, "error.txt")
     assert error == b"the worker process ended with code 3\nwhy\n"
-
-
-def test_a_run_is_handed_to_its_worker_without_a_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The temporary folder may be emptied while a study trains, and a kill would leave files there."""
-    scratch = tmp_path / "scratch"
-    scratch.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(scratch))
-    no_worker(tmp_path, monkeypatch, f"ls -A {scratch} > {tmp_path}/files\nhead -n 1 > {tmp_path}/job")
-    train(TWO, tmp_path)
-    assert (tmp_path / "files").read_text() == ""
-    job = Job.from_json((tmp_path / "job").read_text())
-    assert job.runs.items() <= TWO.items() and job.store.root == tmp_path / "results"
 
 
 # --- What workers compute with ------------------------------------------------------------------------

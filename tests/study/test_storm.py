@@ -25,7 +25,6 @@ def test_a_damaged_study_ends_with_the_same_bits() -> None:
 
 @pytest.mark.slow
 def test_readers_and_trainers_of_one_study_lose_nothing() -> None:
-    """`python -m tests.study.readers` does it for five minutes."""
     reading = storm_of_readers(seconds=5)
     assert {*reading.done} == {*DEEDS}
     assert reading.found == []
