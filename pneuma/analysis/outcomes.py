@@ -56,6 +56,7 @@ class Outcome:
         source: a table, a quantity, 'signs' of collapse, or 'times'.
         measure: the function that computes it.
         column: of the evaluations, from which it is taken; empty if it is not.
+        short: fewer words, for verdicts.
     """
 
     words: str
@@ -67,6 +68,7 @@ class Outcome:
     column: str = ""
     alike: float = ALIKE[""]
     requires_learning: bool = False
+    short: str = ""
 
     def is_recorded_in(self, env: str) -> bool:
         elsewhere = ONLY_ELSEWHERE if env in ENVIRONMENTS else ONLY_IN_PNEUMA

@@ -106,7 +106,7 @@ VALUE, TWO = ('b = "low"', "value = 1"), ('"final-share-killed"', '["final-share
         ("listed twice", [('"low"', '["low", "low"]')]),
         ("has none for final-return", [TWO, ('"greater"', '{ final-share-killed = "greater" }')]),
         ("0 to 1", [('b = "low"', "value = 50"), ('"mean"', '"incidence"\nabove = 0.5')]),
-        ("below 1", [("margin = 0.04", "margin = 20"), ('"mean"', '"incidence"\nabove = 0.5')]),
+        ("0 to 1", [("margin = 0.04", "margin = 20"), ('"mean"', '"incidence"\nabove = 0.5')]),
     ],
 )
 def test_what_matches_nothing_is_refused(tmp_path: Path, wrong: str, changes: list[tuple[str, str]]) -> None:

@@ -54,17 +54,13 @@ def test_means_have_welchs_interval_and_students_against_a_number() -> None:
     assert ends(own.simultaneous) == pytest.approx(ends(theirs.confidence_interval(LEVEL)))
 
 
-def test_a_share_against_a_number_has_the_exact_interval() -> None:
-    own = compare("incidence", [1, 1, 1, 0, 1], 0.2, LEVEL)
-    theirs = stats.binomtest(4, 5).proportion_ci(LEVEL, "exact")
-    assert own.effect == pytest.approx(0.6)
-    assert ends(own.simultaneous) == pytest.approx((theirs.low - 0.2, theirs.high - 0.2))
-
-
-def test_two_shares_differ_as_far_as_both_exact_intervals_together() -> None:
+def test_shares_have_the_exact_interval_and_differ_as_far_as_both_together() -> None:
     """The distance of the ends from the shares, 4 of 5 and 1 of 4, squared and added."""
-    own = compare("incidence", [1, 1, 1, 0, 1], [0, 1, 0, 0], LEVEL)
     a, b = (stats.binomtest(*counts).proportion_ci(LEVEL, "exact") for counts in ((4, 5), (1, 4)))
+    own = compare("incidence", [1, 1, 1, 0, 1], 0.2, LEVEL)
+    assert own.effect == pytest.approx(0.6) and own.means == pytest.approx((0.8, 0.2))
+    assert ends(own.simultaneous) == pytest.approx((a.low - 0.2, a.high - 0.2))
+    own = compare("incidence", [1, 1, 1, 0, 1], [0, 1, 0, 0], LEVEL)
     low = 0.55 - ((0.8 - a.low) ** 2 + (b.high - 0.25) ** 2) ** 0.5
     high = 0.55 + ((a.high - 0.8) ** 2 + (0.25 - b.low) ** 2) ** 0.5
     assert own.effect == pytest.approx(0.55) and ends(own.simultaneous) == pytest.approx((low, high))

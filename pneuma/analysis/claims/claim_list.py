@@ -122,14 +122,9 @@ class Claim(Table):
     list_registered: Mapping[str, Any] = {}
 
     @property
-    def compared(self) -> tuple[str, ...]:
-        """Every condition that its verdict needs."""
-        return tuple(dict.fromkeys(self.a + self.b))
-
-    @property
     def conditions(self) -> tuple[str, ...]:
         """Every condition that is trained for it."""
-        return tuple(dict.fromkeys(self.compared + self.beside))
+        return tuple(dict.fromkeys(self.a + self.b + self.beside))
 
     @property
     def row(self) -> str:
@@ -243,17 +238,16 @@ class Claim(Table):
                 self._check_numbers(world, name)
 
     def _check_numbers(self, world: str, outcome: str) -> None:
-        margin, value = self.margin_of(world, outcome), self.value_of(world, outcome)
-        if value is None and not self.b:
+        numbers = {"margin": self.margin_of(world, outcome), "value": self.value_of(world, outcome)}
+        if numbers["value"] is None and not self.b:
             raise wrong(f"the key 'value' has no number for {outcome}", "value")
-        if isinstance(value, str):
-            find_outcome(value)
-        elif self.is_incidence and not 0 <= (value or 0) <= 1:
-            raise wrong(f"value = {value:g} is not allowed: a share of runs, 0 to 1", "value")
-        if margin is None and self.claimed(outcome) in ("equal", "no-less"):
+        if numbers["margin"] is None and self.claimed(outcome) in ("equal", "no-less"):
             raise wrong("the key 'margin' is missing: within it, a difference counts as none", "margin")
-        if margin is not None and margin >= 1 and self.is_incidence:
-            raise wrong(f"margin = {margin} is not allowed: below 1, as it is a share of runs", "margin")
+        for key, number in numbers.items():
+            if isinstance(number, str):
+                find_outcome(number)
+            elif self.is_incidence and not 0 <= (number or 0) < 1:
+                raise wrong(f"{key} = {number:g} is not allowed: a share of runs, 0 to 1", key)
 
 
 def pick(value: Any, *names: str) -> Any:

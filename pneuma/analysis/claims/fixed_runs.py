@@ -160,7 +160,7 @@ def find_claim_runs(
             found[key] = _find_runs(index, study, _amounts(claims.on(claim.study, world), claim.steps))
         data = found[key]
         rows: dict[str, list[Row]] = {}
-        for condition in claim.compared:
+        for condition in claim.a + claim.b:
             seeds = claim.seeds_of(condition)
             rows[condition] = [row for row in data.of_condition(condition) if row.seed in seeds]
         yield ClaimRuns(claim, study, data.configurations, rows, index.store.root)

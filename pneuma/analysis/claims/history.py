@@ -108,7 +108,7 @@ def _deciding_keys(text: str, name: str, world: str) -> Mapping[str, Any]:
         deciding["paired"] = claim.paired and bool(claim.b)
         deciding["value"] = [claim.value_of(world, outcome) for outcome in claim.outcome]
         deciding["margin"] = [claim.registered_margin_of(world, outcome) for outcome in claim.outcome]
-        deciding["seeds"] = [claim.seeds_of(condition) for condition in claim.compared]
+        deciding["seeds"] = [claim.seeds_of(condition) for condition in claim.a + claim.b]
         return deciding
     except (ValueError, LookupError, AttributeError, TypeError):
         return {}

@@ -172,7 +172,7 @@ def _label(claims: ClaimList, claim: Claim, changed: Sequence[str] | None) -> st
     """Return whether a claim was stated before its runs."""
     if claim.seen or {*(changed or ())} - {*HOW_MANY}:
         return DESCRIPTIVE
-    if min(min(claim.seeds_of(condition)) for condition in claim.compared) < claims.head.known_below:
+    if min(min(claim.seeds_of(condition)) for condition in claim.a + claim.b) < claims.head.known_below:
         return f"same runs as {claims.head.known_from}"
     return PREREGISTERED
 

@@ -51,32 +51,8 @@ WORLD_NAMES = {
 }
 """Heads of columns: text, published code, arena."""
 
-_OUTCOME_NAMES = {
-    "final-return": "return",
-    "auc-return": "return over training",
-    "final-share-killed": "kills",
-    "late-share-killed": "kills",
-    "auc-share-killed": "kills over training",
-    "late-one-action-time": "time in one action",
-    "lasting-one-action-step": "runs that come to stay in one action",
-    "late-slope": "late rise of kills",
-    "fall-from-best": "fall from the best",
-    "late-fall": "fall from the best five evaluations",
-    "shuffled-fall": "in random order",
-    "curve-roughness": "roughness",
-    "stuck-share": "updates with one action",
-    "mean-kl": "change of policy (KL)",
-    "final-died": "deaths",
-    "final-hp": "HP left",
-    "final-action-4": "strikes",
-    "grad-norm-growth": "gradient norm, end over beginning",
-    "log-max-grad-norm": "greatest gradient norm",
-    "one-action above 0.9": "runs with one action",
-    "low-entropy-share": "training without entropy",
-    "log-max-kl": "largest change of policy (KL)",
-    "early-explained-variance": "variance that the critic explains at first",
-}
-"""Outcomes and events in fewer words than `OUTCOMES` has."""
+_EVENTS = {"one-action above 0.9": "runs with one action"}
+"""Events in fewer words than the outcome and the number have."""
 MOST_LOG = 23.0
 """Factors above ten thousand million are shown as infinite."""
 _LOGARITHMS = ("grad-norm-growth", "log-max-grad-norm", "log-max-kl")
@@ -246,7 +222,7 @@ def effect(row: ClaimContrast) -> str:
     if row.b:
         text = f"{text.removesuffix(' %')} against {b}"
     elif isinstance(row.value, str):
-        text += f", {_OUTCOME_NAMES.get(row.value, row.value)} {b}"
+        text += f", {_outcome_words(row.value)} {b}"
     elif row.value:
         text += f", threshold {b}"
     return f"{text} ({'; '.join(brackets)})" if brackets else text
@@ -258,11 +234,11 @@ def _numbers(row: ClaimContrast) -> list[str]:
     is_share = row.claim.is_incidence or find_outcome(row.outcome).unit == "share"
     scale, unit = (100, " %") if is_share else (1, "")
     low, high, margin = scale * ends.low, scale * ends.high, scale * (row.margin or 0.0)
-    places = _places(scale * (contrast.means[0] - contrast.means[1]), low, high)
+    digits = _places(scale * (contrast.means[0] - contrast.means[1]), low, high)
     if is_share:
-        places = max(places, 0)
-    texts = [shown(scale * mean, places) + unit for mean in contrast.means]
-    texts += [_end(low, places), _end(high, places), shown(margin, decimals(margin) - 1)]
+        digits = max(digits, 0)
+    texts = [shown(scale * mean, digits) + unit for mean in contrast.means]
+    texts += [_end(low, digits), _end(high, digits), shown(margin, decimals(margin) - 1)]
     return [text.replace("-", "−") for text in texts]
 
 
@@ -275,11 +251,11 @@ def _factors(row: ClaimContrast) -> list[str]:
     return factors
 
 
-def _end(end: float, places: int) -> str:
+def _end(end: float, digits: int) -> str:
     """Return an end of an interval; one that would be 0 has a digit, which shows on which side of 0 it is."""
-    if math.isfinite(end) and end and round(end, places) == 0:
-        places = -math.floor(math.log10(abs(end)))
-    return shown(end, min(places, MOST))
+    if math.isfinite(end) and end and round(end, digits) == 0:
+        digits = -math.floor(math.log10(abs(end)))
+    return shown(end, min(digits, MOST))
 
 
 def _places(difference: float, low: float, high: float) -> int:
@@ -287,10 +263,10 @@ def _places(difference: float, low: float, high: float) -> int:
     half = (high - low) / 2
     if not half > 0:
         return decimals(difference)
-    places = min(MOST, -math.floor(math.log10(half / 2)))
-    if round(difference, places) == 0:
-        places += 1
-    return places
+    digits = min(MOST, -math.floor(math.log10(half / 2)))
+    if round(difference, digits) == 0:
+        digits += 1
+    return digits
 
 
 def _factor(log: float) -> str:
@@ -304,11 +280,9 @@ def _factor(log: float) -> str:
 def _name(row: ClaimContrast) -> str:
     """Return the words for an outcome of a contrast, after those for its pair of arms."""
     claim, outcome = row.claim, row.outcome
-    words = _OUTCOME_NAMES.get(outcome) or find_outcome(outcome).words
-    if outcome.startswith("steps-to:"):
-        words = f"steps to {100 * float(outcome.removeprefix('steps-to:')):g} % of the monsters"
+    words = _outcome_words(outcome)
     if claim.event:
-        words = _OUTCOME_NAMES.get(f"{outcome} {claim.event}", f"runs with {words} {claim.event}")
+        words = _EVENTS.get(f"{outcome} {claim.event}", f"runs with {words} {claim.event}")
     if claim.kind in ("spread", "range"):
         words = f"{claim.kind} of {words}"
     pair_names = claim.called[2:]
@@ -317,6 +291,12 @@ def _name(row: ClaimContrast) -> str:
     if claim.paired and pair_names:
         return f"{pair_names[claim.a.index(row.a[0])]}, {words}"
     return words
+
+
+def _outcome_words(name: str) -> str:
+    if name.startswith("steps-to:"):
+        return f"steps to {100 * float(name.removeprefix('steps-to:')):g} % of the monsters"
+    return find_outcome(name).short or find_outcome(name).words
 
 
 # --- Claims ----------------------------------------------------------------------------------------
