@@ -69,8 +69,8 @@ def test_the_pages_python_runs(tmp_path: Path) -> None:
 def test_a_users_script_passes_strict_types(tmp_path: Path) -> None:
     """A policy is a `PolicyPredictor`, and an answer has tables."""
     script = shutil.copy(Path(__file__).with_name("user_script.py"), tmp_path)
-    options = ["--strict", "--follow-imports=silent", "--cache-dir", ROOT / ".mypy_cache"]
-    command = [sys.executable, "-m", "mypy", *options, script]
+    options = ["--strict", "--follow-imports=silent", "--cache-dir", str(ROOT / ".mypy_cache")]
+    command = [sys.executable, "-m", "mypy", *options, str(script)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
 

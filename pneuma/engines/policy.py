@@ -163,10 +163,11 @@ class Policy:
         A model of Stable-Baselines3 does the same, so that its `evaluate_policy` can play a policy. The
         types are those of its `PolicyPredictor`. Sampled actions follow `numpy.random.seed`.
         """
-        rows = np.reshape(np.asarray(observation), (-1, self.features))
+        array = np.asarray(observation)
+        rows = array.reshape(-1, self.features)
         generator = np.random.default_rng(np.random.randint(2**31))
         actions = self.best(rows) if deterministic else self.sample(rows, generator)
-        if np.ndim(observation) == 1:
+        if array.ndim == 1:
             return actions[0], state
         return actions, state
 

@@ -106,7 +106,7 @@ def test_stable_baselines3_evaluates_a_stored_policy() -> None:
     lean = (np.array([[0.0, 0], [0, 0], [-1, 1], [-1, 1]], np.float32), np.zeros(2, np.float32))
     value = (np.zeros((4, 1), np.float32), np.zeros(1, np.float32))
     policy = Policy("tanh", (lean,), (value,))
-    returns, _ = evaluate_policy(policy, env, n_eval_episodes=3, return_episode_rewards=True, warn=False)  # type: ignore[arg-type]
+    returns, _ = evaluate_policy(policy, env, n_eval_episodes=3, return_episode_rewards=True, warn=False)
     assert min(np.array(returns)) > 100
     assert repr(policy) == "Policy(tanh, actor [4, 2], critic [4, 1])"
     actions, state = policy.predict(np.array([[0.0, 0, 1, 1], [0, 0, -1, 0]], np.float32), deterministic=True)
