@@ -134,6 +134,14 @@ def test_the_study_to_save_from_a_page_can_be_run(
     assert {cell.seed for cell in cells} == set(range(seeds))
 
 
+def test_pages_stay_short() -> None:
+    """A front page that is read to its end, and documentation that is read at all."""
+    texts = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
+    readme = texts.pop("README.md")
+    assert len(readme.split()) <= 900 and len(readme.splitlines()) <= 110
+    assert sum(len(text.split()) for text in texts.values()) <= 16_000
+
+
 def test_the_readme_names_the_pinned_torch() -> None:
     (version,) = re.findall(r" torch==(\S+)", (ROOT / "README.md").read_text(encoding="utf-8"))
     assert f"torch=={version}" in (ROOT / "constraints.txt").read_text(encoding="utf-8").split()
