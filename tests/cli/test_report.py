@@ -19,14 +19,12 @@ from pneuma.study.plan import Query, make_plan
 
 from .calls import described, save_finished
 
-pytestmark = pytest.mark.usefixtures("unshipped")
-
 Read = Callable[[bytes], Any]
 BUDGET = 1024
 
 
 @pytest.fixture
-def make(store: Store, tmp_path: Path, read_page: Read) -> Callable[..., Any]:
+def make_page(store: Store, tmp_path: Path, read_page: Read) -> Callable[..., Any]:
     """A function that makes the report of some studies and takes it apart."""
 
     def make(*names: str) -> Any:
@@ -37,6 +35,12 @@ def make(store: Store, tmp_path: Path, read_page: Read) -> Callable[..., Any]:
         return read_page(page)
 
     return make
+
+
+@pytest.fixture
+def make(make_page: Callable[..., Any], unshipped: None) -> Callable[..., Any]:
+    """The same, of a package without published tables."""
+    return make_page
 
 
 TWO = "tanh", "relu"
@@ -91,3 +95,24 @@ def test_a_study_with_runs_has_figures_conditions_runs_and_provenance(
     assert "What produced the runs: all by the same" in words  # though each started at a time of its own
     assert "torch 2.13.0" in words and "<b>fast</b>" in words
     assert [each.text for each in page.all("h2")] == ["Verdicts", "Activation function"]
+
+
+@pytest.mark.slow
+def test_under_a_verdict_are_its_preregistered_runs_whatever_was_run_last(
+    store: Store, make_page: Callable[..., Any]
+) -> None:
+    """Once the comparison above which the page prints "holds" was gone after a run on the side."""
+
+    def verdicts() -> str:
+        claim, *_ = [row for row in make_page("activation").all("tr") if "id" in row.attributes]
+        assert claim.attributes["id"] == "claim-tanh-better"
+        return str(claim.text)
+
+    store.root.mkdir()
+    before = verdicts()
+    assert "holds" in before and "From 60 runs" in before
+    assert "return 6,000 against 5,300 (200 to 1,300; ±690)\nkills 69 against 56 %" in before  # two lines
+    plan = make_plan(spec.load_study("activation"), Query(conditions=("tanh",), seeds=(0,), steps=BUDGET))
+    note_query(store, plan)
+    save_finished(store, plan.cells[0].run)
+    assert verdicts() == before
