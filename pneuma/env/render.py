@@ -241,13 +241,12 @@ class Renderer:
         arc = sprites.slash_picture(right - left + 1, bottom - top + 1, FACINGS[facing], moment)
         _, foot = self._place(0.0, _foot(player, player_stats))
         yield Item(max(foot, bottom) + 0.1, arc, left, top)
+        sword_foot = foot + 0.2
         if FACINGS[facing] == "up":
-            foot -= 0.2
-        else:
-            foot += 0.2
+            sword_foot = foot - 0.2
         sword = sprites.sword_picture(FACINGS[facing], moment)
         hilt = self._place(player["x"] + strike["hilt_x"][facing], player["y"] + strike["hilt_y"][facing])
-        yield _centred(foot, sword, *hilt)
+        yield _centred(sword_foot, sword, *hilt)
 
     def _flames(self, player: Any, player_stats: Any) -> Iterator[Item]:
         """Yield flames all over the box that burns, which die down in the last third."""

@@ -41,9 +41,10 @@ class OwnReward:
             module = load_module(module_name)
         except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
             raise UserError(f"reward {name!r}: {type(error).__name__}: {error}") from None
-        self.function: RewardFunction = getattr(module, function_name, None)
-        if not callable(self.function):
+        function: Any = getattr(module, function_name, None)
+        if not callable(function):
             raise UserError(f"reward {name!r}: module {module_name} has no function {function_name}")
+        self.function: RewardFunction = function
 
     def pay(self, events: np.ndarray, players: np.ndarray, player_stats: np.ndarray) -> np.ndarray:
         """Call the function and check its result: (N, P) numbers, finite for living players."""

@@ -50,7 +50,7 @@ class Worlds:
         self.player_stats = characters.player_stats(cast, _by_player(config.classes, config))
         if config.attack_ticks:
             self.player_stats["swing"] = config.attack_ticks
-        self.action_names = fields.ACTION_NAMES
+        self.action_names: tuple[str, ...] = fields.ACTION_NAMES
         if config.magic:
             self.action_names += fields.SPELL_NAMES
         self.levels = load_levels(config, characters.monster_codes(cast))

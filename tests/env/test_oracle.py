@@ -84,7 +84,8 @@ def overlaps(world: Oracle) -> set[tuple[int, ...]]:
     Nobody gets there. Players who begin at one place are inside each other; they may part, and not come back.
     """
     living: list[tuple[int, Player | Monster]] = []
-    for number, body in enumerate([*world.players, *world.monsters]):
+    bodies: list[Player | Monster] = [*world.players, *world.monsters]
+    for number, body in enumerate(bodies):
         if body.hp > 0.0:
             living.append((number, body))
     inside: set[tuple[int, ...]] = set()
