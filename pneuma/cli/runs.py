@@ -80,8 +80,8 @@ def _labels(index: RunIndex) -> dict[str, list[dict[str, Any]]]:
         if data.study.settings:
             about["settings"] = dict(data.study.settings)
         for run in data.runs[["run_id", "condition", "seed"]].to_dict("records"):
-            run_id = run.pop("run_id")
-            labels.setdefault(run_id, []).append(about | run)
+            label = {**about, "condition": run["condition"], "seed": run["seed"]}
+            labels.setdefault(run["run_id"], []).append(label)
     return labels
 
 
