@@ -66,6 +66,10 @@ class Curve:
             table = 10.0**table
         return table.assign(count=count).rename_axis("x").reset_index()
 
+    @property
+    def run_count(self) -> int:
+        return self.runs.shape[1]
+
     @cached_property
     def values(self) -> pd.DataFrame:
         """The known values of runs, or their logarithms."""

@@ -51,7 +51,6 @@ from pneuma.figures.words import (
     labels_of,
     looks_of,
     merge_notes,
-    named,
     notes_of,
     shown_conditions,
 )
@@ -136,7 +135,7 @@ class Column:
     """
 
     data: StudyData
-    how: Options
+    settings: Options
     looks: Mapping[str, Mapping[str, Any]]
     labels: Mapping[str, str]
     curves: Mapping[str, list[Curve]]
@@ -172,7 +171,7 @@ def curves_page(
         UserError: for more conditions than a panel can show, a quantity that the study's data does not have,
             or runs beside that are all of other environments.
     """
-    how = Options(**options)
+    settings = Options(**options)
     by_title = {"": studies} if isinstance(studies, StudyData) else studies
     datas = [*by_title.values()]
     data = datas[0]
@@ -180,39 +179,42 @@ def curves_page(
         advice = f"pick {MOST_IN_A_PANEL} at most by --condition, or --figure summary"
         raise UserError(f"study {data.study.name}: its conditions do not fit one panel: {advice}")
     default = default_quantities(data, beside)
-    names = [quantities] if isinstance(quantities, str) else [*dict.fromkeys(quantities)]
-    names = [*filter(None, names)] or default
-    known = {title: curve_names(study) for title, study in by_title.items()}
-    nowhere = {*names}.difference(*known.values())
+    if isinstance(quantities, str):
+        quantities = [quantities]
+    names = [*filter(None, dict.fromkeys(quantities))] or default
+    recorded = {title: curve_names(study) for title, study in by_title.items()}
+    nowhere = {*names}.difference(*recorded.values())
     study_curves(data, sorted(nowhere))  # refuses what no study has
     looks, labels = looks_of(datas), labels_of(datas)
     columns: dict[str, Column] = {}
     for title, study in by_title.items():
-        shown = [name for name in names if name in known[title]]
-        if shown:
-            columns[title] = _column(study, shown, beside, how, looks, labels)
+        shared = [name for name in names if name in recorded[title]]
+        if shared:
+            columns[title] = _column(study, shared, beside, settings, looks, labels)
     studies_beside = dict.fromkeys(column.beside for column in columns.values() if column.beside)
     if beside and not studies_beside:
-        own, others = (" and ".join(environments(study)) for study in (data, beside))
-        raise UserError(f"--beside {beside.study.name}: its runs are of {others}, and not of {own}")
-    panels: list[list[Panel | None]] = [[] for _ in names]
+        unlike = f"{' and '.join(environments(beside))}, and not of {' and '.join(environments(data))}"
+        raise UserError(f"--beside {beside.study.name}: its runs are of {unlike}")
+    rows: dict[str, list[Panel | None]] = {name: [] for name in names}
     entries: dict[str, Any] = {}
     for title, column in columns.items():
         entries |= _legend(column)
-        for row, name in zip(panels, names, strict=True):
-            panel = _panel(column, name) if name in column.curves else None
-            if panel and len(columns) > 1:
-                panel = replace(panel, title=title, y=QUANTITIES[name].title)
-            row.append(panel)
+        for name, row in rows.items():
+            if name not in column.curves:
+                row.append(None)
+            elif len(columns) > 1:
+                row.append(replace(_panel(column, name), title=title, y=QUANTITIES[name].title))
+            else:
+                row.append(_panel(column, name))
     notes = merge_notes({title: (column.data, _caption(column)) for title, column in columns.items()})
-    stem = basename or data.basename(*_differences(how, names, default, beside))
-    headline, inches, across = headline_of(data), PANEL_INCHES, 3
+    stem = basename or data.basename(*_differences(settings, names, default, beside))
+    panels, headline, inches, across = [*rows.values()], headline_of(data), PANEL_INCHES, 3
     if len(columns) > 1:
         headline, across = ": ".join(filter(None, [data.study.title, after_thesis(stem)])), 4
         if any("," in label.rpartition("(")[2] for label in labels.values()):
             notes.append("In brackets: runs in each column.")
     else:
-        panels = [[row[0] for row in panels]]
+        panels = [[panel for row in panels for panel in row]]
         if len(names) == 1:
             inches *= 1.2
     return Page(
@@ -224,7 +226,7 @@ def curves_page(
         entries=entries,
         caption=notes,
         across=across,
-        spare=len(columns) == 1 and not quantities,
+        spare=len(columns) == 1 and not any(quantities),
     )
 
 
@@ -247,40 +249,40 @@ def default_quantities(data: StudyData, beside: StudyData | None = None) -> list
     The return is that of evaluations, where both have it, in environments that are not Pneuma's, and where
     episodes are so long for the budget that a training curve has gaps.
     """
-    known = curve_names(data)
-    first, *others = DEFAULT_QUANTITIES
-    evaluated = EVALUATED in known and (beside is None or EVALUATED in curve_names(beside))
+    recorded = curve_names(data)
+    first, *more = DEFAULT_QUANTITIES
+    evaluated = EVALUATED in recorded and (beside is None or EVALUATED in curve_names(beside))
     if not have_one_return(data):
         first = "length"
-    elif evaluated and (is_foreign(data) or (first in known and _has_stubs(data, first))):
+    elif evaluated and (is_foreign(data) or (first in recorded and _has_stubs(data, first))):
         first = EVALUATED
-    return [name for name in (first, *others) if name in known] or known[:1] or ["return"]
+    return [name for name in (first, *more) if name in recorded] or recorded[:1] or ["return"]
 
 
 def _has_stubs(data: StudyData, quantity: str) -> bool:
     """Return whether in some condition all runs together have values at too few points for a line."""
     for curve in study_curves(data, [quantity])[quantity]:
-        whole = curve.runs.loc[:, np.logical_not(curve.diverged)].notna().all(axis=1)
-        if whole.sum() < LEAST_POINTS:
+        points = curve.runs.loc[:, np.logical_not(curve.diverged)].notna().all(axis=1)
+        if points.sum() < LEAST_POINTS:
             return True
     return False
 
 
 def _differences(
-    how: Options, names: Sequence[str], default: Sequence[str], beside: StudyData | None
+    settings: Options, names: Sequence[str], default: Sequence[str], beside: StudyData | None
 ) -> list[str]:
     """Return how a figure differs from the study's default one, for the name of its files."""
     parts: list[str] = []
     if names != default:
-        parts.append("-".join(names) if len(names) <= MOST_NAMED else f"{len(names)}-quantities")
-    if how.bands[0] != DEFAULT_BAND:
-        parts.append(how.bands[0])
-    if how.log:
+        parts += names if len(names) < MOST_NAMED else [f"{len(names)}-quantities"]
+    if settings.bands[0] != DEFAULT_BAND:
+        parts.append(settings.bands[0])
+    if settings.log:
         parts.append("log")
-    if how.x != STEPS:
-        parts.append(f"over-{how.x}")
-    if how.window == TRAILING_WINDOW:
-        parts.append(how.window)
+    if settings.x != STEPS:
+        parts.append(f"over-{settings.x}")
+    if settings.window == TRAILING_WINDOW:
+        parts.append(settings.window)
     if beside:
         parts += ["beside", beside.study.name]
     return parts
@@ -293,76 +295,79 @@ def _column(
     data: StudyData,
     names: Sequence[str],
     beside: StudyData | None,
-    how: Options,
+    settings: Options,
     looks: Mapping[str, Mapping[str, Any]],
     labels: Mapping[str, str],
 ) -> Column:
     """Return a study's curves; on a logarithmic axis, means and bands are of logarithms."""
-    curves = study_curves(data, names, how.window, how.x)
+    curves = study_curves(data, names, settings.window, settings.x)
     for name, group in curves.items():
-        if (how.log or QUANTITIES[name].kind == POWERS) and _reach(group)[1] > 0:
+        if (settings.log or QUANTITIES[name].kind == POWERS) and _reach(group)[1] > 0:
             curves[name] = [replace(curve, log=True) for curve in group]
-    column = Column(data, how, looks, labels, curves)
-    others = in_environment_of(data, beside) if beside else None
-    if others is None:
+    column = Column(data, settings, looks, labels, curves)
+    others = beside and in_environment_of(data, beside)
+    if not others:
         return column
-    window = how.window if how.window in others.windows else others.windows[0]
-    known = [name for name in names if name in curve_names(others)]
-    if not known:
+    window = settings.window
+    if window not in others.windows:
+        window = None
+    recorded = curve_names(others)
+    shared = [name for name in names if name in recorded]
+    if not shared:
         raise UserError(f"study {others.study.name} has no {' or '.join(names)} to draw beside")
-    return replace(column, beside=others, beside_curves=study_curves(others, known, window, how.x))
+    return replace(column, beside=others, beside_curves=study_curves(others, shared, window, settings.x))
 
 
 def _panel(column: Column, name: str) -> Panel:
     quantity = QUANTITIES[name]
-    title, label, kind = quantity.title, quantity.label, quantity.kind
+    title, label, scale = quantity.title, quantity.label, quantity.kind
     if column.data.averaged_over:  # in the log
-        label = label.replace(" of an episode", f", {_window(column.data, column.how)}")
+        label = label.replace(" of an episode", f", {_window(column.data, column.settings)}")
     if name.startswith("action_") and is_foreign(column.data):
         title = f"Share of action {name.removeprefix('action_')}"
     if column.curves[name][0].log:
-        kind = POWERS
-    elif kind == POWERS:
-        kind = VALUES
-    return Panel(partial(_draw, column, name), title, X_LABELS[column.how.x], label, y_kind=kind)
+        scale = POWERS
+    elif scale == POWERS:
+        scale = VALUES
+    return Panel(partial(_draw, column, name), title, X_LABELS[column.settings.x], label, y_kind=scale)
 
 
 def _draw(column: Column, name: str, axes: Axes) -> None:
-    data, how, curves, others = (
+    data, settings, curves, others = (
         column.data,
-        column.how,
+        column.settings,
         column.curves[name],
         column.beside_curves.get(name, []),
     )
-    kind, bounds = QUANTITIES[name].kind, QUANTITIES[name].bounds
+    unit, bounds = QUANTITIES[name].kind, QUANTITIES[name].bounds
     if name in ("return", EVALUATED):
         bounds = RETURN_BOUNDS.get(" ".join(environments(data)), bounds)
-    lines = sum(curve.runs.shape[1] for curve in curves)
+    lines = sum(curve.run_count for curve in curves)
     for curve in curves:
         look = column.looks[curve.condition]
-        for band in how.bands:
+        for band in settings.bands:
             frame = curve.frame(band)
             if band == INTERVAL:  # where some runs have no value, the remaining ones are no fair sample
-                frame[["low", "high"]] = frame[["low", "high"]].where(frame["count"] == curve.runs.shape[1])
+                frame[["low", "high"]] = frame[["low", "high"]].where(frame["count"] == curve.run_count)
             grid.draw_band(axes, frame, bounds, color=look["color"], alpha=DARK if band == INTERVAL else PALE)
-        if _shows_runs(curve, how.bands[0]):
+        if _shows_runs(curve, settings.bands[0]):
             width, opacity = 0.3 * mpl.rcParams["lines.linewidth"], 0.4 * min(1.0, MANY_RUNS / lines)
             axes.plot(curve.runs, color=look["color"], linewidth=width, alpha=opacity, zorder=1.4)
         _draw_centre(axes, curve, look, column.labels[curve.condition])
     if column.beside:
         _draw_beside(axes, others, column.beside, column.looks)
     low, high = _reach([*curves, *others])
-    if kind == SHARES:
+    if unit == SHARES:
         low = 0.0
-    grid.draw_random_player(axes.axhline, random_levels(data, name).values(), (low, high), kind)
-    returns = random_returns(data) if name == "return" and how.x == STEPS else None
-    if returns is not None:
-        axes.plot(returns, label=grid.RANDOM_PLAYER, **grid.RANDOM_LOOK)
-    ends = [float(curve.runs.index.max()) for curve in (*curves, *others)]
-    if how.x == STEPS:
-        ends.append(data.budget)
-    axes.set_xlim(0, max(ends))
-    if kind == SHARES and not how.log:
+    grid.draw_random_player(axes.axhline, random_levels(data, name).values(), (low, high), unit)
+    end = max(float(curve.runs.index.max()) for curve in (*curves, *others))
+    if settings.x == STEPS:
+        end = max(end, data.budget)
+        returns = random_returns(data)
+        if name == "return" and returns is not None:
+            axes.plot(returns, label=grid.RANDOM_PLAYER, **grid.RANDOM_LOOK)
+    axes.set_xlim(0, end)
+    if unit == SHARES and not settings.log:
         top = min(max(axes.get_ylim()[1], 0.01), 1 + grid.BELOW_ZERO)
         axes.set_ylim(-grid.BELOW_ZERO * top, top)
 
@@ -372,7 +377,7 @@ def _draw_centre(axes: Axes, curve: Curve, look: Mapping[str, Any], label: str) 
     frame, width = curve.frame(), mpl.rcParams["lines.linewidth"]
     every = max(len(frame) // MARKED_POINTS, 1)
     first = MARKERS.index(look["marker"]) * every // len(MARKERS) % every  # no two meet
-    whole = frame["centre"].where(frame["count"] == curve.runs.shape[1])
+    whole = frame["centre"].where(frame["count"] == curve.run_count)
     (line,) = axes.plot(
         frame["x"], whole, label=label, markersize=2.2 * width, markevery=(first, every), clip_on=False,
         zorder=2.2, **look,
@@ -387,14 +392,14 @@ def _draw_beside(
     axes: Axes, curves: Sequence[Curve], data: StudyData, looks: Mapping[str, Mapping[str, Any]]
 ) -> None:
     """Draw the runs of another study: in the colours of conditions that have their names, or else in grey."""
-    unlike = sum(curve.runs.shape[1] for curve in curves if curve.condition not in looks)
+    unlike = sum(curve.run_count for curve in curves if curve.condition not in looks)
     opacity = min(1.0, MANY_RUNS / len(data.runs))
     for curve in curves:
         colour, label = BESIDE_COLOUR, f"{data.full_title} ({unlike})"
         if curve.condition in looks:
             name = data.study.labels.get(curve.condition, curve.condition)
             colour = looks[curve.condition]["color"]
-            label = f"{name}, {data.full_title} ({curve.runs.shape[1]})"
+            label = f"{name}, {data.full_title} ({curve.run_count})"
             opacity *= 0.6
         axes.plot(
             curve.runs, label=label, color=colour, alpha=opacity, linewidth=0.7, linestyle=(0, (3, 1)),
@@ -404,16 +409,17 @@ def _draw_beside(
 
 def _reach(curves: Iterable[Curve]) -> tuple[float, float]:
     """Return the least and greatest value of any run; 0 if none has a value."""
-    values = np.concatenate([curve.runs.to_numpy().ravel() for curve in curves])
-    known = values[np.isfinite(values)]
-    if not len(known):
-        return 0.0, 0.0
-    return float(known.min()), float(known.max())
+    low, high = np.inf, -np.inf
+    for curve in curves:
+        values = curve.runs.to_numpy()
+        finite = values[np.isfinite(values)]
+        low, high = finite.min(initial=low), finite.max(initial=high)
+    return (0.0, 0.0) if low > high else (float(low), float(high))
 
 
 def _shows_runs(curve: Curve, band: str) -> bool:
     """Return whether every run is drawn: if the band says so, runs are few, or it rarely covers the mean."""
-    count = curve.runs.shape[1]
+    count = curve.run_count
     if band in (NO_BAND, RUNS):
         return band == RUNS
     return 1 < count < LEAST_RUNS or count < BANDS[band].enough_runs
@@ -424,12 +430,14 @@ def _shows_runs(curve: Curve, band: str) -> bool:
 
 def _legend(column: Column) -> dict[str, Any]:
     """Return the artists of the legend that describe means, bands and runs, by their words."""
-    bands = column.how.bands
-    most = max(curve.runs.shape[1] for curve in column.all_curves)
+    bands = column.settings.bands
+    most = max(curve.run_count for curve in column.all_curves)
     entries: dict[str, Any] = {"mean of (n) runs": Line2D([], [], color=style.INK, linewidth=1.6)}
     for band in bands:
         if BANDS[band].label and most >= BANDS[band].least_runs:
-            opacity = PALE if band != INTERVAL else DARK + PALE * (len(bands) - 1)  # one lies in the other
+            opacity = PALE
+            if band == INTERVAL:
+                opacity = DARK + PALE * (len(bands) - 1)  # one lies in the other
             entries[BANDS[band].label] = Patch(color=style.INK, alpha=opacity, linewidth=0)
     if any(_shows_runs(curve, bands[0]) for curve in column.all_curves):
         entries[BANDS[RUNS].label] = Line2D([], [], color=style.INK, linewidth=0.5, alpha=0.5)
@@ -438,45 +446,43 @@ def _legend(column: Column) -> dict[str, Any]:
 
 def _caption(column: Column) -> list[str]:
     """Return the notes on a study and on what is drawn of it, the most important first."""
-    data, how, curves = column.data, column.how, column.all_curves
+    data, settings, curves = column.data, column.settings, column.all_curves
     notes = notes_of(data, bool({"return", EVALUATED} & {*column.curves}), column.beside)
-    if any(curve.stops for curve in curves):
-        notes.append("×: a run diverged, and its curve ends there.")
-    if any(_has_gaps(curve) for curve in curves):
-        notes.append("Faint, without an interval: some run has no value there.")
-    if any(curve.log for curve in curves):
-        notes.append("On logarithmic axes means and bands are of logarithms, without values of 0 or below.")
     for name, group in column.curves.items():
-        if how.log and not group[0].log:
+        if settings.log and not group[0].log:
             notes.append(f"{QUANTITIES[name].title}: no value is above 0, so the axis is linear.")
-    least, few = BANDS[how.bands[0]].least_runs, dict[str, None]()
-    blank = dict[str, None]()
+    least = BANDS[settings.bands[0]].least_runs
     for curve in curves:
-        if how.band and curve.runs.shape[1] < least:
-            few[f"{curve.condition} ({counted(curve.runs.shape[1], 'run')})"] = None
+        runs = f"{curve.condition} ({counted(curve.run_count, 'run')})"
+        if curve.stops:
+            notes.append("×: a run diverged, and its curve ends there.")
+        if _has_gaps(curve):
+            notes.append("Faint, without an interval: some run has no value there.")
+        if curve.log:
+            notes.append(
+                "On logarithmic axes means and bands are of logarithms, without values of 0 or below."
+            )
+        if settings.band and curve.run_count < least:
+            notes.append(f"The band {settings.band} needs {counted(least, 'run')}: not drawn for {runs}.")
         if curve.values.isna().all().any():
-            blank[curve.condition] = None
-    if few:
-        notes.append(
-            f"The band {how.band} needs {counted(least, 'run')}, and is not drawn for {', '.join(few)}."
-        )
-    if blank:
-        notes.append(f"Some runs have no value in a panel, and count in no mean there: of {named([*blank])}.")
+            notes.append(f"Some of {runs} have no value in a panel, and count in no mean there.")
     if {*column.curves} & {*EPISODE_QUANTITIES}:
-        notes.append(f"Returns and lengths: {_window(data, how)}.")
+        notes.append(f"Returns and lengths: {_window(data, settings)}.")
     if {*column.curves} & {*UPDATE_QUANTITIES}:
         notes.append(f"Updates: {OF_BUDGET}.")
     if column.beside and column.beside.averaged_over is not None:
         name = column.beside.study.name
-        notes.append(f"{name}: {_window(column.beside, how)}. The environment of {name} is not recorded.")
-    return [*notes, X_NOTES[how.x]]
+        notes.append(
+            f"{name}: {_window(column.beside, settings)}. The environment of {name} is not recorded."
+        )
+    return [*notes, X_NOTES[settings.x]]
 
 
-def _window(data: StudyData, how: Options) -> str:
+def _window(data: StudyData, settings: Options) -> str:
     """Return what a point of a study's returns is the mean of."""
     if data.averaged_over == 1:
         return "as logged"
-    if data.averaged_over or (how.window or data.windows[0]) == TRAILING_WINDOW:
+    if data.averaged_over or (settings.window or data.windows[0]) == TRAILING_WINDOW:
         return f"mean of the last {data.averaged_over or 100} episodes"
     return OF_BUDGET
 

@@ -38,7 +38,7 @@ BELOW_ZERO = 0.02
 CAPTION_LINES = 5
 LONGEST_LABEL = 40
 """Most letters in a line of a row's label."""
-AXIS_INCHES = 0.5
+AXIS_INCHES = 0.4
 """Width of the labels of an upright axis with values."""
 NARROW = 2.0
 """Inches of a panel in which the labels of three ticks fit, and no more."""
@@ -130,14 +130,18 @@ def _draw(page: Page, look: Look) -> Figure:
         width = (look.width - longest * text_points() / 160) / across
     labels = {panel.x for row in panels for panel in row if panel}
     shared = labels.pop() if across > 1 and len(labels) == 1 else ""
+
+    def at(row: int, column: int) -> Panel | None:
+        if min(row, column) < 0 or row >= len(panels):
+            return None
+        return panels[row][column]
+
     for row, column in np.ndindex(grid.shape):
         panel, axes = panels[row][column], grid[row, column]
         if panel is None:
             axes.remove()
             continue
-        left = panels[row][column - 1] if column else None
-        above = panels[row - 1][column] if row else None
-        below = panels[row + 1][column] if row + 1 < len(panels) else None
+        left, above, below = at(row, column - 1), at(row - 1, column), at(row + 1, column)
         if left and left.y == panel.y:
             panel = replace(panel, y="")
         if left and panel.rows and left.rows == panel.rows:
@@ -223,7 +227,9 @@ def _put_texts(figure: Figure, page: Page, look: Look, x_label: str) -> Figure:
         labels[textwrap.fill(label, wide - 8)] = artist
     longest = max(map(len, labels), default=0)
     columns = max(1, min(len(labels), wide // (longest + 8)))  # a handle is as wide as 8 letters
-    rows = math.ceil(len(labels) / columns) if columns > 1 else "\n".join(labels).count("\n") + bool(labels)
+    rows = math.ceil(len(labels) / columns)
+    if columns == 1:
+        rows += sum(label.count("\n") for label in labels)
     notes = textwrap.wrap(
         caption, characters(CAPTION * points, look.width), max_lines=CAPTION_LINES, placeholder=" …"
     )
@@ -265,8 +271,10 @@ def _draw_fewer(page: Page, look: Look, rows: int, least: float) -> Figure:
     panels = [panel for row in page.grid for panel in row]
     kept = max(rows, 1) * len(_arrange(page, look.width)[0])
     if not page.spare or kept >= len(panels):
-        advice = "" if look.plain else "; --plain has no headline and caption"
-        raise UserError(f"--height {look.height:g}: at least {math.ceil(10 * least) / 10:.1f} inches{advice}")
+        message = f"--height {look.height:g}: at least {math.ceil(10 * least) / 10:.1f} inches"
+        if not look.plain:
+            message += "; --plain has no headline and caption"
+        raise UserError(message)
     print_aside(f"Note: {kept} of {len(panels)} panels fit the height; --quantity names another.")
     return _draw(replace(page, grid=[panels[:kept]]), look)
 
@@ -279,8 +287,11 @@ def _legend_entries(figure: Figure, more: Mapping[str, Any]) -> dict[str, Any]:
             entries[label] = artist
     entries.update(more)
     levels = [label for label in entries if label.startswith(RANDOM_PLAYER)]
-    for label in levels:  # without its level if panels have several
-        entries[label if len(levels) == 1 else RANDOM_PLAYER] = entries.pop(label)
+    for label in levels:
+        artist = entries.pop(label)
+        if len(levels) > 1:  # panels have several levels
+            label = RANDOM_PLAYER
+        entries[label] = artist
     return entries
 
 
@@ -301,8 +312,10 @@ def draw_random_player(
     """
     low, high = reach
     for level in {*levels}:
-        words = per_cent(level) if unit == SHARES else number(level)
-        label = f"{RANDOM_PLAYER} ({words})" if len({*levels}) == 1 else RANDOM_PLAYER
+        label = RANDOM_PLAYER
+        if len({*levels}) == 1:
+            words = per_cent(level) if unit == SHARES else number(level)
+            label += f" ({words})"
         if max(level - high, low - level) <= FAR * (high - low) or low == high:
             draw_line(level, label=label, **RANDOM_LOOK)
 

@@ -163,10 +163,10 @@ def _random_levels(data: StudyData, outcome: str) -> dict[str, float]:
         return random_levels(data, "share_killed")
     if outcome == "evaluated-return":
         return random_levels(data, "evaluated_return")
-    returns = random_returns(data) if outcome == WITHOUT_EVALUATIONS else None
-    if returns is None or returns.empty:
+    returns = random_returns(data)
+    if outcome != WITHOUT_EVALUATIONS or returns is None or returns.empty:
         return {}
-    return dict.fromkeys(data.conditions, float(returns.iloc[-1]))
+    return {"": float(returns.iloc[-1])}
 
 
 def _offsets(values: np.ndarray, reach: float) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -26,7 +27,9 @@ def headline_of(data: StudyData, shown: str = "") -> str:
 
 def after_thesis(figure: str) -> str:
     counterpart = re.match(r"fig-(\d)-(\d)(?!\d)", figure)
-    return f"after the thesis's Fig. {counterpart[1]}.{counterpart[2]}" if counterpart else ""
+    if counterpart is None:
+        return ""
+    return f"after the thesis's Fig. {counterpart[1]}.{counterpart[2]}"
 
 
 def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = None) -> list[str]:
@@ -45,7 +48,9 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
     if len(engines) > 1:
         parts = [f"{engine} ({named(names)})" for engine, names in sorted(engines.items())]
         notes.append(f"Conditions were trained by different engines: {', '.join(parts)}.")
-    units = kinds_of_return(data).union(kinds_of_return(beside) if beside else ())
+    units = kinds_of_return(data)
+    if beside:
+        units |= kinds_of_return(beside)
     if returns and len(units) > 1:
         notes.append("Returns of unlike rewards, or of more players, cannot be compared.")
     missing: list[str] = []
@@ -78,7 +83,7 @@ def merge_notes(columns: Mapping[str, tuple[StudyData, Iterable[str]]]) -> list[
     for title, (data, notes) in columns.items():
         if len(columns) > 1 and data.study.settings:
             notes = [f"runs with {shown_settings(data.study.settings)}.", *notes]
-        for note in filter(None, notes):
+        for note in dict.fromkeys(filter(None, notes)):
             titles_by_note.setdefault(note, []).append(title)
     merged: list[str] = []
     for note, titles in titles_by_note.items():
@@ -106,8 +111,9 @@ def labels_of(studies: Sequence[StudyData], short: Mapping[str, str] | None = No
         for data in studies:
             label = data.study.labels.get(condition, label)
             counts.append(len(data.of_condition(condition)))
-        alike = counts[:1] if len({*counts}) == 1 else counts
-        labels[condition] = f"{label} ({', '.join(map(str, alike))})"
+        if len({*counts}) == 1:
+            counts = counts[:1]
+        labels[condition] = f"{label} ({', '.join(map(str, counts))})"
     return labels
 
 
@@ -118,28 +124,33 @@ def looks_of(studies: Sequence[StudyData]) -> dict[str, dict[str, Any]]:
     study keeps the colours of the whole. Conditions that differ only in crossed factors have one colour:
     `tanh` is blue under every limit.
     """
-    kinds: dict[str, str] = {}
-    own: dict[str, str] = {}
+    groups: dict[str, str] = {}
+    named_colours: dict[str, str] = {}
     for data in studies:
         for condition in (*data.study.conditions, *data.conditions):
-            kind = kinds.setdefault(condition, _kind(data.study, condition))
-            colour = data.study.colors.get(condition) or data.study.colors.get(kind)
+            group = groups.setdefault(condition, _group(data.study, condition))
+            colour = data.study.colors.get(condition) or data.study.colors.get(group)
             if colour:
-                own.setdefault(condition, colour)
-    if len({*kinds.values()}) > MOST_IN_A_PANEL:
-        kinds = {name: kinds[name] for name in shown_conditions(studies)}
-    free = [f"C{place}" for place in range(len(kinds) + len(own)) if f"C{place}" not in own.values()]
-    by_kind: dict[str, str] = {}
+                named_colours.setdefault(condition, colour)
+    if len({*groups.values()}) > MOST_IN_A_PANEL:
+        groups = {name: groups[name] for name in shown_conditions(studies)}
+    free_colours = (f"C{number}" for number in itertools.count())
+    group_colours: dict[str, str] = {}
     looks: dict[str, dict[str, Any]] = {}
-    for condition, kind in kinds.items():
-        colour = own.get(condition) or by_kind.get(kind) or by_kind.setdefault(kind, free.pop(0))
-        alike = sum(look["color"] == colour for look in looks.values())
-        marker = MARKERS[len(looks) % len(MARKERS)]
-        looks[condition] = {"color": colour, "marker": marker, "linestyle": LINES[alike % len(LINES)]}
+    used: list[str] = []
+    for condition, group in groups.items():
+        colour = named_colours.get(condition) or group_colours.get(group)
+        while colour is None or (colour in named_colours.values() and condition not in named_colours):
+            colour = next(free_colours)
+        if condition not in named_colours:
+            group_colours[group] = colour
+        marker, line = MARKERS[len(looks) % len(MARKERS)], LINES[used.count(colour) % len(LINES)]
+        looks[condition] = {"color": colour, "marker": marker, "linestyle": line}
+        used.append(colour)
     return looks
 
 
-def _kind(study: Study, condition: str) -> str:
+def _group(study: Study, condition: str) -> str:
     """Return the condition of a crossed study's file that a condition is of, or its last factor's value."""
     levels = study.levels.get(condition, {})
     return levels.get(CONDITION) or [condition, *levels.values()][-1]

@@ -161,7 +161,7 @@ def test_a_band_that_was_asked_for_is_drawn_or_named_as_lacking(tmp_path: Path, 
         assert len(drawn[-1].axes[0].collections) == 1 and _lines_of_runs(drawn[-1], 0) == 4
     study.draw(tmp_path, band="ci")
     assert not drawn[-1].axes[0].collections and _lines_of_runs(drawn[-1], 0) == 4
-    assert "The band ci needs 5 runs, and is not drawn for tanh (4 runs)." in words(drawn[-1])
+    assert "The band ci needs 5 runs: not drawn for tanh (4 runs)." in words(drawn[-1])
 
 
 def test_a_diverged_run_counts_and_ends_in_a_cross(
