@@ -96,7 +96,7 @@ def run_study(
 
 def plan_study(query: plan.Query, store: Store, say: Say = silent) -> plan.Plan:
     """Plan the runs of a query to train, after `say` was called with the user's own code that they run."""
-    study = spec.load_study(query.study, query.world, kept=store.studies)
+    study = spec.load_study(query.study, query.world, copies=store.studies)
     if query.preset == spec.LAST:
         query = on_top_of_last(store, study.name, study.world, query)
     fields = [study.fields(condition, query.settings) for condition in study.conditions]

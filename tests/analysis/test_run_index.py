@@ -194,7 +194,7 @@ def test_a_results_folder_alone_has_a_study_of_ones_own_and_a_changed_module_is_
     lines: list[str] = []
     assert len(open_study(RunIndex(store), Query(study="mine"), say=lines.append).runs) == 1
     assert lines[-1].endswith(": 1 of 2 runs (1 by another version).")
-    new = make_plan(load_study("mine", kept=store.studies), Query(seeds=(0,))).cells[0].run
+    new = make_plan(load_study("mine", copies=store.studies), Query(seeds=(0,))).cells[0].run
     save_finished(store, new)
     open_study(RunIndex(store), Query(study="mine"), say=lines.append)
     assert lines[-1].endswith(": 1 of 2 runs.")
