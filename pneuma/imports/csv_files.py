@@ -137,9 +137,11 @@ def _read_runs(path: Path, shared: Path, text: str, columns: Columns) -> Iterato
     if columns.seed in table:
         runs["seed"] = _whole_numbers(path, table[columns.seed])
     elif columns.seed:
-        runs["seed"] = _read_seed(columns.seed, list(table))
+        runs["seed"] = _read_seed(columns.seed, list(table.columns))
     values = {column: _numbers(path, table[column]) for column in quantities}
-    for (condition, seed), rows in runs.groupby(["condition", "seed"], sort=False).groups.items():
+    for _, cells in runs.groupby(["condition", "seed"], sort=False):
+        condition, seed = str(cells["condition"].iloc[0]), int(cells["seed"].iloc[0])
+        rows = cells.index
         name = f"{condition} with seed {seed}"
         notes, points = [], []
         for column, quantity in quantities.items():
@@ -156,7 +158,7 @@ def _read_runs(path: Path, shared: Path, text: str, columns: Columns) -> Iterato
             points.append(pd.DataFrame({"tag": tag, "step": steps[finite.index], "value": finite}))
         log = _make_log(
             f"{path.name}, {name}",
-            (str(condition), int(seed)),
+            (condition, seed),
             points,
             [text],
             averaged_over=columns.averaged_over,
@@ -183,17 +185,17 @@ def _columns_to_choose(path: Path, table: pd.DataFrame) -> str:
     """Return which columns a table has, and a command with those that their names suggest."""
     words = ["pneuma", "import", "csv", str(path)]
     for option, pattern in SUGGESTED.items():
-        names = [name for name in table if re.fullmatch(pattern, name.lower())]
+        names = [name for name in table.columns if re.fullmatch(pattern, name.lower())]
         if len(names) == 1:
             words += [option, names[0]]
         elif option in ("--step", "--value"):
             words += [option, "COLUMN"]
-    return f"{path}: choose from its columns {', '.join(table)}, as in {shlex.join(words)}"
+    return f"{path}: choose from its columns {', '.join(table.columns)}, as in {shlex.join(words)}"
 
 
 def _find_column(table: pd.DataFrame, option: str, name: str) -> pd.Series:
     if name not in table:
-        raise unknown_name(f"column in {option}", name, list(table))
+        raise unknown_name(f"column in {option}", name, list(table.columns))
     return table[name]
 
 

@@ -133,7 +133,7 @@ class RunIndex:
         return runs
 
     def _read_row(self, run_id: str) -> Row | None:
-        where = self.frame.at[run_id, "where"]
+        where = str(self.frame.at[run_id, "where"])
         if where:
             return next((row for _, row in self._published(run_id, where)), None)
         try:

@@ -57,7 +57,8 @@ def last_query(store: Store, study: str, world: str) -> Query | None:
     try:
         note = TypeAdapter(_Note).validate_python(_notes(store, study).get(world))
         settings = read_settings(note["settings"])
-        return Query(study=study, world=checked_world(world), **{**note, "settings": settings})
+        fields: dict[str, Any] = {**note, "settings": settings}
+        return Query(study=study, world=checked_world(world), **fields)
     except (ValidationError, UserError):
         return None
 

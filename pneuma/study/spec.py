@@ -234,7 +234,12 @@ class Study(Table):
     def without_file(cls, name: str, title: str, conditions: Iterable[str], **changes: Any) -> Study:
         """Return a study whose runs are listed; the first condition is the baseline."""
         empty: dict[str, dict[str, Any]] = {condition: {} for condition in conditions}
-        fields = {"baseline": next(iter(empty)), "figure": name, "presets": {}, "worlds": tuple(WORLDS)}
+        fields: dict[str, Any] = {
+            "baseline": next(iter(empty)),
+            "figure": name,
+            "presets": {},
+            "worlds": tuple(WORLDS),
+        }
         fields.update(changes)
         return cls.model_construct(name=name, title=title, conditions=empty, **fields)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -118,7 +119,12 @@ def test_evaluations_elsewhere_play_few_steps_beside_the_run_s(
     trainer = Unchanging(run)
     played = []
     step_one = GymnasiumSlots.step_one
-    monkeypatch.setattr(GymnasiumSlots, "step_one", lambda *own: played.append(1) or step_one(*own))
+
+    def counted_step(slots: GymnasiumSlots, *arguments: Any) -> Any:
+        played.append(1)
+        return step_one(slots, *arguments)
+
+    monkeypatch.setattr(GymnasiumSlots, "step_one", counted_step)
     rows = [trainer.evaluate(update) for update in sorted(evaluation_updates(run))]
     assert len(rows) == count
     assert len(played) <= 0.6 * steps

@@ -62,6 +62,8 @@ def play_slots(env: Any, players: int, moves: np.ndarray) -> Steps:
     """Yield what each step returns to the slots; moves (steps, slots)."""
     reset(env)
     playing = np.ones(env.num_envs, bool)
+    finals: Any
+    observations: Any
     for actions in moves:
         if isinstance(env, PneumaVecEnv):
             observations, rewards, dones, infos = env.step(actions)
@@ -74,7 +76,7 @@ def play_slots(env: Any, players: int, moves: np.ndarray) -> Steps:
         ended = terminated | truncated
         result = {}
         for slot in np.flatnonzero(playing).tolist():
-            last = finals[slot] if ended[slot] else observations[slot]
+            last: Any = finals[slot] if ended[slot] else observations[slot]
             assert not ended[slot] or last.base is None, "who keeps one keeps all slots'"
             result[slot] = (last, rewards[slot], terminated[slot], truncated[slot])
         yield result
@@ -270,6 +272,8 @@ def test_a_slot_whose_player_dies_ends_at_once_and_idles_till_its_world_ends(mod
     observations, rewards, terminated, truncated, infos = env.step(stand)
     assert terminated.tolist() == [False, True, False, False] and not truncated.any()
     assert rewards.tolist() == [-1, 0, -1, -1]
+    final_infos: Any
+    flags: Any
     last, final_infos, flags = observations[1], infos, infos.get("_ending")
     if mode == AutoresetMode.SAME_STEP:
         last, final_infos, flags = infos["final_obs"][1], infos["final_info"], infos["_final_obs"]
@@ -344,6 +348,7 @@ def test_the_checkers_of_three_libraries_find_nothing(env_id: str, monkeypatch: 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # PettingZoo's tests import deprecated games
         from pettingzoo.test import parallel_api_test, parallel_seed_test
-    for settings in ({}, {"magic": True, "shared_reward": True}):
+    choices: tuple[dict[str, Any], ...] = {}, {"magic": True, "shared_reward": True}
+    for settings in choices:
         parallel_api_test(PneumaParallelEnv(env_id, players=3, **settings), num_cycles=100)
     parallel_seed_test(lambda: PneumaParallelEnv(env_id, players=3), num_cycles=100)
