@@ -90,14 +90,14 @@ test: lint  ## Check style and types, and run the fast tests
 	$(BIN)/python -m pytest -m 'not slow' -n auto --dist loadfile
 
 storm: $(TESTED)  ## Kill and damage studies at random, and compare every bit
-	$(BIN)/python -m tests.study.storm
+	$(BIN)/python -m tests.training.storm
 
 test-all: test docs release-check slow-0 slow-1 slow-2  ## The same, then the slow tests, links of pages, and archives
 
 # The slow tests in three parts; .ci/run runs one of them, by the day of the year.
 SLOW_0 = tests/test_*.py tests/env tests/figures
 SLOW_1 = tests/engines tests/search
-SLOW_2 = tests/study
+SLOW_2 = tests/study tests/store tests/training
 
 slow-0 slow-1 slow-2: slow-%: $(TESTED)
 	$(BIN)/python -m pytest -m slow $(SLOW_$*)

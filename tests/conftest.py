@@ -13,7 +13,7 @@ import pytest
 from pneuma.store.store import Store
 from pneuma.training.executors.local import worker_environment
 
-from .training import training_here
+from .training_here import training_here
 
 # As workers do: on one thread each, since several share the cores, and keeping what JAX compiles for others.
 os.environ.update(worker_environment())
@@ -37,7 +37,7 @@ def store(tmp_path: Path) -> Store:
 
 @pytest.fixture
 def trains_here() -> Iterator[None]:
-    """Let commands train in this process; see `training.py`."""
+    """Let commands train in this process; see `training_here.py`."""
     with training_here():
         yield
 

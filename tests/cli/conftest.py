@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ..training import training_here
+from ..training_here import training_here
 from .calls import TINY, printed
 
 

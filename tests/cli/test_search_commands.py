@@ -16,7 +16,7 @@ from pneuma.study.plan import Plan
 from pneuma.study.shipped import studies_folder
 from pneuma.training.execute import CellResult
 
-from ..training import training_here
+from ..training_here import training_here
 from .calls import call, described, printed, refused
 
 pytestmark = pytest.mark.usefixtures("trains_here")

@@ -1,6 +1,6 @@
 """The storm: studies killed at random moments and damaged in every file end with the same bits.
 
-    python -m tests.study.storm [KILLS]     the whole of it, as `make storm` runs it
+    python -m tests.training.storm [KILLS]     the whole of it, as `make storm` runs it
 
 `test_storm.py` runs a short form. Everything here goes through the command that people use, in
 processes of its own, and compares with a study that nobody disturbed.

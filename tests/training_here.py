@@ -1,8 +1,8 @@
 """Training in this process, for tests of what is made of runs and not of how processes are supervised.
 
 A worker of its own costs seconds before its first step: libraries are imported and programs compiled anew.
-What is here does as `study.executors.local` does, with the worker's own code, but for processes, signals and
-second tries. `study/test_execute.py` and `study/test_supervision.py` have the real ones.
+What is here does as `training.executors.local` does, with the worker's own code, but for processes, signals
+and second tries. `training/test_execute.py` and `training/test_supervision.py` have the real ones.
 """
 
 from __future__ import annotations
