@@ -32,6 +32,7 @@ from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.figures.curves import TRAILING_WINDOW, curves_page
 from pneuma.figures.grid import Page, save_page
+from pneuma.figures.one_action import one_action_page
 from pneuma.figures.origin import KEYS
 from pneuma.figures.search import draw_search
 from pneuma.figures.style import MOST_IN_A_PANEL
@@ -89,6 +90,8 @@ EARLIER: Mapping[str, tuple[str, dict[str, Any]]] = {"fig-6-2": ("one-environmen
 """Figures that show earlier runs too: the preset and the changed fields that these have."""
 FORKS, FORK_OUTCOMES = "-forks-", ("final-share-killed", "final-return")
 """What names of forks have in them, and what is shown of them."""
+IN_ONE_ACTION = ("betas-by-clip", "betas-longer")
+"""Studies of when runs come to stay in one action."""
 BESIDE = {"published-logs": "author-logs"}
 """The imported logs that are drawn with a study, and not alone."""
 
@@ -200,6 +203,9 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str
         pages.append(_elsewhere(index))
     elif study not in WHOLE:
         pages += _study_pages(index, study, beside.get(study))
+    in_one_action = study_runs(index, study, "godot") if study in IN_ONE_ACTION else None
+    if in_one_action:
+        pages.append(replace(one_action_page(in_one_action), basename=f"{study}-one-action"))
     return _save(folder, pages)
 
 
