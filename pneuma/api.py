@@ -88,7 +88,7 @@ def run_study(
     if unwell := [outcome for outcome in outcomes if not outcome.status.finished]:
         cell, status = unwell[0].cell, unwell[0].status
         raise UserError(
-            f"{len(unwell)} of {len(outcomes)} runs did not end: {cell.condition} seed {cell.seed} "
+            f"{len(unwell)} of {len(outcomes)} runs did not finish: {cell.condition} seed {cell.seed} "
             f"{status.name} {unwell[0].reason}; see {store.run_folder(cell.run_id) / 'error.txt'}"
         )
     return open_data(study, results, preset=spec.LAST, world=world)
@@ -327,7 +327,7 @@ def stored_policy(store: Store, run_id: str, settings: Mapping[str, Any]) -> Pol
         from pneuma.engines.sb3_open import load_learner
 
         return load_learner(stored_run(settings), store.read_file(run_id, LEARNER_FILE))
-    raise UserError(f"run {run_id} left no policy")
+    raise UserError(f"run {run_id} has no stored policy")
 
 
 def evaluate(

@@ -423,7 +423,7 @@ def _check_learner(run: Run) -> None:
         setting = f"algorithm = {run.algorithm}"
         if not find_algorithm(run.algorithm).learner:
             setting = "policy" if run.policy else "algorithm_kwargs"
-        raise UserError(f"{setting} is not allowed in {run.env}: only in other environments of Gymnasium")
+        raise UserError(f"{setting} is not allowed in {run.env}: only Gymnasium's other environments have it")
     if run.learners == "independent" and run.engine != ENGINES[0]:
         _refuse("learners = independent", f"{run.engine} trains one policy for all players")
     if "optimizer" in reads(run) and run.engine not in OPTIMIZERS[run.optimizer].engines:

@@ -97,7 +97,7 @@ def read_text(path: Path) -> str:
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError:
-        raise UserError(f"{path}: cannot be read: it is not UTF-8 text") from None
+        raise UserError(f"{path}: is not UTF-8 text; save it as UTF-8") from None
 
 
 # --- Writing ----------------------------------------------------------------------------------------

@@ -47,7 +47,7 @@ def fields_and_keys(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[s
             if name == PASSED_ON and isinstance(before, Mapping) and isinstance(value, Mapping):
                 value = {**before, **value}
             elif name in fields:
-                raise UserError(f"{key} and {keys[name]} both set {name}: leave one out")
+                raise UserError(f"{key} and {keys[name]} both set {name}: leave out one")
             fields[name] = value
             keys.setdefault(name, key)
     return fields, keys

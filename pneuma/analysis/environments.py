@@ -100,7 +100,7 @@ def references(data_by_env: Parts, outcome: str = OUTCOME) -> dict[str, tuple[fl
                     high = float(np.fmax(high, values.mean()))
         if not np.isfinite([low, high]).all() or low == high:
             fix = f"[scores.{env}] random = …, expert = … in the study's file"
-            raise UserError(f"{env}: there is no scale from {low:g} to {high:g}: give {fix}")
+            raise UserError(f"{env}: cannot be scaled from {low:g} to {high:g}: give {fix}")
         scales[env] = low, high
     return scales
 
@@ -148,7 +148,7 @@ def improvements(data_by_env: Parts, a: str, b: str, outcome: str = OUTCOME) -> 
     for name in (a, b):
         if name not in scores_by_condition:
             candidates = ", ".join(scores_by_condition) or "none"
-            raise UserError(f"{name}: no runs in every environment; there are {candidates}")
+            raise UserError(f"{name}: has no runs in every environment; these conditions have: {candidates}")
     statistics: dict[str, Statistic] = {"P(better)": improvement}
     for name, aggregate in AGGREGATES.items():
         statistics[f"{name}, difference"] = partial(_difference, aggregate)

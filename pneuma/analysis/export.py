@@ -49,8 +49,8 @@ def exported_table(
         other_tables = ", ".join(name for name in EXPORT_TABLES if name != table)
         raise UserError(f"study {data.study.name}: {data.what} holds no {table}; try {other_tables}")
     if any(run.published for run in data.rows):
-        lack = f"study {data.study.name}: published tables hold no {table}"
-        raise UserError(f"{lack}; train the runs, or choose others by ", Hint("steps"))
+        lack = f"study {data.study.name}: published tables do not contain {table}"
+        raise UserError(f"{lack}; train the runs, or choose others with ", Hint("steps"))
     frames = []
     for keys in data.runs[list(RUN_KEY_COLUMNS)].to_dict("records"):
         frame = record_frame(store, str(keys["run_id"]), table)
@@ -71,7 +71,7 @@ def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
     if "share_killed" in recorded:
         names.append("share_killed")
     if not names:
-        raise UserError(f"study {data.study.name}: {data.what} holds no returns, and so no curves")
+        raise UserError(f"study {data.study.name}: {data.what} has no returns, and so no curves")
     table = curves_table(study_curves(data, names, window), band)
     if data.averaged_over is not None:
         table["averaged_over"] = data.averaged_over
@@ -98,7 +98,9 @@ def publish_runs(store: Store, data: StudyData, curves: Sequence[str]) -> Public
     study, path = data.study, store.published_path(data.table_name)
     new = {run.run_id: run for run in data.rows if not run.published}
     if not new:
-        raise UserError(f"study {study.name}: its runs are not in {store.root}: nothing is new to publish")
+        raise UserError(
+            f"study {study.name}: none of its runs is in {store.root}; train some before publishing"
+        )
     about: dict[str, Any] = {
         "study": study.name,
         "world": data.world or None,
@@ -109,7 +111,7 @@ def publish_runs(store: Store, data: StudyData, curves: Sequence[str]) -> Public
         about["listing"] = listing
     with store.publishing_lock(path.stem) as is_alone:
         if not is_alone:
-            raise UserError(f"another command publishes {path}: try again when it has ended")
+            raise UserError(f"another command is writing {path}: try again when it has ended")
         before = RunIndex(store).tables.get(path.stem)  # what Pneuma itself publishes stays, too
         rows = new
         if before:

@@ -34,7 +34,7 @@ def seeds_table(data: StudyData, outcome: str, difference: float) -> pd.DataFram
             runs = f"{len(base_values)} and {len(values)}"
             rows.append((baseline, condition, *spreads, runs, _seeds(base_values, values, difference)))
     if not rows:
-        raise UserError(f"study {data.study.name} has one condition: there is nothing to compare it with")
+        raise UserError(f"study {data.study.name} has only one condition; add another to compare it with")
     return pd.DataFrame(rows, columns=["", "against", "SD", "its SD", "runs", "seeds"])
 
 

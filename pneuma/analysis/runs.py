@@ -259,7 +259,9 @@ def _find_listed(index: RunIndex, listing: Mapping[str, Any], query: Query) -> S
         if condition not in conditions:
             raise unknown_name(f"condition of study {name}", condition, conditions)
     if query.settings or query.preset:
-        raise UserError(f"study {name} has no file: it has neither presets nor fields that can be changed")
+        raise UserError(
+            f"study {name} has no study file, so it has no presets and its settings cannot be changed"
+        )
     study = Study.without_file(
         name, listing["title"], conditions, baseline=listing["baseline"], worlds=(TEXT,)
     )

@@ -155,7 +155,7 @@ def compare_groups(a: Group, b: Group, outcome: str) -> dict[str, Any]:
     declared = find_outcome(outcome)
     if is_return(outcome) and len(_units_of_return(a, b)) > 1:
         raise UserError(
-            f"outcome {outcome}: returns of unlike rewards, or of more players, cannot be compared; "
+            f"outcome {outcome}: returns with different rewards or numbers of players cannot be compared; "
             "name another, such as final-share-killed"
         )
     all_a = outcome_values(a.data, a.condition, outcome)

@@ -66,7 +66,7 @@ def compare(
     if other is not None:
         return _compare_studies(data, other, outcomes)
     if a == b:
-        raise UserError(f"{a} and {b} are one condition; name two of {', '.join(data.conditions)}")
+        raise UserError(f"{a} and {b} are the same condition; name two of {', '.join(data.conditions)}")
     title = f"{data.full_title}: {a} against {b}"
     data_by_env = by_environment(data)
     if a not in data.fields and len(data_by_env) > 1:
@@ -90,7 +90,7 @@ def compare(
     notes = list(answer.notes)
     for claim in claims:
         notes.append(
-            f"The claim {claim.name} compares these conditions: its outcomes stand first (study verify)."
+            f"The claim {claim.name} compares these conditions; its outcomes come first (see study verify)."
         )
     return replace(answer, notes=notes)
 
@@ -106,7 +106,7 @@ def _compare_studies(data: StudyData, other: StudyData, outcomes: Sequence[str])
             pairs[condition] = a, Group(other, condition, f"{condition}, {names[1]}")
     if not pairs:
         raise UserError(
-            f"{names[0]} and {names[1]} have no condition of one name: name two conditions instead"
+            f"{names[0]} and {names[1]} have no condition with the same name: name two conditions instead"
         )
     title = f"{data.full_title}, and {other.full_title}: {names[0]} against {names[1]}"
     return _compare_pairs(data, pairs, names, title, outcomes)
@@ -115,7 +115,7 @@ def _compare_studies(data: StudyData, other: StudyData, outcomes: Sequence[str])
 def _group(data: StudyData, condition: str) -> Group:
     """Return the runs of a condition, which must have finished ones."""
     if not data.of_conditions(condition).of_condition(condition):
-        raise UserError(f"{condition}: none of its runs has finished ({data.label})")
+        raise UserError(f"{condition}: none of its runs has finished ({data.label}); train them first")
     return Group(data, condition, condition)
 
 
@@ -149,11 +149,13 @@ def _compare_pairs(
                 rows.append({**row, "shared": key})
         notes += _notes_on_pair(a, b)
     if not rows:
-        raise UserError(f"{' and '.join(heads)} have no outcome in common: name one that both have")
+        raise UserError(f"{' and '.join(heads)} share no outcome: name one that both have")
     table = pd.DataFrame(rows)
     cells = comparison_cells(table, heads, first_head=shared)
     if (table["low"].isna() & table["difference"].notna()).any():
-        notes.append(f"No interval where an arm has fewer than {LEAST_RUNS} runs, or all its runs are equal.")
+        notes.append(
+            f"A condition with fewer than {LEAST_RUNS} runs, or whose runs are all equal, has no interval."
+        )
     notes.append(few_episodes(data, list(table["outcome"])))
     if not shared:
         table = table.drop(columns="shared")
@@ -166,11 +168,11 @@ def _notes_on_pair(a: Group, b: Group) -> list[str]:
     notes = []
     engines = [", ".join(sorted(arm.data.engines(arm.condition))) or "not known" for arm in (a, b)]
     if engines[0] != engines[1]:
-        notes.append(f"Note: trained by different engines ({' and '.join(engines)}).")
+        notes.append(f"Note: these runs were trained by different engines ({' and '.join(engines)}).")
     shared = a.run_ids & b.run_ids
     if shared:
         both = counted(len(shared), "run")
-        notes.append(f"Note: {a.name} and {b.name} are the same settings, and have {both} in common.")
+        notes.append(f"Note: {a.name} and {b.name} have the same settings and share {both}.")
     return notes
 
 

@@ -83,21 +83,23 @@ def _evidence(index: RunIndex, data: StudyData) -> Evidence:
         evidence.notes.append("No runs yet.")
         return evidence
     for names in data.same:
-        evidence.notes.append(f"{' = '.join(names)} are one configuration: a comparison shows noise.")
+        evidence.notes.append(f"{' = '.join(names)} are identical settings: a comparison shows noise.")
     steps = f"{counted(len(runs), 'run')} of up to {runs['steps'].max():,} agent steps"
     evidence.extent = f"{counted(len(data.fields), 'condition')}, {steps}"
     differing, evidence.shared = compare_settings(data.fields)
     if len(differing.columns) > 1:
-        evidence.differing = _captioned(f"What the conditions of {evidence.label} differ in", differing)
+        evidence.differing = _captioned(
+            f"Settings in which the conditions of {evidence.label} differ", differing
+        )
     engines = runs["condition"].map(lambda name: str(data.fields[name].get("engine") or "unknown"))
     evidence.runs = runs.assign(engine=engines)[RUN_COLUMNS].to_numpy().tolist()
     if missing:
-        evidence.notes.append(
-            f"{missing} of {len(runs)} runs are not finished or damaged, and left out below."
-        )
+        evidence.notes.append(f"{missing} of {len(runs)} runs are unfinished or damaged, and left out below.")
     diverged = (runs["status"] == "diverged").sum()
     if diverged:
-        evidence.notes.append(f"{diverged} of {len(runs)} runs diverged; they count in every number below.")
+        evidence.notes.append(
+            f"{diverged} of {len(runs)} runs diverged. They are included in every number below."
+        )
     try:
         finished = finished_rows(index, data)
         if finished.rows:

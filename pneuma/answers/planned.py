@@ -155,8 +155,8 @@ def seeds_to_detect(data: StudyData | None, detect: float, outcome: str, sd: flo
     legend = list(DETECT_LEGEND)
     if any(len(data.of_condition(condition)) < ENOUGH_RUNS for condition in data.conditions):
         legend.append(
-            f"From fewer than {ENOUGH_RUNS} runs a spread is rough: it may take three times as many seeds, "
-            "or half."
+            f"With fewer than {ENOUGH_RUNS} runs the SD is a rough estimate: you may need three times the "
+            "seeds, or half."
         )
     about = {"outcome": outcome, "detect": detect}
     return Answer(title, about, {"seeds": table}, [table], (), legend)

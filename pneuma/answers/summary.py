@@ -151,11 +151,11 @@ def _overview_legend(data: StudyData, table: pd.DataFrame, cells: pd.DataFrame) 
             never.append(name)
     if never:
         legend.append(f"No run {' or '.join(never)}.")
-    text = "Means, and shares of runs, with 95 % intervals."
+    text = "Means and shares of runs, with 95 % confidence intervals."
     if (cells == NO_CELL).any(axis=None):
-        text += " –: no run has it."
+        text += " –: no run has a value."
     if any(len(data.of_condition(name)) < LEAST_RUNS for name in data.conditions):
-        text += f" Means of fewer than {LEAST_RUNS} runs have none."
+        text += f" Means of fewer than {LEAST_RUNS} runs have no interval."
     return [*legend, text]
 
 
@@ -169,7 +169,7 @@ def _missing_values(data: StudyData, table: pd.DataFrame, outcomes: Sequence[str
     notes = []
     untrained = [condition for condition in data.conditions if not data.of_condition(condition)]
     if untrained:
-        notes.append(f"no run has finished of {'; '.join(untrained)}")
+        notes.append(f"no finished run of {'; '.join(untrained)}")
     for condition in data.conditions:
         for outcome in outcomes:
             if condition not in untrained and (outcome, condition) not in pairs_with_values:
@@ -186,7 +186,7 @@ def few_episodes(data: StudyData, outcomes: Sequence[str]) -> str:
     between = f"{counts[0]:.0f}"
     if counts[0] < counts[-1]:
         between += f" to {counts[-1]:.0f}"
-    return f"final-return of {counted(len(counts), 'run')} is a mean of few episodes: {between}."
+    return f"final-return of {counted(len(counts), 'run')} averages few episodes: {between}."
 
 
 def few_runs(data_by_env: Mapping[str, StudyData]) -> str:
@@ -196,4 +196,4 @@ def few_runs(data_by_env: Mapping[str, StudyData]) -> str:
         counts += [len(env_data.of_condition(condition)) for condition in env_data.conditions]
     if min(counts) >= LEAST_RUNS:
         return ""
-    return f"Bootstrap intervals of fewer than {LEAST_RUNS} runs in an environment are too narrow."
+    return f"Bootstrap intervals are too narrow if an environment has fewer than {LEAST_RUNS} runs."

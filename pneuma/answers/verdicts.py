@@ -20,7 +20,7 @@ LEGEND = (
     "In brackets: the confidence interval of the difference, and the margin (± or, of a factor, ×), the",
     "smallest difference that counts. docs/claims.md explains words, labels and margins.",
     "Kills are the mean of the last five evaluations, returns of the last 5 % of training.",
-    f"Judged by rules {RULES}. All intervals of a family hold together:",
+    f"Rules of the judge: version {RULES}. The intervals of a family hold jointly:",
 )
 OF_CLAIM = ("row", "section", "quote", "context", "study", "kind", "direction", "need", "seen")
 """What a document has of a claim beside its name."""
@@ -97,7 +97,7 @@ def _origin(index: RunIndex, verdicts: Sequence[Verdict]) -> str:
     """Return how many of the runs that were read are the user's own, which count before published ones."""
     run_ids = {run_id for verdict in verdicts for run_id in verdict.run_ids}
     own = int((index.frame.loc[list(run_ids), "where"] == "").sum())
-    return f"Read: {own:,} runs in {index.store.root}, and {len(run_ids) - own:,} published runs."
+    return f"Read {own:,} runs from {index.store.root} and {len(run_ids) - own:,} published runs."
 
 
 def _list_row(claims: ClaimList) -> dict[str, Any]:

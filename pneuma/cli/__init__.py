@@ -28,10 +28,10 @@ LONGEST_MESSAGE = 4000
 COMMANDS = {
     "study": ("study", "Compare conditions over many seeds."),
     "run": ("runs", "Inspect, export and delete single runs."),
-    "search": ("search", "Find hyperparameters, and confirm them on fresh seeds."),
-    "env": ("env", "Look at and play environments."),
+    "search": ("search", "Search hyperparameters and confirm them on fresh seeds."),
+    "env": ("env", "List and draw environments."),
     "report": ("report", "Write all evidence as one HTML page."),
-    "import": ("logs", "Make a study of old logs."),
+    "import": ("logs", "Import logs of other programs as a study."),
 }
 """Of each command the module that has it, and what it does."""
 
@@ -72,7 +72,7 @@ class _Root(TyperGroup):
 
 
 app = typer.Typer(
-    help="Reproduce, compare and judge reinforcement-learning experiments: the PneumaRL thesis's, and yours.",
+    help="Reproduce, compare and judge reinforcement-learning experiments: the PneumaRL thesis's and yours.",
     name="pneuma",
     cls=_Root,
     context_settings={"help_option_names": ["-h", "--help"]},

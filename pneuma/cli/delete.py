@@ -15,14 +15,14 @@ from pneuma.store.store import Store
 from pneuma.store.stored_runs import find_run
 from pneuma.study.spec import LAST
 
-Yes = Annotated[bool, opt.flag("--yes", "Remove them without asking.")]
+Yes = Annotated[bool, opt.flag("--yes", "Delete without asking.")]
 
 
 def delete_study(name: opt.Study, selection: opt.RunFilter, yes: Yes = False) -> Result:
-    """Remove the runs of a study's cells from the results folder.
+    """Delete a study's runs from the results folder.
 
-    Runs of another study that was run here too stay until that one is removed. Published tables are not
-    touched.
+    Runs that another study here also uses are kept until that study is deleted. Published tables are not
+    changed.
     """
     from pneuma.analysis.runs import find_study, studies_here
 
@@ -52,7 +52,7 @@ def delete_study(name: opt.Study, selection: opt.RunFilter, yes: Yes = False) ->
 
 
 def delete_run(name: opt.RunId, yes: Yes = False, results: opt.Results = opt.HERE) -> Result:
-    """Remove one stored run."""
+    """Delete one stored run."""
     store = Store(results)
     return _delete(store, [find_run(store, name)], yes)
 
@@ -61,20 +61,20 @@ def _delete(
     store: Store, run_ids: Sequence[str], yes: bool, notes: Sequence[str] = (), about: str = ""
 ) -> Result:
     if not run_ids and not notes:
-        raise UserError(f"nothing to remove: no such run is stored in {store.root}")
-    unchanged = Result({"removed": []}, ["Nothing was removed."], notes=notes)
+        raise UserError(f"nothing to delete: no such run is stored in {store.root}")
+    unchanged = Result({"removed": []}, ["Nothing was deleted."], notes=notes)
     if not run_ids:
         return unchanged
     lines = [about] if about else []
     for run_id in run_ids:
         status = store.status(run_id, quick=True)
         if status.name == "running":
-            raise UserError(f"run {run_id} trains now: stop its study first")
+            raise UserError(f"run {run_id} is training now: stop its study first")
         seed = f", seed {status.identity.seed}" if status.identity else ""
         lines.append(f"  {run_id}  {status.name}, {status.step:,} steps{seed}")
     if not yes:
         if not sys.stdin.isatty():
-            raise UserError("--yes is needed where nobody can be asked")
+            raise UserError("--yes is required because this is not a terminal")
         for line in lines:
             say(line)
         print(f"Remove {counted(len(run_ids), 'run')}? [y/N] ", end="", file=sys.stderr, flush=True)

@@ -51,33 +51,33 @@ def list_() -> Result:
 @app.command()
 def render(
     name: Environment,
-    out: Annotated[Path, opt.option("FILE", "A .png, or a .gif of an episode.")],
+    out: Annotated[Path, opt.option("FILE", "The .png to write, or a .gif of an episode.")],
     player: Annotated[
-        str, opt.option("AGENT", "random, hunter, a run's id, or best:STUDY: a study's best run here.")
+        str, opt.option("AGENT", "Agent: random, hunter, a run id, or best:STUDY (the study's best run).")
     ] = RANDOM,
-    camera: Annotated[str | None, opt.choice(CAMERAS, "The whole map, or a player.")] = None,
+    camera: Annotated[str | None, opt.choice(CAMERAS, "Show the whole map, or follow a player.")] = None,
     seed: Seed = 0,
-    seconds: Annotated[float, opt.option("N", "Most seconds of an episode in a .gif.", min=1.0)] = 20.0,
+    seconds: Annotated[float, opt.option("N", "Longest episode in a .gif, in seconds.", min=1.0)] = 20.0,
     set_: opt.Settings = None,
     trust: opt.Trust = False,
     results: opt.Results = opt.HERE,
 ) -> Result:
-    """Draw an environment as a picture, or an episode as a moving one.
+    """Draw an environment as a picture, or an episode as an animation.
 
-    A .gif shows the first --seconds of an episode, which ends two seconds after the last monster's
-    death. A run's policy plays in the environment that it was trained in, --set on top. Environments
-    that are not Pneuma's draw themselves.
+    A .gif shows the first --seconds of an episode and ends two seconds after the last monster's death. A
+    run's policy plays in the environment that it was trained in, changed by --set. Environments that are
+    not Pneuma's are drawn by their own render method.
     """
     from pneuma.config import is_gymnasium_id
 
     check_file(out, (".gif", ".png"))
     is_moving = out.suffix.lower() == ".gif"
     if player != RANDOM and not is_moving:
-        raise UserError(f"--player {player} is for episodes, and {out} is a picture: name a .gif")
+        raise UserError(f"--player {player} plays an episode, but {out} is a picture: name a .gif")
     if is_gymnasium_id(name):
         if player == HUNTER or camera or set_:
             raise UserError(
-                f"--player hunter, --camera and --set are for Pneuma's environments, not for {name}"
+                f"--player hunter, --camera and --set work only in Pneuma's environments, not in {name}"
             )
         return _render_other(name, out, player, seed, seconds, trust, results)
     if name not in ENVIRONMENTS:

@@ -15,32 +15,39 @@ from pneuma.study.spec import results_words
 if TYPE_CHECKING:
     from pneuma.imports.logs import Import, Log
 
-app = opt.Commands("import", "Make a study of old logs.")
+app = opt.Commands("import", "Import logs of other programs as a study.")
 
 
 @app.command(short_help="Import Stable-Baselines3's or CleanRL's TensorBoard logs.")
 def tensorboard(
-    folders: Annotated[list[Path], opt.argument("DIR", "Hold NAME_1/, … with event files, or are one.")],
+    folders: Annotated[
+        list[Path], opt.argument("DIR", "Folders of runs NAME_1/, NAME_2/, …, or one run's folder.")
+    ],
     name: Annotated[str | None, opt.option("NAME", "The study's name (default: the folder's).")] = None,
     results: opt.Results = opt.HERE,
 ) -> Result:
-    """Import TensorBoard logs: of a folder NAME_1, NAME is the condition and the number the seed."""
+    """Import TensorBoard logs. A folder NAME_1 holds condition NAME, seed 1."""
     from pneuma.imports.tensorboard import import_tensorboard
 
     return _imported(import_tensorboard(folders, Store(results), name), results)
 
 
-_CONDITION = "A column, or the condition of all rows (default: as the file is called, without _SEED)."
-_SEED = "A column, or the seed of all rows (default: the number in the file's name NAME_SEED)."
-_AVERAGED = "Episodes that a return averages; 1 where each is one episode's (default: as they are)."
+_CONDITION = "A column, or one condition for all rows (default: the file's name without _SEED)."
+_SEED = "A column, or one seed for all rows (default: SEED in a file name NAME_SEED)."
+_AVERAGED = (
+    "Episodes averaged in each return; 1 if it is a single episode's (default: keep returns as they are)."
+)
 
 
-@app.command(short_help="Import tables of tidy rows, or Stable-Baselines3's monitors.")
+@app.command(short_help="Import CSV tables or Stable-Baselines3 monitor files.")
 def csv(
-    files: Annotated[list[Path], opt.argument("FILE", "CSV files of tidy rows, or monitors.")],
-    step: Annotated[str, opt.option("COLUMN", "The column of agent steps.")] = "",
+    files: Annotated[
+        list[Path], opt.argument("FILE", "CSV files of tidy rows, or Stable-Baselines3 monitor files.")
+    ],
+    step: Annotated[str, opt.option("COLUMN", "Column with agent steps.")] = "",
     value: Annotated[
-        opt.Several, opt.option("COLUMN[=QUANTITY]", "A column of values: the return, or another quantity.")
+        opt.Several,
+        opt.option("COLUMN[=QUANTITY]", "Column with values of the return, or of QUANTITY (repeatable)."),
     ] = None,
     condition: Annotated[str, opt.option("COLUMN|TEXT", _CONDITION)] = "",
     seed: Annotated[str, opt.option("COLUMN|N", _SEED)] = "",
@@ -48,10 +55,11 @@ def csv(
     name: Annotated[str | None, opt.option("NAME", "The study's name (default: the file's).")] = None,
     results: opt.Results = opt.HERE,
 ) -> Result:
-    """Import runs from CSV files: of each row step, value, condition and seed. A monitor is one run.
+    """Import runs from CSV files, whose rows hold step, value, condition and seed. A monitor file is one run.
 
-    With condition and seed, several monitors are one run's environments. Without options the command lists
-    the columns of a file. QUANTITY is return, length, evaluated_return, success or a metric of updates.
+    Several monitor files given with one --condition and --seed are the environments of one run. Without
+    options, the command lists a file's columns. QUANTITY is return, length, evaluated_return, success or a
+    metric of updates.
     """
     from pneuma.imports.csv_files import Columns, import_csv
 
@@ -83,10 +91,10 @@ def _averaging(logs: list[Log]) -> str:
     """Return of how many episodes the runs' returns are means."""
     averaged = {log.provenance.get("averaged_over", 100) for log in logs}
     if None in averaged:
-        return "Returns are as in the file; --averaged-over 1 averages single episodes as runs trained here."
+        return (
+            "Returns are kept as in the file. If they are single episodes', --averaged-over 1 averages them."
+        )
     episodes = max(100, *averaged)
     if episodes == 100:
         return "Returns are means of 100 episodes."
-    return (
-        f"Returns are means of {episodes} episodes; those of runs trained here are of 100, and less smooth."
-    )
+    return f"Returns are means of {episodes} episodes, and so smoother than those of runs trained here (100)."

@@ -111,34 +111,34 @@ SeveralRead = list[Any] | None
 Study = Annotated[str, argument("NAME[@PRESET]", "A study's name, or the path of its file (….toml).")]
 RunId = Annotated[str, argument("RUN_ID", "A stored run's id, or its first digits.")]
 HERE = Path("results")
-Results = Annotated[Path, option("DIR", "Where runs are kept.", envvar="PNEUMA_RESULTS")]
-Format = Annotated[str, choice(OUTPUT_FORMATS, "How to print it; --json is short for json.")]
+Results = Annotated[Path, option("DIR", "Results folder.", envvar="PNEUMA_RESULTS")]
+Format = Annotated[str, choice(OUTPUT_FORMATS, "Output format; --json is the same as --format json.")]
 TABLE = OUTPUT_FORMATS[0]
 """The default of `Format`."""
 JSON = Annotated[bool, flag("--json", "Print one JSON document on standard output.")]
-Quiet = Annotated[bool, flag("--quiet", "Print nothing but results and mistakes.")]
-Force = Annotated[bool, flag("--force", "Replace the file even if Pneuma has not made it.")]
-Trust = Annotated[bool, flag("--trust", "Use what the run names: files, code, arguments of its environment.")]
-RetryFailed = Annotated[bool, flag("--retry-failed", "Try runs again that crashed before.")]
-Seeds = Annotated[Any, seeds("A count N (seeds 0 to N-1), or seeds: 3,5,8 or 1..5; '7,' is seed 7 alone.")]
+Quiet = Annotated[bool, flag("--quiet", "Print only results and errors.")]
+Force = Annotated[bool, flag("--force", "Replace the file even if Pneuma did not write it.")]
+Trust = Annotated[bool, flag("--trust", "Load the files, code and environment arguments that the run names.")]
+RetryFailed = Annotated[bool, flag("--retry-failed", "Retry runs that crashed before.")]
+Seeds = Annotated[Any, seeds("A count N (seeds 0 to N-1), or a list: 3,5,8 or 1..5 ('7,' is only seed 7).")]
 Steps = Annotated[Any, count("Steps of each run, rounded up to whole updates.")]
-Conditions = Annotated[Several, option("NAME", "Only this condition (may be repeated).")]
-_CHANGE = "Set a field of the run, or of the world (may be repeated)."
+Conditions = Annotated[Several, option("NAME", "Include only this condition (repeatable).")]
+_CHANGE = "Change a setting of the run or the world (repeatable)."
 Settings = Annotated[SeveralRead, option("KEY=VALUE", _CHANGE, _read_setting, "--set")]
 """Pairs of a field and its value; use `dict(set_ or ())`."""
 World = Annotated[str | None, choice(WORLDS, "Rule set: arena (default), text or godot.")]
-_PLANS = "A named plan of the study, such as quick or paper; also NAME@PRESET."
+_PLANS = "A preset of the study, such as quick or paper; or write NAME@PRESET."
 Preset = Annotated[str | None, option("PRESET", _PLANS)]
-_OF_FIGURES = "Of figures (may be repeated; default: png and svg)."
+_OF_FIGURES = "File format of figures (repeatable; default: png and svg)."
 Formats = Annotated[SeveralRead, choice(FIGURE_FORMATS, _OF_FIGURES, name="--format")]
 PlotFolder = Annotated[Path | None, option("DIR", "Where to write (default: RESULTS/figures).", name="--out")]
 _OUTCOMES = "Outcome to report instead of the defaults (repeatable; see docs/outcomes.md)."
 Outcomes = Annotated[Several, option("NAME", _OUTCOMES)]
 Workers = Annotated[Any, count("Parallel workers (default: one per core).")]
-_WHERE = "Where runs are trained, as docs/scaling.md says (default: local)."
+_WHERE = "Where runs are trained (default: local; see docs/scaling.md)."
 _QUEUES = "; docs/scaling.md shows how to use the queue of a cluster"
 Executor = Annotated[str | None, choice(EXECUTORS, _WHERE, hint=_QUEUES)]
-Address = Annotated[str | None, option("HOST:PORT", "The cluster of --executor ray (default: its own).")]
+Address = Annotated[str | None, option("HOST:PORT", "Address of a Ray cluster (default: start a local one).")]
 
 
 # --- Groups of options -----------------------------------------------------------------------------
@@ -249,7 +249,7 @@ def _printing(function: Callable[..., Result]) -> Callable[..., int]:
         with kept_for_the_result():
             result = function(**values)
         if json and result.file:
-            raise UserError("--json: standard output is for the table; name a file by --out")
+            raise UserError("--json: standard output already gets the table; name a file with --out")
         print_result(result, "json" if json else values.get("format", TABLE))
         return result.code
 

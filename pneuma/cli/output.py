@@ -256,7 +256,7 @@ def check_file(out: Path, endings: Collection[str], force: bool = True) -> None:
     if out.is_symlink():
         raise UserError(f"--out {out}: is a link; name the file itself")
     if not force and out.is_file() and MADE_BY.encode() not in out.read_bytes():
-        raise UserError(f"--out {out}: is there already and not made by Pneuma; --force replaces it")
+        raise UserError(f"--out {out}: already exists and was not written by Pneuma; --force replaces it")
 
 
 def write_file(out: Path, data: bytes) -> None:
@@ -274,7 +274,9 @@ def read_formats(formats: Sequence[str] | None, out: Path | None) -> tuple[str, 
     if out is None or not _names_figure(out):
         if out and out.suffix[1:].isalpha() and not out.is_dir():
             endings = ", ".join(f".{form}" for form in FIGURE_FORMATS)
-            raise UserError(f"--out {out}: a figure's file ends in {endings}; a folder's name has no ending")
+            raise UserError(
+                f"--out {out}: a figure's file must end in {endings}; a folder's name must have no ending"
+            )
         return tuple(formats or ("png", "svg"))
     if formats:
         raise UserError(f"leave out --format: {out} names it")
@@ -298,7 +300,7 @@ def keep_files(store: Store, out: Path | None, draw: Callable[[Path], Iterable[P
     paths = [folder / name for name in contents]
     if out and contents and _names_figure(out):
         if len(paths) > 1:
-            raise UserError(f"--out {out}: is one file, and these are {len(paths)} figures; name a folder")
+            raise UserError(f"--out {out}: is one file, but there are {len(paths)} figures; name a folder")
         paths = [out]
     for path, content in zip(paths, contents.values(), strict=True):
         write(path, content)

@@ -22,7 +22,7 @@ def report(
     results: opt.Results = opt.HERE,
     quiet: opt.Quiet = False,
 ) -> Result:
-    """Write verdicts, figures, numbers, settings and runs as one HTML page that opens offline."""
+    """Write verdicts, figures, numbers, settings and runs as one HTML page for offline reading."""
     check_file(out, (".html", ".htm"), force)
     store, aside = Store(results), partial(say, quiet=quiet)
     nothing = nothing_yet(store)

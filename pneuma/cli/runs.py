@@ -25,23 +25,23 @@ if TYPE_CHECKING:
     from pneuma.store.index import RunIndex
 
 app = opt.Commands("run", "Inspect, export and delete single runs.")
-app.command("delete", short_help="Remove a stored run.")(delete.delete_run)
+app.command("delete", short_help="Delete a stored run.")(delete.delete_run)
 
 
 @app.command("list", short_help="List the stored runs.")
 def list_(
     study: Annotated[
-        str | None, opt.option("NAME[@PRESET]", "Only the finished runs of this study, ranked by an outcome.")
+        str | None, opt.option("NAME[@PRESET]", "List only this study's finished runs, ranked by an outcome.")
     ] = None,
     sort: Annotated[
-        str | None, opt.option("OUTCOME", "With --study: the outcome (default: primary).")
+        str | None, opt.option("OUTCOME", "With --study: the outcome to rank by (default: the primary one).")
     ] = None,
     world: opt.World = None,
     results: opt.Results = opt.HERE,
 ) -> Result:
-    """List the stored runs: status, steps, seed, and which studies hold them.
+    """List the stored runs with their status, steps, seed and studies.
 
-    With --study, list the runs of one study, the best first.
+    With --study, list the finished runs of one study, the best first.
     """
     if study is not None:
         from pneuma.analysis.ranking import ranked_runs
@@ -94,13 +94,13 @@ def _condition(label: Mapping[str, Any]) -> str:
     return f"{condition} with {shown_settings(changed)}" if changed else condition
 
 
-@app.command(short_help="Show what produced a stored run.")
+@app.command(short_help="Show how a stored run was produced.")
 def show(
     name: opt.RunId,
-    all_: Annotated[bool, opt.flag("--all", "Show every field, defaults too.")] = False,
+    all_: Annotated[bool, opt.flag("--all", "Show every field, including defaults.")] = False,
     results: opt.Results = opt.HERE,
 ) -> Result:
-    """Show what produced a stored run: configuration, machine, packages, time, files."""
+    """Show how a stored run was produced: configuration, machine, packages, time, files."""
     from pneuma.store.index import RunIndex
 
     store = Store(results)
@@ -156,7 +156,7 @@ def _show(run: Mapping[str, Any], all_fields: bool) -> Iterator[str | Table]:
 @app.command(short_help="Write a run's final policy for other programs.")
 def export(
     name: opt.RunId,
-    out: Annotated[Path, opt.option("FILE", "A .zip for Stable-Baselines3.")],
+    out: Annotated[Path, opt.option("FILE", "The .zip file to write.")],
     trust: opt.Trust = False,
     force: opt.Force = False,
     results: opt.Results = opt.HERE,

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from pneuma.study.plan import Plan
     from pneuma.training.execute import CellResult
 
-app = opt.Commands("search", "Find hyperparameters over several seeds, and confirm them on fresh ones.")
+app = opt.Commands("search", "Search hyperparameters over several seeds and confirm them on fresh seeds.")
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def list_() -> Result:
 
 @app.command(short_help="Show a search's file.")
 def show(name: SearchName, world: opt.World = None) -> Result:
-    """Show what a search varies and seeks, and its presets."""
+    """Show a search's space, objectives and presets."""
     from pneuma.schema import read_toml
     from pneuma.search.spec import load_search
 
@@ -123,7 +123,7 @@ def _status(record: Record, name: str, location: Location) -> Iterator[str | Tab
 def plot(
     name: SearchName, location: Location, out: opt.PlotFolder = None, formats: opt.Formats = None
 ) -> Result:
-    """Draw a search: history, importances, every parameter's values, and the best trials or Pareto front."""
+    """Draw a search: history, importances, all parameters, and the best trials or Pareto front."""
     file_formats = read_formats(formats, out)
     from pneuma.figures.search import draw_search
 
@@ -137,19 +137,19 @@ def plot(
 # --- run ------------------------------------------------------------------------------------------
 
 
-@app.command(short_help="Search for hyperparameters, or go on with a search.")
+@app.command(short_help="Run a hyperparameter search, or resume it.")
 def run(
     name: SearchName,
     location: Location,
     place: opt.Place,
-    preset: Annotated[str, opt.option("|".join(spec.PRESETS), "How much to search.")] = "quick",
-    trials: Annotated[Any, opt.count("How many trials, those stored among them.")] = None,
+    preset: Annotated[str, opt.option("|".join(spec.PRESETS), "Size of the search.")] = "quick",
+    trials: Annotated[Any, opt.count("Number of trials, including those already stored.")] = None,
     seeds: Annotated[Any, opt.seeds("Seeds per trial: a count (from 1000 on) or a list.", FIRST_SEED)] = None,
     steps: opt.Steps = None,
     retry_failed: opt.RetryFailed = False,
     quiet: opt.Quiet = False,
 ) -> Result:
-    """Search for hyperparameters, going on where it was stopped; several processes share the work."""
+    """Run a hyperparameter search, or resume it. Several processes can share the work."""
     from pneuma import api
     from pneuma.search.spec import load_search
     from pneuma.search.trials import Unfinished, run_search
@@ -221,12 +221,14 @@ def promote(
     location: Location,
     seeds: opt.Seeds = "10",
     steps: opt.Steps = None,
-    trial: Annotated[int | None, opt.option("N", "Which trial (default: the best).")] = None,
-    out: Annotated[Path | None, opt.option("FILE", "Write the study to a .toml file; train nothing.")] = None,
+    trial: Annotated[int | None, opt.option("N", "The trial to promote (default: the best).")] = None,
+    out: Annotated[
+        Path | None, opt.option("FILE", "Write the study to a .toml file instead of training it.")
+    ] = None,
     workers: opt.Workers = None,
     quiet: opt.Quiet = False,
 ) -> Result:
-    """Write a study of a search's best trial and its base on fresh seeds, and run it."""
+    """Compare a search's best trial with its base on fresh seeds: write that study and run it."""
     from pneuma import api
     from pneuma.search.promote import BASE, TUNED, find_trial, promotion_study, write_study
     from pneuma.study.plan import Query
@@ -239,7 +241,7 @@ def promote(
     if out is not None:
         check_file(out, (".toml",))
         if out.exists():
-            raise UserError(f"--out {out}: is there already; name another, or remove it first")
+            raise UserError(f"--out {out}: already exists; name another, or remove it first")
         write_file(out, text.encode())
         train_with = f"Train it with: {command('study', 'run', out, *results)}"
         return Result({"study": out, **document}, notes=[f"wrote {out}", train_with])

@@ -20,13 +20,13 @@ from pneuma.values import shown_seeds
 
 app = opt.Commands("study", "Compare conditions over many seeds.")
 
-app.command("plan", short_help="Show which runs are stored, and which would be trained.")(study_run.plan_)
+app.command("plan", short_help="Show which runs are stored and which would be trained.")(study_run.plan_)
 app.command(short_help="Train a study's runs that are not stored yet.")(study_run.run)
-app.command("delete", short_help="Remove a study's runs from the results folder.")(delete.delete_study)
-app.command(short_help="Draw a study: curves over its steps, or a summary.")(study_files.plot)
+app.command("delete", short_help="Delete a study's runs from the results folder.")(delete.delete_study)
+app.command(short_help="Draw a study's learning curves, or a summary of its outcomes.")(study_files.plot)
 app.command()(study_files.export)
 app.command(short_help="Print one of the thesis's tables of hyperparameters.")(study_files.table)
-app.command(short_help="Write a study's runs as one small table.")(study_files.publish)
+app.command(short_help="Publish a study's finished runs as one small table.")(study_files.publish)
 app.command(short_help="Summarize each condition's outcomes.")(study_answers.summary)
 app.command(short_help="Compare two conditions.")(study_answers.compare)
 app.command(short_help="Show which runs collapsed, when, and how often.")(study_answers.collapse)
@@ -39,24 +39,24 @@ def list_() -> Result:
     return listed_result("study", "studies", shipped.studies_folder())
 
 
-@app.command(short_help="Write a study file to edit.")
+@app.command(short_help="Copy a shipped study to a file of your own.")
 def new(
     name: Annotated[str, opt.argument("NAME", "The new study's name.")],
     source: Annotated[str, opt.option("STUDY", "The shipped study to copy.", name="--from")] = "activation",
 ) -> Result:
-    """Write NAME.toml into this folder: a copy of a shipped study, to be edited."""
+    """Copy a shipped study to NAME.toml in this folder, to edit."""
     if not re.fullmatch(r"[\w-]+", name):
-        raise UserError(f"{name}: a study's name has letters, digits, - and _ alone")
+        raise UserError(f"{name}: a study's name may only have letters, digits, - and _")
     path, folder = Path(f"{name}.toml"), shipped.studies_folder()
     shipped.refuse_taken_name(path, folder / path.name, "study")
     if path.exists():
-        raise UserError(f"{path}: exists already; choose another name")
+        raise UserError(f"{path}: already exists; choose another name")
     if source not in shipped.list_studies():
         raise unknown_name("shipped study", source, shipped.list_studies())
     text = (folder / f"{source}.toml").read_text(encoding="utf-8")
     text = re.sub(r'^about = """(?s:.*?)"""\n|^(section|figure) = .*\n|\A(#.*\n)+', "", text, flags=re.M)
     text = re.sub(r"^title = .*$", f'title = "{name}"', text, flags=re.M)
-    write_file(path, f"# From the study {source}. docs/studies.md says what can be set.\n{text}".encode())
+    write_file(path, f"# From the study {source}. docs/studies.md lists what can be set.\n{text}".encode())
     for module in re.findall(r'"(\w+):\w+"', text):  # a study's own files are beside it
         source_file = folder / f"{module}.py"
         if source_file.is_file():
@@ -69,7 +69,7 @@ def new(
 
 @app.command(short_help="Show what a study compares, and its presets.")
 def show(name: opt.Study, world: opt.World = None, results: opt.Results = opt.HERE) -> Result:
-    """Show what a study compares: its conditions as resolved, and its presets."""
+    """Show the conditions that a study compares, with all settings, and its presets."""
     from pneuma.analysis.runs import configurations_of
     from pneuma.store.index import RunIndex
 
@@ -137,7 +137,9 @@ def _show(
 @app.command(short_help="Show the progress of a study's runs.")
 def status(
     selection: opt.RunFilter,
-    name: Annotated[str | None, opt.argument("NAME[@PRESET]", "A study; default: all that were run.")] = None,
+    name: Annotated[
+        str | None, opt.argument("NAME[@PRESET]", "A study (default: all that were run).")
+    ] = None,
     runs: Annotated[bool, opt.flag("--runs", "List each run.")] = False,
     format: opt.Format = opt.TABLE,
 ) -> Result:

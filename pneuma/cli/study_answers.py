@@ -20,12 +20,12 @@ def summary(
     all_: Annotated[bool, opt.flag("--all", "Show all statistics of the default outcomes.")] = False,
     format: opt.Format = opt.TABLE,
     cells: Annotated[
-        str | None, opt.choice(("sd", "interval"), "Markdown, latex: ± SD, or [low, high].")
+        str | None, opt.choice(("sd", "interval"), "With markdown or latex: mean ± SD, or mean [low, high].")
     ] = None,
 ) -> Result:
-    """Summarize each condition: means with 95 % intervals; with --outcome, all statistics.
+    """Summarize each condition: means with 95 % confidence intervals; with --outcome, all statistics.
 
-    --format markdown and latex give the table of a thesis: a column for each outcome, mean ± SD in it.
+    --format markdown or latex prints a table for a paper: a column for each outcome, with mean ± SD.
     """
     if cells and format not in PAPER_FORMATS:
         raise UserError(f"--cells requires --format {' or '.join(PAPER_FORMATS)}")
@@ -47,10 +47,10 @@ def compare(
     outcome: opt.Outcomes = None,
     format: opt.Format = opt.TABLE,
 ) -> Result:
-    """Compare two conditions: the difference of their means, and how likely a run of A is better.
+    """Compare two conditions: the difference of their means, and how likely a run of A beats one of B.
 
-    With --with, each condition is compared with that of the same name of another study. In a study of several
-    environments A and B are compared in each, and their scores over all.
+    With --with, each condition is compared with the condition of the same name in another study. In a study
+    of several environments, A and B are compared in each, and by their scores over all.
     """
     from pneuma.answers import comparison
 
@@ -66,7 +66,7 @@ def compare(
 
 
 def collapse(name: opt.Study, selection: opt.RunFilter) -> Result:
-    """Show which runs collapsed, when, by which signs, and how often in each condition."""
+    """Show which runs collapsed, when and by which signs, and how often in each condition."""
     data = selection.open(name)
     from pneuma.answers.collapse import find_collapses
 

@@ -56,7 +56,7 @@ class Drawing:
         str | None,
         opt.choice(
             FIGURE_KINDS,
-            "Curves (default for up to 7 conditions), a summary, profiles, or runs in one action.",
+            "Curves (default for up to 7 conditions), a summary, profiles, or one-action runs.",
         ),
     ] = None
     quantity: Annotated[
@@ -68,12 +68,15 @@ class Drawing:
         ),
     ] = None
     band: Annotated[
-        str | None, opt.choice(BAND_NAMES, "What the band shows (default: sd, the mean's interval in it).")
+        str | None,
+        opt.choice(BAND_NAMES, "What the band shows (default: sd, with the mean's interval inside)."),
     ] = None
     window: Annotated[str | None, opt.choice(WINDOWS, "Episodes averaged at each point.")] = None
-    x: Annotated[str | None, opt.choice(X_AXES, "What curves lie over (default: steps).")] = None
-    beside: Annotated[str | None, opt.option("NAME", "Another study, or logs, to be drawn too.")] = None
-    log: Annotated[bool, opt.flag("--log", "Logarithmic axes of values.")] = False
+    x: Annotated[str | None, opt.choice(X_AXES, "Horizontal axis of curves (default: steps).")] = None
+    beside: Annotated[
+        str | None, opt.option("NAME", "Draw another study, or imported logs, in the same panels.")
+    ] = None
+    log: Annotated[bool, opt.flag("--log", "Use a logarithmic vertical axis.")] = False
     formats: opt.Formats = None
     width: Annotated[float, opt.option("INCHES", "Width in inches.", min=1.5, max=30)] = 7.0
     height: Annotated[
@@ -81,8 +84,8 @@ class Drawing:
         opt.option("INCHES", "Total height in inches, headline and caption included.", min=1, max=30),
     ] = None
     title: Annotated[str | None, opt.option("TEXT", "Title instead of the study's.")] = None
-    style: Annotated[str, opt.option("NAME|FILE", "A style sheet of matplotlib, over Pneuma's.")] = ""
-    plain: Annotated[bool, opt.flag("--plain", "Without headline and caption, for papers.")] = False
+    style: Annotated[str, opt.option("NAME|FILE", "A matplotlib style sheet, applied after Pneuma's.")] = ""
+    plain: Annotated[bool, opt.flag("--plain", "Omit headline and caption, as for papers.")] = False
 
     @property
     def curve_options(self) -> dict[str, Any]:
@@ -93,10 +96,10 @@ class Drawing:
 def plot(
     selection: opt.RunFilter,
     drawing: Drawing,
-    names: Annotated[opt.Several, opt.argument("NAME", "Studies; left out: all that were run.")] = None,
+    names: Annotated[opt.Several, opt.argument("NAME", "Studies (default: all that were run).")] = None,
     out: opt.PlotFolder = None,
 ) -> Result:
-    """Draw a study: curves over its steps, or a summary of its outcomes.
+    """Draw a study's learning curves, or a summary of its outcomes.
 
     A study of several environments has a panel for each.
     """
@@ -228,7 +231,7 @@ def table(
     names: Annotated[opt.Several, opt.argument("TABLE", "table-6-1, table-6-2 (default: both).")] = None,
     format: opt.Format = opt.TABLE,
 ) -> Result:
-    """Print the thesis's Tables 6.1 and 6.2: default and final hyperparameters, as printed there."""
+    """Print the thesis's Tables 6.1 and 6.2: default and final hyperparameters."""
     from pneuma.presets import BASES
     from pneuma.values import short
 
@@ -250,10 +253,14 @@ def table(
 def export(
     name: opt.Study,
     selection: opt.RunFilter,
-    table: Annotated[str, opt.choice(EXPORT_TABLES, "What to export.")],
-    out: Annotated[Path, opt.option("FILE", f"The file to write, in {_ENDINGS}; - prints CSV.")],
-    band: Annotated[str | None, opt.choice(EDGED_BANDS, "Of curves: low and high (default: sd).")] = None,
-    window: Annotated[str | None, opt.choice(WINDOWS, "Of curves: episodes averaged at each point.")] = None,
+    table: Annotated[str, opt.choice(EXPORT_TABLES, "Table to export.")],
+    out: Annotated[Path, opt.option("FILE", f"The file to write, ending in {_ENDINGS}; - prints CSV.")],
+    band: Annotated[
+        str | None, opt.choice(EDGED_BANDS, "With --table curves: what low and high are (default: sd).")
+    ] = None,
+    window: Annotated[
+        str | None, opt.choice(WINDOWS, "With --table curves: episodes averaged at each point.")
+    ] = None,
 ) -> Result:
     """Write a study's records as one tidy table."""
     if (band or window) and table != "curves":
@@ -295,9 +302,9 @@ def publish(
         Any, opt.option("NAME,…|none", "Quantities whose curves are kept.", _read_curves)
     ] = None,
 ) -> Result:
-    """Write a study's runs as rows of one small table, from which they are read where they are not stored.
+    """Publish a study's finished runs as one small table, which replaces runs that are not stored.
 
-    Rows that the table has already stay in it. The same runs give the same bytes.
+    Rows already in the table are kept. The same runs give the same bytes.
     """
     data = selection.open(name)
     from pneuma.analysis.export import publish_runs

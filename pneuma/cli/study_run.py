@@ -24,7 +24,7 @@ from pneuma.training import execute
 from pneuma.training.executors.base import ExecutorConfig
 
 Unpublished = Annotated[
-    bool, opt.flag("--unpublished", "Leave out runs that are finished in a published table.")
+    bool, opt.flag("--unpublished", "Leave out runs that a published table already contains.")
 ]
 
 
@@ -32,13 +32,17 @@ def plan_(
     name: opt.Study,
     selection: opt.RunFilter,
     unpublished: Unpublished = False,
-    detect: Annotated[float | None, opt.option("X", "How many seeds find a difference of X.")] = None,
+    detect: Annotated[
+        float | None, opt.option("X", "Estimate how many seeds detect a difference of X.")
+    ] = None,
     outcome: Annotated[
         str | None, opt.option("NAME", "With --detect: the outcome (default: the study's primary one).")
     ] = None,
-    sd: Annotated[float | None, opt.option("SD", "With --detect: the SD, where there are no runs.")] = None,
+    sd: Annotated[
+        float | None, opt.option("SD", "With --detect: the SD to assume if there are no runs.")
+    ] = None,
 ) -> Result:
-    """Show which runs are stored and which would be trained, and estimate how long that takes."""
+    """Show which runs are stored, which would be trained, and how long that would take."""
     from pneuma.answers import planned
 
     if detect is not None:
@@ -55,8 +59,12 @@ def run(
     name: opt.Study,
     selection: opt.RunFilter,
     place: opt.Place,
-    checkpoint_seconds: Annotated[float, opt.option("S", "Between a run's checkpoints.", min=0.01)] = 15.0,
-    tensorboard: Annotated[Path | None, opt.option("DIR", "Log to TensorBoard while runs train.")] = None,
+    checkpoint_seconds: Annotated[
+        float, opt.option("S", "Seconds between a run's checkpoints.", min=0.01)
+    ] = 15.0,
+    tensorboard: Annotated[
+        Path | None, opt.option("DIR", "Write TensorBoard logs to this folder during training.")
+    ] = None,
     retry_failed: opt.RetryFailed = False,
     unpublished: Unpublished = False,
     quiet: opt.Quiet = False,

@@ -21,7 +21,7 @@ WIDTH = 100
 
 
 def verify(
-    claims: Annotated[opt.Several, opt.argument("CLAIM", "Claims; left out: all.")] = None,
+    claims: Annotated[opt.Several, opt.argument("CLAIM", "Claims (default: all).")] = None,
     world: Annotated[str | None, opt.choice(WORLDS, "Only this world.")] = None,
     file: Annotated[
         Path | None, opt.option("FILE", "A claims file to judge instead of the thesis's.", name="--claims")
@@ -31,7 +31,7 @@ def verify(
 ) -> Result:
     """Judge the thesis's claims on their preregistered runs.
 
-    Name claims to see also what is compared, how many runs there are, and the reason.
+    Name claims to also see what is compared, the number of runs, and the reason.
     """
     from pneuma.answers.verdicts import verify
     from pneuma.store.index import RunIndex

@@ -69,7 +69,7 @@ class OwnAgent:
         if not fits or not 0 <= actions.min() <= actions.max() < self.actions:
             raise UserError(
                 f"the agent gave {str(answer)[:60]!r}: must be {count} whole numbers from 0 to "
-                f"{self.actions - 1}, one for each observation (of Stable-Baselines3's predict take [0])"
+                f"{self.actions - 1}, one per observation (Stable-Baselines3's predict: take [0])"
             )
         return actions
 

@@ -109,13 +109,15 @@ def observation_space(policy: Policy, run: Run) -> spaces.Box:
     Rewards do not matter here and are never imported.
     """
     if run.algorithm not in IN_ZIP:
-        raise UserError(f"only policies of {' and '.join(IN_ZIP)} are exported, and not of {run.algorithm}")
+        raise UserError(f"only policies of {' and '.join(IN_ZIP)} can be exported, not of {run.algorithm}")
     features = policy.features
     if is_gymnasium_id(run.env):
         env = make_env(run)
         env.close()
         if np.any(getattr(env.action_space, "start", 0)):
-            raise UserError(f".zip counts actions from 0; those of {run.env} begin later")
+            raise UserError(
+                f"cannot be exported: a .zip counts actions from 0, but those of {run.env} begin later"
+            )
         observed = env.observation_space
         is_flat = observed.shape == (features,) and observed.dtype == np.float32
         if isinstance(observed, spaces.Box) and is_flat:

@@ -43,15 +43,15 @@ def check_spaces(run: Run) -> None:
     ):
         space = slots.action_space
         if isinstance(space, spaces.Box) and not space.is_bounded():
-            raise UserError(f"{run.env}: its actions {space} have no bounds: wrap it to give them some")
+            raise UserError(f"{run.env}: its actions {space} are unbounded: wrap it to give them bounds")
         if not isinstance(space, spaces.Discrete):
             problem = "an action is several choices"
             if isinstance(space, spaces.Box):
                 problem = "its actions are numbers"
             if run.algorithm in VALUE_BASED:
-                raise UserError(f"{run.env}: {problem}, which {run.algorithm} cannot: try ppo")
+                raise UserError(f"{run.env}: {problem}, which {run.algorithm} cannot handle: try ppo")
             if run.engine != "sb3":
-                raise UserError(f'{run.env}: {problem}, which engine = "sb3" alone trains')
+                raise UserError(f'{run.env}: {problem}, which only engine = "sb3" trains')
         slots.step(np.array([slots.any_action()]))
 
 
@@ -272,7 +272,7 @@ def _action_space(
     if isinstance(space, spaces.Box) and space.dtype is not None and space.dtype.kind == "f":
         return space
     allowed = "Discrete, MultiDiscrete, MultiBinary or Box"
-    raise UserError(f"{run.env}: actions in {space} cannot be learned: wrap it to have {allowed} ones")
+    raise UserError(f"{run.env}: actions in {space} are not supported: wrap it to have {allowed} actions")
 
 
 def flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:

@@ -242,7 +242,7 @@ def read_sound_policy(data: bytes) -> Policy:
     except Exception:  # safetensors, JSON and shapes raise different errors
         is_sound = False
     if not is_sound:
-        raise UserError(f"{POLICY_FILE}: is no policy, or its layers do not fit each other")
+        raise UserError(f"{POLICY_FILE}: is not a policy, or its layers do not match each other")
     return policy
 
 
@@ -308,7 +308,7 @@ def check_fits(policy: Policy, worlds: Worlds) -> None:
         trained["players"], present["players"] = policy.players, worlds.players.shape[1]
     for name in trained:
         if trained[name] != present[name]:
-            raise UserError(f"was trained on {trained[name]} {name}; these settings make {present[name]}")
+            raise UserError(f"was trained on {trained[name]} {name}, but these settings have {present[name]}")
 
 
 def sizes(layers: Layers) -> np.ndarray:
@@ -327,7 +327,7 @@ def forward(layers: Layers, activation: str, observations: np.ndarray) -> list[n
     """
     players, rows = _players(layers), len(observations)
     if rows % players:
-        raise UserError(f"{rows} observations: must be one for each of {players} players")
+        raise UserError(f"{rows} observations are not allowed: give one for each of {players} players")
     x = observations.reshape(-1, players, observations.shape[-1]).swapaxes(
         0, 1
     )  # (players, worlds, features)

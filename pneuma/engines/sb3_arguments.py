@@ -66,7 +66,7 @@ def _find_class(name: str, text: str) -> type:
         candidate = getattr(module, class_name, None)
         if isinstance(candidate, type):
             return candidate
-    raise UserError(f"algorithm_kwargs: {name} = {text!r}: is no class of torch or Stable-Baselines3")
+    raise UserError(f"algorithm_kwargs: {name} = {text!r}: is not a class of torch or Stable-Baselines3")
 
 
 def _action_noise(table: Mapping[str, Any], action_space: spaces.Space[Any]) -> noise.ActionNoise:

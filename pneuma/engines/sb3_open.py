@@ -95,11 +95,9 @@ def learner_class(run: Run) -> Any:
     if not isinstance(learner_type, type) or not issubclass(
         learner_type, OnPolicyAlgorithm | OffPolicyAlgorithm
     ):
-        raise UserError(
-            f"algorithm = {run.algorithm}: is neither an OnPolicyAlgorithm nor an OffPolicyAlgorithm"
-        )
+        raise UserError(f"algorithm = {run.algorithm}: must be an OnPolicyAlgorithm or an OffPolicyAlgorithm")
     if issubclass(learner_type, MaskablePPO):
-        raise UserError(f"algorithm = {run.algorithm}: evaluations know no masks of actions")
+        raise UserError(f"algorithm = {run.algorithm}: evaluations do not support action masks")
     return learner_type
 
 
@@ -303,7 +301,9 @@ def load_learner(run: Run, data: bytes) -> LearnedPolicy:
         with ZipFile(io.BytesIO(data)) as archive:
             _restore_statistics(learner, load(archive.read(STATISTICS)))
     except Exception:  # zipfile, torch and safetensors raise different errors
-        raise UserError(f"{LEARNER_FILE}: is no policy of {run.algorithm}, or does not fit its run") from None
+        raise UserError(
+            f"{LEARNER_FILE}: is not a policy of {run.algorithm}, or does not match its run"
+        ) from None
     if getattr(learner, "use_sde", False):
         learner.policy.reset_noise()
     learner.env.close()

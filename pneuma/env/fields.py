@@ -142,7 +142,7 @@ def resolve_world(values: Mapping[str, Any]) -> dict[str, Any]:
             continue
         if len(names) not in (1, players):
             problem = f"{field_name} has {len(names)} names for {players} players"
-            raise UserError(f"{problem}: give one, or one each")
+            raise UserError(f"{problem}: give one value, or one for each")
         if len(set(names)) == 1:
             resolved[field_name] = names[:1]
     if players == 1:
@@ -151,7 +151,7 @@ def resolve_world(values: Mapping[str, Any]) -> dict[str, Any]:
         for field_name, only_value in (("random_levels", 1), ("monsters", "bamboo")):
             value = resolved.get(field_name, only_value)
             if value != only_value:
-                raise UserError(f"{field_name} = {value} is not allowed: it is for random levels")
+                raise UserError(f"{field_name} = {value} is not allowed: it applies only to random levels")
     return resolved
 
 

@@ -168,7 +168,9 @@ def _refuse_overlaps(level: Level, bodies: Sequence[_Body], obstacles: Sequence[
         for index in np.flatnonzero(overlapping).tolist():
             obstacle = obstacles[index]
             if obstacle.name != body.name:  # itself, or another player's body at one place
-                raise UserError(f"level {level.name}: {body.name} begins inside {obstacle.name}")
+                raise UserError(
+                    f"level {level.name}: {body.name} starts inside {obstacle.name}; move one of them"
+                )
 
 
 # --- Walking -------------------------------------------------------------------------------------

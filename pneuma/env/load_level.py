@@ -103,7 +103,7 @@ def load_level(level_name: str, monster_codes: Mapping[int, str]) -> Level:
             known_codes = ", ".join(map(str, (START_CODE, *monster_codes)))
             raise UserError(f"{objects_path}: unknown code {code}; known are {known_codes}")
     if not starts:
-        raise UserError(f"{objects_path}: no start place")
+        raise UserError(f"{objects_path}: has no start place")
     if level_name.startswith("~"):
         level_name = str(folder)
     return Level(

@@ -84,7 +84,9 @@ def random_level(split: str, number: int, monsters: str = "bamboo") -> Level:
             continue
         if first_cut_off(level, level.terrain == rules.OPEN, TILE, MONSTERS) is None:
             return level
-    raise UserError(f"level {RANDOM}{split}:{number}: no room for {MONSTERS} monsters")
+    raise UserError(
+        f"level {RANDOM}{split}:{number}: has no room for {MONSTERS} monsters; choose another number"
+    )
 
 
 def _attempt(draw_uniform: Draw, split: str, number: int, population: tuple[str, ...]) -> Level | None:

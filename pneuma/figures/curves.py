@@ -76,7 +76,7 @@ X_LABELS = {STEPS: "Environment steps", EPISODES: "Episodes", WALL_CLOCK: "Secon
 X_NOTES = {
     STEPS: "",
     EPISODES: "Episodes are counted by their mean length up to each point.",
-    WALL_CLOCK: "Over time, a run goes on at an even pace.",
+    WALL_CLOCK: "Within a run, all steps are taken to last equally long.",
 }
 
 
@@ -177,7 +177,7 @@ def curves_page(
     data = datas[0]
     if len(shown_conditions(datas)) > MOST_IN_A_PANEL:
         advice = f"pick {MOST_IN_A_PANEL} at most by --condition, or --figure summary"
-        raise UserError(f"study {data.study.name}: its conditions do not fit one panel: {advice}")
+        raise UserError(f"study {data.study.name}: has too many conditions for one panel: {advice}")
     default = default_quantities(data, beside)
     if isinstance(quantities, str):
         quantities = [quantities]
@@ -193,8 +193,8 @@ def curves_page(
             columns[title] = _column(study, shared, beside, settings, looks, labels)
     studies_beside = dict.fromkeys(column.beside for column in columns.values() if column.beside)
     if beside and not studies_beside:
-        unlike = f"{' and '.join(environments(beside))}, and not of {' and '.join(environments(data))}"
-        raise UserError(f"--beside {beside.study.name}: its runs are of {unlike}")
+        unlike = f"{' and '.join(environments(beside))}, not in {' and '.join(environments(data))}"
+        raise UserError(f"--beside {beside.study.name}: its runs are in {unlike}")
     rows: dict[str, list[Panel | None]] = {name: [] for name in names}
     entries: dict[str, Any] = {}
     for title, column in columns.items():
@@ -314,7 +314,7 @@ def _column(
     recorded = curve_names(others)
     shared = [name for name in names if name in recorded]
     if not shared:
-        raise UserError(f"study {others.study.name} has no {' or '.join(names)} to draw beside")
+        raise UserError(f"study {others.study.name} has no {' or '.join(names)} to draw")
     return replace(column, beside=others, beside_curves=study_curves(others, shared, window, settings.x))
 
 
@@ -457,15 +457,15 @@ def _caption(column: Column) -> list[str]:
         if curve.stops:
             notes.append("×: a run diverged, and its curve ends there.")
         if _has_gaps(curve):
-            notes.append("Faint, without an interval: some run has no value there.")
+            notes.append("Faint parts have no interval, because some run has no value there.")
         if curve.log:
             notes.append(
-                "On logarithmic axes means and bands are of logarithms, without values of 0 or below."
+                "On logarithmic axes, means and bands are of logarithms and leave out values of 0 or below."
             )
         if settings.band and curve.run_count < least:
             notes.append(f"The band {settings.band} needs {counted(least, 'run')}: not drawn for {runs}.")
         if curve.values.isna().all().any():
-            notes.append(f"Some of {runs} have no value in a panel, and count in no mean there.")
+            notes.append(f"Some of {runs} have no value in a panel and are left out of its means.")
     if {*column.curves} & {*EPISODE_QUANTITIES}:
         notes.append(f"Returns and lengths: {_window(data, settings)}.")
     if {*column.curves} & {*UPDATE_QUANTITIES}:

@@ -275,7 +275,7 @@ def _draw_fewer(page: Page, look: Look, rows: int, least: float) -> Figure:
         if not look.plain:
             message += "; --plain has no headline and caption"
         raise UserError(message)
-    print_aside(f"Note: {kept} of {len(panels)} panels fit the height; --quantity names another.")
+    print_aside(f"Note: {kept} of {len(panels)} panels fit the height; choose them with --quantity.")
     return _draw(replace(page, grid=[panels[:kept]]), look)
 
 

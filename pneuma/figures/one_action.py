@@ -38,8 +38,10 @@ def one_action_page(data: StudyData) -> Page:
             axes.plot(frame["x"], frame["centre"], label=labels[name], clip_on=False, **looks[name])
         axes.set(ylim=(-grid.BELOW_ZERO, max(axes.get_ylim()[1], 0.01)))
 
-    state = f"In one action: it takes over {100 * ONE_ACTION:g} % of an evaluation's steps"
-    stay = f"a run stays in it from the first of {LATE} such evaluations in a row"
+    state = (
+        f"A run is in one action if that action takes over {100 * ONE_ACTION:g} % of an evaluation's steps"
+    )
+    stay = f"it stays there from the first of {LATE} such evaluations in a row"
     left = Panel(
         draw_survival, "Not yet staying in one action", "Environment steps", "Share of runs", y_kind=SHARES
     )

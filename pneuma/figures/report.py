@@ -144,7 +144,7 @@ def _picture(data: StudyData, write: Callable[[Hint], str]) -> dict[str, str]:
     if curve_names(data) and fits_panel(data):
         page, what = curves_page(data), f"Curves over {data.budget:,} environment steps"
     else:
-        page, what = summary_page(data), "What every run came to, and means"
+        page, what = summary_page(data), "Results of every run, and means"
     with TemporaryDirectory() as folder:
         (path,) = save_page(page, Path(folder), ("png",))
         source = f"data:image/png;base64,{b64encode(path.read_bytes()).decode('ascii')}"

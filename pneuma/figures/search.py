@@ -90,7 +90,7 @@ def _pictures(record: Record) -> dict[str, tuple[str, Draw]]:
     }
     parameters = {name for trial in record.complete for name in trial.params}
     if len(parameters) > 1 and len(record.complete) >= LEAST_TRIALS:
-        title = "which parameters tell the best trials from the others (PED-ANOVA)"
+        title = "which parameters separate the best trials from the others (PED-ANOVA)"
         drawn["importances"] = title, _importances
     if len(record.search.objectives) == 2:
         drawn["front"] = "both objectives", _front
@@ -119,7 +119,7 @@ def _front(record: Record) -> Axes:
 
 
 def _amount(record: Record) -> str:
-    words = {TrialState.COMPLETE: "whole", TrialState.PRUNED: "stopped early", TrialState.FAIL: "failed"}
+    words = {TrialState.COMPLETE: "complete", TrialState.PRUNED: "stopped early", TrialState.FAIL: "failed"}
     states = [trial.state for trial in record.ended]
     counts = [f"{states.count(state)} {word}" for state, word in words.items() if state in states]
     seeds = counted(len(record.budget.seeds), "seed")

@@ -88,7 +88,7 @@ def house_style(sheet: str | dict[str, Any] = "") -> Iterator[None]:
         try:
             sheets.use([SHEET, sheet or {}])
         except (OSError, UnicodeDecodeError):
-            raise UserError(f"--style {sheet}: is neither a style sheet of matplotlib nor a file") from None
+            raise UserError(f"--style {sheet}: is neither a matplotlib style sheet nor a file") from None
         yield
 
 
@@ -162,7 +162,7 @@ def _note_missing_letters(figure: Figure) -> None:
     if missing:
         names = " ".join(missing[:10])
         print_aside(
-            f"Figures' font lacks {names}, drawn as boxes; [labels] in a study's file renames conditions."
+            f"Figures' font lacks {names}, drawn as boxes; rename conditions in the study's [labels]."
         )
 
 

@@ -40,19 +40,19 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
         returns: whether the figure is of returns.
         beside: a study whose returns are drawn too.
     """
-    notes = [f"{' and '.join(names)} are one configuration." for names in data.same]
+    notes = [f"{' and '.join(names)} have identical settings." for names in data.same]
     engines: dict[str, list[str]] = {}
     for name in data.conditions:
         for engine in data.engines(name):
             engines.setdefault(engine, []).append(name)
     if len(engines) > 1:
         parts = [f"{engine} ({named(names)})" for engine, names in sorted(engines.items())]
-        notes.append(f"Conditions were trained by different engines: {', '.join(parts)}.")
+        notes.append(f"The conditions were trained by different engines: {', '.join(parts)}.")
     units = kinds_of_return(data)
     if beside:
         units |= kinds_of_return(beside)
     if returns and len(units) > 1:
-        notes.append("Returns of unlike rewards, or of more players, cannot be compared.")
+        notes.append("Returns with different rewards or numbers of players cannot be compared.")
     missing: list[str] = []
     for name in data.conditions:
         runs = data.of_condition(name)

@@ -79,7 +79,7 @@ def import_csv(paths: Sequence[Path], columns: Columns, store: Store, name: str 
             logs += _read_runs(path, shared, text, columns)
     if monitors and (columns.step or columns.values):
         raise UserError(
-            f"{next(iter(monitors))}: is a monitor, whose columns are known: leave out --step and --value"
+            f"{next(iter(monitors))}: is a monitor file, which needs no columns: leave out --step and --value"
         )
     runs = [{path: text} for path, text in monitors.items()]
     if monitors and columns.condition and columns.seed:
@@ -127,7 +127,7 @@ def _read_runs(path: Path, shared: Path, text: str, columns: Columns) -> Iterato
         raise UserError(_columns_to_choose(path, table))
     quantities = dict(_column_and_quantity(table, value) for value in columns.values)
     if len(set(quantities.values())) < len(columns.values):
-        raise UserError("--value: names two columns for one quantity; give one of them, or COLUMN=QUANTITY")
+        raise UserError("--value: two columns are given for one quantity; give one, or write COLUMN=QUANTITY")
     steps = _whole_numbers(path, _find_column(table, "--step", columns.step))
     condition, seed = condition_and_seed(_name_parts(path, shared))
     runs = pd.DataFrame({"condition": columns.condition or condition, "seed": seed}, index=table.index)
@@ -177,7 +177,7 @@ def _read_cells(path: Path, text: str) -> pd.DataFrame:
     rows.index += 1
     header = rows.iloc[0].str.strip()
     if header.duplicated().any():
-        raise UserError(f"{path}: two columns are called {header[header.duplicated()].iloc[0]!r}; rename one")
+        raise UserError(f"{path}: has two columns named {header[header.duplicated()].iloc[0]!r}; rename one")
     return rows.iloc[1:].set_axis(list(header), axis="columns")
 
 
@@ -205,7 +205,7 @@ def _read_seed(text: str, columns: Sequence[str] = ()) -> int:
         return int(text)
     if columns:
         raise unknown_name("column in --seed", text, columns)
-    raise UserError(f"--seed {text}: must be a number, as a monitor has no column of seeds")
+    raise UserError(f"--seed {text}: must be a number, because a monitor file has no column of seeds")
 
 
 def _column_and_quantity(table: pd.DataFrame, value: str) -> tuple[str, str]:
@@ -243,14 +243,16 @@ def _whole_numbers(path: Path, cells: pd.Series) -> pd.Series:
 def _refuse_cells(path: Path, wrong: pd.Series, allowed: str) -> None:
     if len(wrong):
         cell = f"{path}, row {wrong.index[0]}: {wrong.iloc[0]!r} in column {wrong.name}"
-        raise UserError(f"{cell} must be {allowed}, without separators of thousands")
+        raise UserError(f"{cell} must be {allowed}, without thousands separators")
 
 
 def _refuse_two_runs(path: Path, steps: pd.Series, run: str) -> None:
     backward = steps.index[steps.diff() <= 0]
     if len(backward):
         again = f"{path}, row {backward[0]}: step {steps[backward[0]]:,} of {run} is not after the one before"
-        raise UserError(f"{again}: tell two runs apart by --condition and --seed, or keep one row a step")
+        raise UserError(
+            f"{again}: distinguish the runs with --condition and --seed, or keep one row per step"
+        )
 
 
 # --- Monitors of Stable-Baselines3 ------------------------------------------------------------------
@@ -268,7 +270,7 @@ def _read_monitors(files: Mapping[Path, str], shared: Path, columns: Columns) ->
         for path, text in files.items():
             if not _load_monitors({path: text})["t"].is_monotonic_increasing:
                 raise UserError(
-                    f"{path}: its clock begins again, so that it cannot be joined with other monitors"
+                    f"{path}: its clock restarts, so it cannot join other monitor files; import it alone"
                 )
         episodes = episodes.sort_values("t", kind="stable")
     is_sound = episodes["l"].between(1, 2**53) & episodes[["r", "t"]].map(math.isfinite).all(axis="columns")

@@ -91,10 +91,10 @@ def store_logs(logs: Sequence[Log], store: Store, source: str, study: str, adds:
         other = by_name.setdefault((log.condition, log.seed), log)
         if other is not log:
             both = f"{other.name} and {log.name} are two runs of one name, "
-            raise UserError(f"{both}{log.condition} with seed {log.seed}: give each its own")
+            raise UserError(f"{both}{log.condition} with seed {log.seed}: give each another seed")
         other = by_id.setdefault(log.run_id, log)
         if other is not log:
-            raise UserError(f"{other.name} and {log.name} hold the same data: import one of them")
+            raise UserError(f"{other.name} and {log.name} contain the same data: import one of them")
     kept = list(by_id.values())
     if not kept:
         raise UserError(
@@ -112,7 +112,9 @@ def store_logs(logs: Sequence[Log], store: Store, source: str, study: str, adds:
             f"{counted(replaced, 'run')} of study {study} had other data before; another --name keeps both"
         )
     if others and not adds:
-        raise UserError(f"--name: study {study} has other runs; --name {study} adds to them, or give another")
+        raise UserError(
+            f"--name: study {study} has other runs; give --name {study} to add to them, or another name"
+        )
     store.check_writable()
     for log in kept:
         log.new = not store.status(log.run_id).finished
@@ -141,12 +143,12 @@ def choose_study_name(name: str | None, place: Path, store: Store, source: str) 
     if name is None:
         name = re.sub(r"[^A-Za-z0-9._-]+", "-", place.resolve().name).strip("-.")
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", name) or name.endswith(".toml"):
-        raise UserError(f"--name {name}: a study's name is letters, digits, dots, - and _, and no file's")
+        raise UserError(f"--name {name}: use only letters, digits, dots, - and _, and not the name of a file")
     if name in list_studies():
-        raise UserError(f"--name {name}: a shipped study is called that; give another")
+        raise UserError(f"--name {name}: this is the name of a shipped study; give another")
     listing = store.listing(name)
     if listing and listing.get("source") != source:
-        raise UserError(f"--name {name}: a study of that name was run in {store.root}; give another")
+        raise UserError(f"--name {name}: a study with this name was run in {store.root}; give another")
     return name
 
 

@@ -48,14 +48,14 @@ def find_logs(folders: Sequence[Path]) -> dict[tuple[str, ...], list[Path]]:
     by_folder: dict[Path, list[Path]] = {}
     for folder in folders:
         if not folder.is_dir():
-            raise UserError(f"{folder}: is no folder; name the folder that holds NAME_1/, NAME_2/, …")
+            raise UserError(f"{folder}: is not a folder; name the folder that holds NAME_1/, NAME_2/, …")
         paths = sorted(path for path in folder.resolve().rglob("*tfevents*") if path.is_file())
         if not paths:
-            raise UserError(f"{folder}: no TensorBoard event files (events.out.tfevents…) in it or below")
+            raise UserError(f"{folder}: contains no TensorBoard event files (events.out.tfevents…)")
         for path in paths:
             readable = os.fsencode(path).decode(errors="backslashreplace")
             if readable != str(path):
-                raise UserError(f"{readable}: this name is not UTF-8; give another")
+                raise UserError(f"{readable}: this name is not UTF-8; rename the file")
             files = by_folder.setdefault(path.parent, [])
             if path not in files:  # folders may be given twice
                 files.append(path)

@@ -149,7 +149,7 @@ def open_record(store: Store, search: Search, budget: Budget) -> Record:
     digest = checksum(json.dumps(identity, sort_keys=True).encode())[:12]
     path = store.root / "searches" / f"{search.label}.{digest}.log"
     if path.is_symlink():
-        raise UserError(f"{path}: is a link; remove it")
+        raise UserError(f"{path}: is a link; replace it with a file")
     with stored_file(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         storage = JournalStorage(JournalFileBackend(str(path), LogLock(path)))
@@ -223,7 +223,7 @@ def read_published(store: Store, search: Search) -> Record:
         if path.exists():
             return _read(path, search, published=True)
     raise UserError(
-        f"search {search.label} was not run in {store.root}: `pneuma search run` it first, "
+        f"search {search.label} was not run in {store.root}: start it with `pneuma search run`, "
         "or name another results folder"
     )
 
@@ -238,8 +238,8 @@ def _read(path: Path, search: Search, published: bool = False) -> Record:
         changed = [key for key in COMPARED if begun.get(key) != identity[key]]
         if changed:
             raise UserError(
-                f"{path}: the search had other {', '.join(changed)} than its file has now; "
-                "change the file back, or search again"
+                f"{path}: its file now has other {', '.join(changed)} than when the search began; "
+                "undo that change, or search under a new name"
             )
         return Record(search, budget, study, path, published)
 

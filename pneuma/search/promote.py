@@ -26,7 +26,9 @@ def find_trial(record: Record, number: int | None) -> FrozenTrial:
     name, best = record.search.name, record.best
     if number is None and isinstance(best, list) and best:
         front = ", ".join(map(str, best))
-        raise UserError(f"search {name}: has a front, not one best trial; choose one of the trials {front}")
+        raise UserError(
+            f"search {name}: has no single best trial but a Pareto front; choose one of the trials {front}"
+        )
     for trial in record.complete:
         if trial.number == (best if number is None else number):
             return trial
@@ -39,7 +41,7 @@ def promotion_study(record: Record, trial: FrozenTrial, seeds: Sequence[int], st
     used_seeds = sorted(set(seeds) & set(record.budget.seeds))
     if used_seeds:
         numbers = ", ".join(map(str, used_seeds))
-        raise UserError(f"the search has used the seeds {numbers}; choose others, such as 0..9")
+        raise UserError(f"the search already used the seeds {numbers}; choose others, such as 0..9")
     shared = search.fields({})
     tuned = {name: value for name, value in search.fields(trial.params).items() if name in trial.params}
     base_run, tuned_run = search.make_run({}), search.make_run(trial.params)

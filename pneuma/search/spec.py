@@ -167,7 +167,7 @@ class Search(Table):
         `shared` fields of all trials are refused, too, if no run reads them.
         """
         for key in self.run.keys() & self.space.keys():
-            raise UserError(f"{key} is searched by [space.{key}]")
+            raise UserError(f"{key} is already varied by [space.{key}]; leave it out")
         if self.pruner and len(self.objectives) > 1:
             raise UserError(f"pruner: {self.pruner.name} requires a single objective")
         for start in self.start:
@@ -210,7 +210,7 @@ def load_search(name: str, world: str | None = None) -> Search:
         run_fields = {**own_fields, **world_fields(world, {*search.space, *own_fields})}
         search = search.model_copy(update={"run": run_fields, "world": world})
     elif world:
-        raise UserError(f"search {search.name} is in one environment alone; leave the world {world} out")
+        raise UserError(f"search {search.name} has only one environment; leave out the world {world}")
     try:
         search.check(own_fields)
     except UserError as error:

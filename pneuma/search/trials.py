@@ -50,7 +50,7 @@ def run_search(search: Search, budget: Budget, store: Store, train: Train, say: 
     check_environments(runs)
     for name, objective in search.objectives.items():
         if objective.over_seeds == DEVIATION and len(budget.seeds) < 2:
-            raise UserError(f"objective {name}: a deviation needs 2 seeds at least")
+            raise UserError(f"objective {name}: a standard deviation needs at least 2 seeds")
         for env in sorted({run.env for run in runs}):
             check_outcome(objective.outcome, [env])
     steps = common_steps(runs, budget.steps)

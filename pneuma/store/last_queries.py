@@ -71,7 +71,7 @@ def on_top_of_last(store: Store, study: str, world: str, query: Query) -> Query:
     """
     last = last_query(store, study, world)
     if last is None:
-        raise UserError(f"{study}@{LAST}: it was not run in {store.root} yet")
+        raise UserError(f"{study}@{LAST}: was not run in {store.root} yet; run the study first")
     changes = {name: value for name, value in vars(query).items() if value and name != "preset"}
     return replace(last, **changes)
 

@@ -90,7 +90,7 @@ def row_until(store: Store, name: str, run: Run, step: int) -> Row:
         latest = sound_checkpoint(store.run_folder(name))
         if latest is None or latest.step < step:
             raise UserError(
-                f"{store.run_folder(name)}: has no sound checkpoint at step {step:,}; search again"
+                f"{store.run_folder(name)}: has no valid checkpoint at step {step:,}; search again"
             )
         files = table_files(latest.records)
     tables = {}

@@ -177,7 +177,7 @@ class Store:
         except (OSError, RuntimeError):  # Python 3.11 and 3.12 raise RuntimeError for a ring of links
             is_within = False
         if not is_within:
-            raise UserError(f"{folder}: a link leads out of the results folder; remove it")
+            raise UserError(f"{folder}: is a link that leads out of the results folder; remove it")
 
     # --- Runs ---------------------------------------------------------------------------------
 
@@ -248,7 +248,7 @@ class Store:
         folder = self.run_folder(run_id)
         with self._writing(folder), run_lock(folder) as is_free:
             if not is_free:
-                raise UserError(f"run {run_id} trains now: stop its study first")
+                raise UserError(f"run {run_id} is training now: stop its study first")
             self.remove(folder)
 
     def save_row(self, run_id: str, data: bytes) -> None:

@@ -27,10 +27,10 @@ def find_run(store: Store, prefix: str) -> str:
         listed = ", ".join(matching[:MOST_LISTED])
         if len(matching) > MOST_LISTED:
             listed += ", …"
-        raise UserError(f"run {prefix!r} is not enough: give more digits; {folder} holds {listed}")
+        raise UserError(f"run {prefix!r} is ambiguous: give more digits; {folder} holds {listed}")
     hint = nearest_name(prefix, run_ids) if run_ids else " (it holds none)"
     raise UserError(
-        f"no run {prefix!r} in {folder}{hint}; `pneuma run list` shows all, --results names a folder"
+        f"no run {prefix!r} in {folder}{hint}; `pneuma run list` shows all runs; --results selects the folder"
     )
 
 
@@ -86,6 +86,6 @@ def trusted_settings(store: Store, run_id: str, trust: bool) -> dict[str, Any]:
     if uses and not trust:
         raise UserError(
             f"run {run_id} would {' and '.join(uses.values())}: "
-            "if you trust its source, give --trust (in Python trust=True)"
+            "if you trust its source, add --trust (in Python: trust=True)"
         )
     return settings

@@ -84,7 +84,7 @@ class Query:
         if not separator:
             return replace(self, study=name)
         if self.preset and self.preset != preset:
-            raise UserError(f"{name}: names the preset {preset}; leave out the preset {self.preset}")
+            raise UserError(f"{name}: already names the preset {preset}; leave out {self.preset}")
         return replace(self, study=study, preset=preset)
 
 
@@ -144,7 +144,7 @@ def make_plan(study: Study, query: Query, engine: Callable[[Run], str] | None = 
     amounts = find_preset(study, preset).amounts(study.conditions, study.world)
     for name in query.conditions:
         if name in study.conditions and name not in amounts:
-            raise UserError(f"condition {name}: the preset {preset} has no runs of it")
+            raise UserError(f"condition {name}: has no runs in the preset {preset}; choose another")
     names = query.conditions or tuple(amounts)
     configurations = configure(study, query.settings, names, engine or _first_capable_engine())
     runs: dict[str, Run] = {}
@@ -212,7 +212,7 @@ def configure(
             raise UserError(f"{key} cannot be set by --set: use {option}")
         if study.levels and any(key in fields for fields in study.conditions.values()):
             raise UserError(
-                f"--set {key}: conditions of study {study.name} set it; choose them by --condition"
+                f"--set {key}: conditions of study {study.name} differ in it; choose one with --condition"
             )
     overrides, swept = _read_settings(study, settings)
     variants = _sweep(study, swept)

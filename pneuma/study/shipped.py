@@ -102,4 +102,4 @@ def _by_figure(what: str, name: str, folder: Path, names: list[str]) -> Path:
 
 def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
     if shipped.is_file() and path.resolve() != shipped.resolve():
-        raise UserError(f"{path}: a shipped {what} is called {path.stem}; give yours another file name")
+        raise UserError(f"{path}: this is the name of a shipped {what}; give yours another file name")

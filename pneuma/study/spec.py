@@ -95,9 +95,9 @@ def _read_fields(table: Any) -> Any:
     for name, value in fields.items():
         try:
             if name in PLANNED:
-                raise UserError(f"{name} is set by {PLANNED[name]}, not here")
+                raise UserError(f"{name} is not allowed here: use {PLANNED[name]}")
             if name not in Run.__dataclass_fields__:
-                hint = "an argument of a learner stands in algorithm_kwargs"
+                hint = "put a learner's arguments in algorithm_kwargs"
                 raise UserError(f"{unknown_name('key', name, Run.__dataclass_fields__)}; {hint}")
             values[name] = read_field(Run, name, value)
         except UserError as error:
@@ -258,7 +258,7 @@ class Study(Table):
         """
         if world not in self.worlds:
             worlds = ", ".join(self.worlds)
-            raise UserError(f"study {self.name} is not run in the world {world}; it is in {worlds}")
+            raise UserError(f"study {self.name} cannot run in the world {world}; choose {worlds}")
         return self.model_copy(update={"world": world})
 
     @property

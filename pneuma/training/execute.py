@@ -167,7 +167,7 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
     open_runs = [run for run in todo.values() if is_open(run)]
     if open_runs:
         runs = counted(len(open_runs), "run")
-        notes.append(f"{runs} by a learner whose state is not stored: stopped or killed, it begins anew")
+        notes.append(f"{runs} cannot be resumed: if stopped, they start over")
     if failures:
         statuses_text = ", ".join(sorted(set(failures)))
         notes.append(

@@ -22,7 +22,7 @@ def test_a_study_is_removed_but_for_runs_that_another_one_has_too(store: Store) 
     clip = finish_study(store, "clip-range", seeds=(0,), steps=1024, conditions=("0.1", "0.2"))
     assert activation[0] == clip[0]
     words = ("study", "delete", "activation", "--results", store.root)
-    assert "--yes is needed where nobody can be asked" in refused(*words)
+    assert "--yes is required because this is not a terminal" in refused(*words)
     code, out, err = call(*words, "--yes")
     kept = "Note: kept, as clip-range in the arena has them too: 1 run."
     assert (code, err, out.splitlines()[:2]) == (0, err, [kept, f"Removed 5 runs from {store.root}."])
@@ -40,7 +40,7 @@ def test_two_studies_of_the_same_runs_are_removed_one_after_the_other(
         finish_study(store, study, seeds=(0,), steps=1024, conditions=("tanh",))
     words = ("study", "delete", "activation", "--yes", "--results", store.root)
     code, out, _ = call(*words)
-    assert (code, out) == (0, "Note: kept, as mine in the arena has them too: 1 run.\nNothing was removed.\n")
+    assert (code, out) == (0, "Note: kept, as mine in the arena has them too: 1 run.\nNothing was deleted.\n")
     removed = described("study", "delete", "mine", "--yes", "--json", "--results", store.root)["removed"]
     assert (len(removed), store.runs()) == (1, [])
 

@@ -79,7 +79,7 @@ def test_a_run_plays_in_its_own_environment(here: Path, arena: str) -> None:
     own = {"level": arena, "perceive": "nearest:2", "magic": True, "episode_steps": 9, "reward": "kills"}
     player = ("--player", store_run(here / "results", **own))
     words = ("env", "render", "pneuma/Pneuma-v0", "--out", "run.gif")
-    assert "give --trust" in refused(*words, *player)  # the run is untrusted, and names a file
+    assert "add --trust" in refused(*words, *player)  # the run is untrusted, and names a file
     told = render("run.gif", *player, "--trust")
     assert "of 1 monsters killed, 9 steps" in told
     assert "killed, 4 steps" in render("run.gif", *player, "--trust", "--set", "episode_steps=4")
@@ -110,7 +110,7 @@ def test_a_run_of_another_environment_plays_there(here: Path) -> None:
     assert frames("x.png") == 1
     told = refused("env", "render", "pneuma/Pneuma-v0", *words, names[0])
     assert "was trained in CartPole-v1, not in pneuma/Pneuma-v0" in told
-    assert "are for Pneuma's environments" in refused("env", "render", "CartPole-v1", *words, "hunter")
+    assert "work only in Pneuma's environments" in refused("env", "render", "CartPole-v1", *words, "hunter")
 
 
 def test_a_learners_policy_is_loaded_and_exported(here: Path) -> None:

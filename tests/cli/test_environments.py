@@ -89,7 +89,9 @@ def test_a_figure_has_a_panel_for_each_environment(study: Path) -> None:
     panels = [part.startswith('id="axes_') for part in (study.parent / "two.svg").read_text().split("<g ")]
     assert sum(panels) == 2
     assert call("study", "plot", study, "--out", "two.svg", "--format", "png").code == 2
-    assert "a figure's file ends in .png, .svg, .pdf" in refused("study", "plot", study, "--out", "two.jpg")
+    assert "a figure's file must end in .png, .svg, .pdf" in refused(
+        "study", "plot", study, "--out", "two.jpg"
+    )
     assert not Path("two.jpg").exists()
     code, _, told = call("study", "plot", study, "--quantity", "success")
     assert (code, told.count("\n")) == (2, 2)  # what is shown, and the mistake
@@ -108,7 +110,7 @@ def test_panels_have_the_evaluated_return_and_their_own_names_of_conditions(stud
     assert [panel.title for panel in _panels(usual)[:2]] == ["CartPole-v1", "Acrobot-v1"]
     assert _panels(usual)[0].y == "Return in evaluation" and _panels(trained)[0].y == "Return in training"
     assert _panels(summary)[0].rows == ["ppo (4)", "a2c (4)"]
-    assert "Conditions were trained by different engines: batched (ppo), sb3 (a2c)." in summary.caption
+    assert "The conditions were trained by different engines: batched (ppo), sb3 (a2c)." in summary.caption
 
 
 def _panels(page: Page) -> list[Panel]:

@@ -121,7 +121,7 @@ env_kwargs = { raises = 1 }
     [
         ("unknown", "Environment `Cartpole` doesn't exist"),
         ("raises", "raising.py cannot be imported: OSError: no such display"),
-        ("spaces", "actions in Tuple(Discrete(2)) cannot be learned: wrap it"),
+        ("spaces", "actions in Tuple(Discrete(2)) are not supported: wrap it"),
         ("step", "Corridor-v0 in step 1 of episode 0: ZeroDivisionError: by the corridor"),
     ],
 )

@@ -45,7 +45,7 @@ def test_what_is_published_stays_in_the_table_and_the_same_runs_give_the_same_by
     assert path.read_bytes() == whole and path.name.startswith("activation-arena-horizon=64-slots=1-")
     shutil.rmtree(results / "runs")
     called = _publish(results)
-    assert called.code == 2 and "nothing is new to publish" in called.err and path.read_bytes() == whole
+    assert called.code == 2 and "train some before publishing" in called.err and path.read_bytes() == whole
 
 
 @pytest.mark.parametrize(("kept", "columns"), [("none", set()), ("return,entropy", {"return", "entropy"})])

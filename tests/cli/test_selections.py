@@ -153,11 +153,11 @@ def test_steps_are_rounded_up_for_the_horizon_of_each_run(store: Store) -> None:
     ("name", "options", "message"),
     [
         ("activation@papper", (), "unknown preset of study activation 'papper' (did you mean paper?)"),
-        ("activation@last", (), "activation@last: it was not run in"),
+        ("activation@last", (), "activation@last: was not run in"),
         ("activation", ("--condition", "relo"), "unknown condition of study activation 'relo'"),
         ("activation", ("--world", "mars"), "--world mars: must be one of"),
-        ("own-game", ("--world", "text"), "study own-game is not run in the world text"),
-        ("activation@quick", ("--preset", "paper"), "names the preset quick; leave out the preset paper"),
+        ("own-game", ("--world", "text"), "study own-game cannot run in the world text"),
+        ("activation@quick", ("--preset", "paper"), "names the preset quick; leave out paper"),
     ],
 )
 def test_a_misspelt_query_is_refused_with_what_there_is(
@@ -217,8 +217,8 @@ def test_conditions_of_the_same_settings_are_compared_with_a_note(store: Store) 
     words = ("study", "compare", "activation", "tanh", "tanh, gamma=0.99", "--results", store.root)
     called = call(*words)
     assert called.code == 0
-    assert "tanh and tanh, gamma=0.99 are the same settings, and have 1 run in common" in called.out
-    assert "No interval where an arm has fewer than 5 runs" in called.out
+    assert "tanh and tanh, gamma=0.99 have the same settings and share 1 run" in called.out
+    assert "A condition with fewer than 5 runs" in called.out
 
 
 @pytest.mark.usefixtures("unshipped")
@@ -227,7 +227,7 @@ def test_conditions_that_differ_in_the_engine_are_compared_with_a_note(store: St
     finish_study(store, seeds=(0,), steps=1024, conditions=pair)
     called = call("study", "compare", "activation", *pair, "--results", store.root)
     assert called.code == 0
-    assert "Note: trained by different engines (batched and sb3)." in called.out
+    assert "Note: these runs were trained by different engines (batched and sb3)." in called.out
     message = refused("study", "compare", "activation", "tanh", "tanh, engine=sb", "--results", store.root)
     assert "did you mean sb3?" in message
 
@@ -283,7 +283,7 @@ def test_a_file_in_this_folder_is_found_by_its_name_before_and_after_it_was_run(
         assert show(store, name, "godot")[0] == ids
     store.save_listing("logs", {"title": "", "baseline": "", "runs": []})
     assert "'logz' (did you mean logs?)" in typed("status", "logz").err
-    assert "study own is not run in the world text" in typed("status", "own", "--world", "text").err
+    assert "study own cannot run in the world text" in typed("status", "own", "--world", "text").err
 
 
 def test_a_preset_of_any_name_has_other_amounts_in_a_world(
@@ -299,7 +299,7 @@ def test_a_preset_of_any_name_has_other_amounts_in_a_world(
     ]  # fmt: skip
     assert [(cell.condition, cell.seed, cell.run.steps) for cell in cells["godot"]] == [("b", 7, 2048)]
     words = ("study", "plan", "own@long", "--world", "godot", "--condition", "a", "--results", store.root)
-    assert "condition a: the preset long has no runs of it" in refused(*words)
+    assert "condition a: has no runs in the preset long" in refused(*words)
 
 
 @pytest.mark.usefixtures("unshipped")

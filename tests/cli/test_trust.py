@@ -61,7 +61,7 @@ def test_untrusted_what_a_record_names_is_used_with_trust_alone(
 ) -> None:
     save_run(RECORDS[record])
     words = [word.format(RUN) for word in COMMANDS[command]]
-    assert "give --trust" in refused(*words, "--results", "results")
+    assert "add --trust" in refused(*words, "--results", "results")
     assert not mark.exists()
 
 

@@ -74,13 +74,13 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "argument": ({"env_kwargs": {"speed": 2}}, "env = Corridor-v0: TypeError: .*speed"),
     "wrapper": ({"wrappers": "tests.engines.own_envs:Halved"}, "wrappers = .*Halved"),
     "actions": ({"env_kwargs": {"kind": "tuple"}}, "actions in Tuple"),
-    "choices": ({"env_kwargs": {"kind": "pairs"}}, 'several choices, which engine = "sb3" alone'),
+    "choices": ({"env_kwargs": {"kind": "pairs"}}, 'several choices, which only engine = "sb3"'),
     "observations": ({"env_kwargs": {"kind": "sequence"}}, "observations in Sequence cannot be flattened"),
     "text": ({"env_kwargs": {"kind": "text"}}, "observations in text cannot be flattened"),
     "strange": ({"env_kwargs": {"kind": "strange"}}, "observations in text cannot be flattened"),
     "minigrid": ({"env": "MiniGrid-Nowhere-v0", "env_module": "nowhere"}, r"'nowhere'; pip.*\[minigrid\]"),
-    "numbers": ({"env": "Pendulum-v1"}, 'engine = "sb3" alone'),
-    "bounds": ({"env_kwargs": {"kind": "unbounded"}, "engine": "sb3"}, "have no bounds"),
+    "numbers": ({"env": "Pendulum-v1"}, 'only engine = "sb3" trains'),
+    "bounds": ({"env_kwargs": {"kind": "unbounded"}, "engine": "sb3"}, "are unbounded"),
     "values": ({"env": "Pendulum-v1", "algorithm": "dqn"}, "which dqn cannot"),
 }
 

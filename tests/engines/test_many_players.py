@@ -114,7 +114,7 @@ def test_each_plays_by_its_own_policy_compiled_or_not(monkeypatch: pytest.Monkey
     result, _ = train_once(run)
     assert result.policy
     policy = read_sound_policy(result.policy.to_bytes())
-    with pytest.raises(UserError, match="3 observations: must be one for each of 2 players"):
+    with pytest.raises(UserError, match="3 observations are not allowed: give one for each of 2 players"):
         policy.best(np.zeros((3, policy.features), np.float32))
     observations = np.random.default_rng(0).normal(size=(10, policy.features)).astype(np.float32)
     for player in range(2):

@@ -129,5 +129,5 @@ def test_what_is_no_policy_is_refused() -> None:
     ]
     changed = [replace(policy, **parts).to_bytes() for parts in wrong]
     for data in (b"", policy.to_bytes()[:-1], *changed):
-        with pytest.raises(UserError, match="is no policy"):
+        with pytest.raises(UserError, match="is not a policy"):
             read_sound_policy(data)

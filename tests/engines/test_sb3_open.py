@@ -258,11 +258,11 @@ def test_what_is_no_learners_file_is_refused() -> None:
         with zipfile.ZipFile(file, "w") as archive:
             for name, content in changed.items():
                 archive.writestr(name, content)
-        with pytest.raises(UserError, match="is no policy of sac"):
+        with pytest.raises(UserError, match="is not a policy of sac"):
             load_learner(run, file.getvalue())
     other = make_run({**LEARNED["sac"], "algorithm_kwargs": {"policy_kwargs": {"net_arch": [8]}}})
     for wrong, file_of in ((other, data), (run, b"no zip")):
-        with pytest.raises(UserError, match="is no policy of sac"):
+        with pytest.raises(UserError, match="is not a policy of sac"):
             load_learner(wrong, file_of)
 
 
@@ -289,7 +289,7 @@ NOISE = {"algorithm": "td3", **NUMBERS}
     [
         ({"algorithm": "sac"}, "sac in CartPole-v1: .*Discrete"),
         ({"algorithm": "dqn", "algorithm_kwargs": {"seed": 1}}, "dqn in .* multiple values .* 'seed'"),
-        ({"algorithm_kwargs": {"policy_kwargs": {"activation_fn": "no"}}}, "'no': is no class"),
+        ({"algorithm_kwargs": {"policy_kwargs": {"activation_fn": "no"}}}, "'no': is not a class"),
         ({"algorithm_kwargs": {"ent_coef": 0.1}}, "ent_coef is not allowed: ppo has the field entropy_coeff"),
         (
             {"algorithm_kwargs": {"policy_kwargs": {"net_arch": [8]}}},
@@ -299,8 +299,8 @@ NOISE = {"algorithm": "td3", **NUMBERS}
         ({"algorithm": "recurrent-ppo"}, 'policy = "MlpPolicy": recurrent-ppo has MlpLstmPolicy, '),
         ({"algorithm": "qr-dqn", "horizon": 66}, "horizon = 66 .* every 4 steps; set .* = 68"),
         ({"algorithm": "stable_baselines3:PPO"}, "horizon = 64 .* every 2048 steps; set horizon = 2048"),
-        ({"algorithm": "sb3_contrib:ARS"}, "is neither an OnPolicyAlgorithm nor an OffPolicyAlgorithm"),
-        ({"algorithm": "sb3_contrib:MaskablePPO"}, "evaluations know no masks of actions"),
+        ({"algorithm": "sb3_contrib:ARS"}, "must be an OnPolicyAlgorithm or an OffPolicyAlgorithm"),
+        ({"algorithm": "sb3_contrib:MaskablePPO"}, "evaluations do not support action masks"),
         ({"algorithm": "no.such.module:Learner"}, "no.such.module cannot be imported"),
         (
             {**NOISE, "algorithm_kwargs": {"action_noise": {"name": "NormalActionNoise"}}},

@@ -94,7 +94,7 @@ def test_a_header_says_where_the_land_ends_and_any_obstacle_blocks(tmp_path: Pat
         ({"objects": "code,x,y\n400,0,nan\n"}, "objects.csv: row 2: column 3: Input should be a finite"),
         ({"obstacles": "-1,-1\n"}, ": ground of (3, 4) tiles, and obstacles of (1, 2)"),
         ({"objects": "code,x,y\n399,0,0\n"}, "objects.csv: unknown code 399; known are 400, 390"),
-        ({"objects": "code,x,y\n390,0,0\n"}, "objects.csv: no start place"),
+        ({"objects": "code,x,y\n390,0,0\n"}, "objects.csv: has no start place"),
         ({"level": "coats = [0]\n"}, "level.toml, line 1: unknown key 'coats' (did you mean coast?)"),
     ],
 )
@@ -130,9 +130,9 @@ def test_how_tiled_turns_a_picture_changes_no_code(tmp_path: Path, turned: int) 
          "start place 1 at (48.5, 48) has a body of 47 x 48 px, stuck in row 11", {"trees": "pass"}),
         ([(200.0, 200.0)], [(-380.0, 32.0)], [(3, 10)], "(bamboo) at (-380, 32) has a body of 24 x 50",
          {"terrain_stops": "players"}),
-        ([(0.0, 0.0)], [(200.0, 0.0), (33.0, 0.0)], [], "at (33, 0) begins inside start place 0", {}),
-        ([(0.0, 0.0)], [(200.0, 0.0), (223.0, 49.0)], [], "at (200, 0) begins inside monster 1", {}),
-        ([(0.0, 0.0), (46.0, 47.0)], [(200.0, 0.0)], [], "place 0 at (0, 0) begins inside start place 1",
+        ([(0.0, 0.0)], [(200.0, 0.0), (33.0, 0.0)], [], "at (33, 0) starts inside start place 0", {}),
+        ([(0.0, 0.0)], [(200.0, 0.0), (223.0, 49.0)], [], "at (200, 0) starts inside monster 1", {}),
+        ([(0.0, 0.0), (46.0, 47.0)], [(200.0, 0.0)], [], "place 0 at (0, 0) starts inside start place 1",
          {}),
     ],
 )  # fmt: skip

@@ -69,7 +69,7 @@ def test_runs_beside_are_of_the_same_environment_or_not_drawn(
 ) -> None:
     other = HandMade(tmp_path / "other", "CartPole-v1")
     other.add("tanh", 0)
-    with pytest.raises(UserError, match="--beside mine: its runs are of CartPole-v1, and not of pneuma/Pneu"):
+    with pytest.raises(UserError, match="--beside mine: its runs are in CartPole-v1, not in pneuma/Pneu"):
         study.draw(tmp_path, beside=other.data)
     both = curves_page({"One": study.data, "Other": other.data}, "return", "both", beside=other.data)
     save_page(both, tmp_path, ("svg",))

@@ -35,7 +35,7 @@ def test_own_axes_are_drawn_in_matplotlibs_present_settings(study: HandMade) -> 
 def test_a_figure_names_what_it_lies_over(study: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
     (path,) = study.draw(tmp_path, x="wall-clock")
     assert path.stem == "mine-over-wall-clock" and "Seconds of training" in words(drawn[0])
-    assert "Over time, a run goes on at an even pace." in words(drawn[0])
+    assert "Within a run, all steps are taken to last equally long." in words(drawn[0])
 
 
 def test_a_log_axis_of_zeros_is_none_and_a_condition_of_zeros_is_named(
@@ -91,7 +91,7 @@ def test_a_panel_is_left_out_where_the_height_is_too_little_for_it_unless_it_was
         boxes = [box.padded(-1) for box in tight if box is not None]
         boxes.append(drawn[-1].legends[0].get_window_extent())
         assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
-    assert "Note: 1 of 2 panels fit the height; --quantity names another." in capsys.readouterr().err
+    assert "Note: 1 of 2 panels fit the height; choose them with --quantity." in capsys.readouterr().err
     both = curves_page(study.data, ["return", "share_killed"])
     with pytest.raises(UserError, match=r"--height 2.4: at least \d.\d inches"):
         save_page(both, tmp_path, PNG, look=Look(3.25, 2.4, plain=True))

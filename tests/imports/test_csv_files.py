@@ -141,8 +141,8 @@ def test_without_columns_they_are_listed_with_a_command_to_copy() -> None:
         ("8,5", "--seed seed", "unknown column in --seed 'seed'"),
         ("8,5", f"--seed {'9' * 5000}", "unknown column in --seed '999"),
         ("8,5", "--value return=reward", "unknown quantity in --value return=reward: 'reward'"),
-        ("8,5", "--value step --value return", "names two columns for one quantity"),
-        ("8,5", "--name activation", "a shipped study is called that"),
+        ("8,5", "--value step --value return", "two columns are given for one quantity"),
+        ("8,5", "--name activation", "this is the name of a shipped study"),
     ],
 )
 def test_what_could_be_read_in_two_ways_or_none_is_refused(rows: str, options: str, told: str) -> None:
@@ -158,10 +158,10 @@ def test_what_could_be_read_in_two_ways_or_none_is_refused(rows: str, options: s
 def test_columns_and_runs_of_one_name_are_refused() -> None:
     write("runs.csv", "step,return,return\n8,5,6\n")
     words = ("--step", "step", "--value", "return")
-    assert "two columns are called 'return'" in refused("import", "csv", "runs.csv", *words)
+    assert "has two columns named 'return'" in refused("import", "csv", "runs.csv", *words)
     names = [write(f"{name}/runs.csv", f"step,return\n8,{len(name)}\n") for name in ("a", "bc")]
     told = refused("import", "csv", *names, *words, "--condition", "ppo", "--seed", "1")
-    assert "are two runs of one name, ppo with seed 1: give each its own" in told
+    assert "are two runs of one name, ppo with seed 1: give each another seed" in told
     write("none.csv", "step,return,condition\n8,5,\n")
     told = refused("import", "csv", "none.csv", *words, "--condition", "condition")
     assert "row 2: '' in column condition must be a condition" in told
@@ -172,7 +172,7 @@ def test_another_selection_of_a_studys_runs_needs_its_name() -> None:
     runs = {("a", 0): {8: 1.0}, ("b", 0): {8: 2.0}}
     printed("import", "csv", str(write_table(Path("runs.csv"), runs)), *TIDY)
     write_table(Path("runs.csv"), {("c", 0): {8: 3.0}})
-    assert "study runs has other runs; --name runs adds to them" in refused(
+    assert "study runs has other runs; give --name runs to add to them" in refused(
         "import", "csv", "runs.csv", *TIDY
     )
     printed("import", "csv", "runs.csv", *TIDY, "--name", "runs")
@@ -240,7 +240,7 @@ def test_each_monitor_is_a_run_unless_one_run_is_named() -> None:
     assert curves("one")["ppo", 0] == {10: 1, 20: 1.5, 30: 2, 40: 1.75, 50: 1.8, 60: 2}
     write(names[1], f"{HEADER}2,10,8\n2,10,3\n")
     told = refused("import", "csv", *names, *one)
-    assert told.startswith(f"{names[1]}: its clock begins again")
+    assert told.startswith(f"{names[1]}: its clock restarts")
 
 
 def test_a_monitors_folder_names_its_run() -> None:
@@ -273,5 +273,5 @@ def test_a_file_that_is_no_text_is_refused() -> None:
     Path("runs.csv").write_bytes(b"step,return\n8,\xff\n")
     assert (
         call("import", "csv", "runs.csv", *TIDY).err
-        == "pneuma: runs.csv: cannot be read: it is not UTF-8 text\n"
+        == "pneuma: runs.csv: is not UTF-8 text; save it as UTF-8\n"
     )

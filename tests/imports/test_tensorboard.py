@@ -184,7 +184,7 @@ def test_two_runs_of_one_name_and_two_copies_of_one_run_are_refused(tmp_path: Pa
     with pytest.raises(UserError, match="PPO and PPO_0 are two runs of one name, PPO with seed 0: give each"):
         _import(tmp_path)
     (tmp_path / "logs" / "PPO" / FILE).unlink()
-    with pytest.raises(UserError, match="PPO_0 and PPO_1 hold the same data: import one of them"):
+    with pytest.raises(UserError, match="PPO_0 and PPO_1 contain the same data: import one of them"):
         _import(tmp_path)
     (tmp_path / "logs" / "PPO_1" / FILE).write_bytes(b"")
     assert _import(tmp_path)[1] == ["PPO_1: has no values at agent steps, and is left out"]

@@ -68,7 +68,7 @@ def test_another_budget_has_a_log_of_its_own_and_the_latest_is_read(
 def test_a_search_whose_file_has_changed_is_not_read(make_task: MakeTask, store: Store) -> None:
     make_task(4).record(store)
     make_task(4, "[run]\ngamma = 0.9")
-    with pytest.raises(UserError, match="the search had other fixed than its file has now"):
+    with pytest.raises(UserError, match="its file now has other fixed than when the search began"):
         read_record(store, "formula", "text")
     with pytest.raises(UserError, match="search formula-arena was not run in"):
         read_record(store, "formula")
@@ -201,6 +201,6 @@ def test_untrusted_a_log_names_no_module_that_is_imported(make_task: MakeTask, s
     path = make_task(4, "[run]\ngamma = 0.9").record(store).path
     path.write_text(path.read_text().replace('"fixed":{', '"fixed":{"env_module":"marking",', 1))
     Path("marking.py").write_text("open('mark', 'w')\n")
-    with pytest.raises(UserError, match="the search had other fixed"):
+    with pytest.raises(UserError, match="its file now has other fixed"):
         read_record(store, "formula", "text")
     assert not Path("mark").exists()

@@ -71,8 +71,10 @@ def test_the_best_trial_is_promoted_unless_told_and_on_seeds_that_are_fresh(make
     assert find_trial(record, 3).number == 3
     with pytest.raises(UserError, match="no such complete trial"):
         find_trial(record, 99)
-    with pytest.raises(UserError, match="the search has used the seeds 1001; choose others"):
+    with pytest.raises(UserError, match="the search already used the seeds 1001; choose others"):
         promotion_study(record, best, (0, 1001), None)
     more = '[objectives.low]\noutcome = "final-share-killed"\ndirection = "minimize"'
-    with pytest.raises(UserError, match="has a front, not one best trial; choose one of the trials "):
+    with pytest.raises(
+        UserError, match="has no single best trial but a Pareto front; choose one of the trials "
+    ):
         find_trial(make_task(4, more).record(), None)

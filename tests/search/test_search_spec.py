@@ -106,7 +106,7 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ('optimizer = "sgd" }', 'activation = "relu" }', 'momentum never applies: no trial'),
         ('optimizer = "sgd" }', 'learning_rate = 3e-4 }', 'momentum never applies: no trial'),
         ("[space.epochs]\nlow = 1\n", "[space.epochs]\nchoices = [1, 2]\n", "unexpected keyword"),
-        ("gradient_limit = 0.5", "epochs = 3", "epochs is searched by [space.epochs]"),
+        ("gradient_limit = 0.5", "epochs = 3", "epochs is already varied by [space.epochs]"),
         ("gradient_limit = 0.5", "held_out_levels = 5", "held_out_levels = 5 is not allowed"),
         ("[run]", '[sampler]\nname = "tpee"\n[run]', "unknown name 'tpee' (did you mean tpe?)"),
         ("[run]", '[sampler]\nname = "tpe"\nstartup = 1\n[run]', "unexpected keyword argument 'startup'"),
@@ -166,7 +166,7 @@ def test_a_search_is_found_by_its_path_a_shipped_name_or_its_name_here_and_is_in
     assert (load_search("ppo").label, load_search("ppo", "text").label) == ("ppo-arena", "ppo-text")
     (tmp_path / "ppo.toml").write_text(GOOD)
     assert load_search("ppo").title != "A search"
-    with pytest.raises(UserError, match="a shipped search is called ppo"):
+    with pytest.raises(UserError, match="this is the name of a shipped search"):
         load_search("ppo.toml")
 
 
@@ -176,5 +176,5 @@ def test_a_search_of_another_environment_has_no_world(tmp_path: Path) -> None:
     search = load_search(str(path))
     assert (search.label, search.full_title) == ("mine", "A search")
     for world in WORLDS:
-        with pytest.raises(UserError, match="search mine is in one environment alone"):
+        with pytest.raises(UserError, match="search mine has only one environment"):
             load_search(str(path), world)

@@ -163,7 +163,10 @@ def test_a_run_whose_folder_is_a_link_is_not_trained_into_and_nothing_there_is_s
     events = list[Event]()
     local.train_runs({run_id(run): run}, store, ExecutorConfig(1), events.append)
     (end,) = [event for event in events if event["event"] == "end"]
-    assert end["status"] == "crashed" and "a link leads out of the results folder; remove it" in end["reason"]
+    assert (
+        end["status"] == "crashed"
+        and "is a link that leads out of the results folder; remove it" in end["reason"]
+    )
     assert {path.name: path.read_text() for path in theirs.iterdir()} == {
         ".lock": "mine", ".netrc.bak": "mine",
     }  # fmt: skip

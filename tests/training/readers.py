@@ -51,7 +51,7 @@ COMMANDS = {
 DELETE, DELETE_ROW = "delete", "delete row"
 DEEDS = (*COMMANDS, "run", DELETE, DELETE, DELETE_ROW)
 NAMES_WHAT_IS_MISSING = re.compile(
-    r"has no runs|no finished run|missing or damaged|nothing is new to publish|seed \d (running|damaged): "
+    r"has no runs|no finished run|missing or damaged|train some before publishing|seed \d (running|damaged): "
 )
 """The last: of a run that the other process deleted, and trains again."""
 

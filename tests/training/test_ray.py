@@ -83,7 +83,7 @@ def checkpoint_folders(folder: Path) -> set[Path]:
 
 
 def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="does not see /shared/results: all must share that folder"):
+    with pytest.raises(UserError, match="cannot see /shared/results: all nodes must share that folder"):
         job = Job({"a0" * 8: make_run({})}, Store("/shared/results"), LOCAL_CONFIG)
         ray.train_here(job.to_json(), ray.versions(), str(tmp_path))
 

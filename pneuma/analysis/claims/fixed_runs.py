@@ -205,10 +205,10 @@ def with_claims(study: Study, steps: int | None = None) -> Study:
     budgets = " or ".join(f"{budget:,}" for budget in amounts)
     if not amounts:
         raise UserError(
-            f"--preset {CLAIMS}: no list of claims beside study {study.name} fixes runs in this world"
+            f"--preset {CLAIMS}: no list of claims fixes runs of study {study.name} in this world"
         )
     if len(amounts) > 1 and steps is None:
-        raise UserError(f"--preset {CLAIMS}: claims fix runs of {budgets} steps: say which with --steps")
+        raise UserError(f"--preset {CLAIMS}: claims fix runs of {budgets} steps: choose with --steps")
     steps = steps or next(iter(amounts))
     conditions: dict[str, Amount] = {}
     for by_condition in amounts.values():

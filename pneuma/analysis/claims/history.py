@@ -45,8 +45,7 @@ def refuse_changed(index: RunIndex, study: Study) -> None:
         if changed:
             raise UserError(
                 f"--preset {CLAIMS}: the claim {claim.name} was changed after its first run "
-                f"({', '.join(changed)}), so more runs test nothing; another preset, or --seeds and --steps, "
-                "trains them"
+                f"({', '.join(changed)}), so more runs prove nothing; use another preset or --seeds, --steps"
             )
 
 

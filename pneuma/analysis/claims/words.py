@@ -34,10 +34,10 @@ from pneuma.presets import WORLDS
 
 HOLDS, FAILS, UNDECIDED, NOT_TESTED = "holds", "does not hold", "undecided", "not tested"
 WORDS = {
-    HOLDS: "The runs show what the sentence says.",
-    FAILS: "They show the opposite, or that the difference is too small to count.",
-    UNDECIDED: "They show neither; or of two measures one speaks for the sentence and one against it.",
-    NOT_TESTED: "The runs are not there yet, or cannot tell anything about it.",
+    HOLDS: "The runs show that the sentence is true.",
+    FAILS: "The runs show the opposite, or that the difference is too small to matter.",
+    UNDECIDED: "The runs show neither, or one measure supports the sentence and another contradicts it.",
+    NOT_TESTED: "The runs are missing, or cannot show whether the sentence is true.",
 }
 """The four words, and what each says of a sentence in a world."""
 _LETTERS = {PREREGISTERED: "p", DESCRIPTIVE: "d"}

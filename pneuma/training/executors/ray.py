@@ -46,7 +46,7 @@ def most_workers(config: ExecutorConfig) -> int:
 
     cpus = int(ray.cluster_resources().get("CPU", 0))
     if not cpus:
-        raise UserError("--executor ray: no node of the cluster has a CPU to give")
+        raise UserError("--executor ray: no node of the cluster has a free CPU")
     return cpus
 
 
@@ -189,7 +189,7 @@ def join(address: str | None) -> None:
             ray.init(address, runtime_env=runtime, **quiet)
     except Exception as error:  # Ray raises many kinds of errors
         raise UserError(
-            f"--address {address}: no cluster can be joined there ({error}); give the address that "
+            f"--address {address}: cannot join a cluster there ({error}); give the address that "
             "`ray start --head` printed, on a machine of the cluster"
         ) from None
 
@@ -216,7 +216,7 @@ def train_here(text: str, required: Mapping[str, str], folder: str) -> None:
     folders = [job.store.run_folder(name) for name in job.runs]
     if not all((run / "status.json").exists() for run in folders):  # the command has noted all runs there
         raise UserError(
-            f"--executor ray: the node {node} does not see {job.store.root}: all must share that folder"
+            f"--executor ray: the node {node} cannot see {job.store.root}: all nodes must share that folder"
         )
     die_with(os.getppid())  # Ray's own process here
     with suppress(OSError):
