@@ -68,8 +68,11 @@ def silent(message: str) -> None:
 
 def written(message: str, write: Callable[[Hint], str]) -> str:
     """Return a text or message whose hints are written by a function."""
-    parts: Iterable[str | Hint] = getattr(message, "parts", (message,))
-    return "".join(write(part) if isinstance(part, Hint) else part for part in parts)
+    message_parts: Iterable[str | Hint] = getattr(message, "parts", (message,))
+    return "".join(
+        write(message_part) if isinstance(message_part, Hint) else message_part
+        for message_part in message_parts
+    )
 
 
 class UserError(Exception):
@@ -107,7 +110,7 @@ def plain(text: str) -> str:
     """
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in text)
+    return "".join(character if character.isprintable() else f"\\u{ord(character):04x}" for character in text)
 
 
 def print_aside(text: str) -> None:
@@ -127,22 +130,22 @@ def nearest_name(word: str, names: Iterable[str]) -> str:
     A name that others give the same thing is near as well, or a first word: `lr` of `learning_rate`, `reward`
     of `final-return`, `entropy` of `entropy_coefficient`.
     """
-    known, typed = list(names), str(word).lower()
+    candidates, typed = list(names), str(word).lower()
     meant = MEANT.get(typed, typed)
-    near = [name for name in (meant, f"final-{meant}".replace("_", "-")) if name in known]
-    begun = [name for name in known if name.startswith(f"{typed}_")]
-    near = near or begun[:1] or difflib.get_close_matches(typed, known, 1, NEAR)
-    return f" (did you mean {near[0]}?)" if near else ""
+    similar = [name for name in (meant, f"final-{meant}".replace("_", "-")) if name in candidates]
+    beginnings = [name for name in candidates if name.startswith(f"{typed}_")]
+    similar = similar or beginnings[:1] or difflib.get_close_matches(typed, candidates, 1, NEAR)
+    return f" (did you mean {similar[0]}?)" if similar else ""
 
 
-def unknown_name(what: str, word: str, names: Iterable[str]) -> UserError:
+def unknown_name(category: str, word: str, names: Iterable[str]) -> UserError:
     """Return the error for a name that is not among `names`."""
-    known = list(names)
-    hint, between = nearest_name(word, known), "; " if any("," in name for name in known) else ", "
-    more = len(known) - MOST_LISTED
-    if more > 1 and hint:
-        return UserError(f"unknown {what} {word!r}{hint}")
-    if more > 1:
-        likest = difflib.get_close_matches(str(word).lower(), known, MOST_LISTED, 0)
-        known = [*(name for name in known if name in likest), f"{more} more"]
-    return UserError(f"unknown {what} {word!r}{hint}; known are {between.join(known)}")
+    listed = list(names)
+    hint, separator = nearest_name(word, listed), "; " if any("," in name for name in listed) else ", "
+    hidden_count = len(listed) - MOST_LISTED
+    if hidden_count > 1 and hint:
+        return UserError(f"unknown {category} {word!r}{hint}")
+    if hidden_count > 1:
+        likest = difflib.get_close_matches(str(word).lower(), listed, MOST_LISTED, 0)
+        listed = [*(name for name in listed if name in likest), f"{hidden_count} more"]
+    return UserError(f"unknown {category} {word!r}{hint}; known are {separator.join(listed)}")

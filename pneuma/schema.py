@@ -275,9 +275,9 @@ def _find(location: Iterable[Any], data: Mapping[str, Any]) -> tuple[Where, Any]
     """Return the path and the value at a location of pydantic, which also names models and list items."""
     path: Where = ()
     value: Any = data
-    for part in location:
-        if isinstance(value, Mapping) and part in value:
-            path, value = (*path, str(part)), value[part]
+    for key in location:
+        if isinstance(value, Mapping) and key in value:
+            path, value = (*path, str(key)), value[key]
     return path, value
 
 

@@ -204,13 +204,13 @@ def _seeds_of_text(text: str) -> int | list[int]:
     if "," not in text and ".." not in text:
         return int(text)
     seeds: list[int] = []
-    for part in text.split(","):
-        if part.strip():
-            first, dots, last = part.partition("..")
-            span = range(int(first), int(last if dots else first) + 1)
-            if len(span) > MOST_SEEDS:
+    for item in text.split(","):
+        if item.strip():
+            first, dots, last = item.partition("..")
+            seed_range = range(int(first), int(last if dots else first) + 1)
+            if len(seed_range) > MOST_SEEDS:
                 raise ValueError
-            seeds.extend(span)
+            seeds.extend(seed_range)
     return seeds
 
 

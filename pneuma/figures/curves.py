@@ -193,8 +193,8 @@ def curves_page(
             columns[title] = _column(study, shared, beside, settings, looks, labels)
     studies_beside = dict.fromkeys(column.beside for column in columns.values() if column.beside)
     if beside and not studies_beside:
-        unlike = f"{' and '.join(environments(beside))}, not in {' and '.join(environments(data))}"
-        raise UserError(f"--beside {beside.study.name}: its runs are in {unlike}")
+        environments_text = f"{' and '.join(environments(beside))}, not in {' and '.join(environments(data))}"
+        raise UserError(f"--beside {beside.study.name}: its runs are in {environments_text}")
     rows: dict[str, list[Panel | None]] = {name: [] for name in names}
     entries: dict[str, Any] = {}
     for title, column in columns.items():
@@ -250,13 +250,13 @@ def default_quantities(data: StudyData, beside: StudyData | None = None) -> list
     episodes are so long for the budget that a training curve has gaps.
     """
     recorded = curve_names(data)
-    first, *more = DEFAULT_QUANTITIES
+    first, *alternatives = DEFAULT_QUANTITIES
     evaluated = EVALUATED in recorded and (beside is None or EVALUATED in curve_names(beside))
     if not have_one_return(data):
         first = "length"
     elif evaluated and (is_foreign(data) or (first in recorded and _has_stubs(data, first))):
         first = EVALUATED
-    return [name for name in (first, *more) if name in recorded] or recorded[:1] or ["return"]
+    return [name for name in (first, *alternatives) if name in recorded] or recorded[:1] or ["return"]
 
 
 def _has_stubs(data: StudyData, quantity: str) -> bool:
@@ -272,20 +272,20 @@ def _differences(
     settings: Options, names: Sequence[str], default: Sequence[str], beside: StudyData | None
 ) -> list[str]:
     """Return how a figure differs from the study's default one, for the name of its files."""
-    parts: list[str] = []
+    suffixes: list[str] = []
     if names != default:
-        parts += names if len(names) < MOST_NAMED else [f"{len(names)}-quantities"]
+        suffixes += names if len(names) < MOST_NAMED else [f"{len(names)}-quantities"]
     if settings.bands[0] != DEFAULT_BAND:
-        parts.append(settings.bands[0])
+        suffixes.append(settings.bands[0])
     if settings.log:
-        parts.append("log")
+        suffixes.append("log")
     if settings.x != STEPS:
-        parts.append(f"over-{settings.x}")
+        suffixes.append(f"over-{settings.x}")
     if settings.window == TRAILING_WINDOW:
-        parts.append(settings.window)
+        suffixes.append(settings.window)
     if beside:
-        parts += ["beside", beside.study.name]
-    return parts
+        suffixes += ["beside", beside.study.name]
+    return suffixes
 
 
 # --- Columns and panels ------------------------------------------------------------------------------
@@ -305,17 +305,19 @@ def _column(
         if (settings.log or QUANTITIES[name].kind == POWERS) and _reach(group)[1] > 0:
             curves[name] = [replace(curve, log=True) for curve in group]
     column = Column(data, settings, looks, labels, curves)
-    others = beside and in_environment_of(data, beside)
-    if not others:
+    other_study = beside and in_environment_of(data, beside)
+    if not other_study:
         return column
     window = settings.window
-    if window not in others.windows:
+    if window not in other_study.windows:
         window = None
-    recorded = curve_names(others)
+    recorded = curve_names(other_study)
     shared = [name for name in names if name in recorded]
     if not shared:
-        raise UserError(f"study {others.study.name} has no {' or '.join(names)} to draw")
-    return replace(column, beside=others, beside_curves=study_curves(others, shared, window, settings.x))
+        raise UserError(f"study {other_study.study.name} has no {' or '.join(names)} to draw")
+    return replace(
+        column, beside=other_study, beside_curves=study_curves(other_study, shared, window, settings.x)
+    )
 
 
 def _panel(column: Column, name: str) -> Panel:
@@ -333,69 +335,73 @@ def _panel(column: Column, name: str) -> Panel:
 
 
 def _draw(column: Column, name: str, axes: Axes) -> None:
-    data, settings, curves, others = (
+    data, settings, curves, beside_curves = (
         column.data,
         column.settings,
         column.curves[name],
         column.beside_curves.get(name, []),
     )
-    unit, bounds = QUANTITIES[name].kind, QUANTITIES[name].bounds
+    quantity_kind, bounds = QUANTITIES[name].kind, QUANTITIES[name].bounds
     if name in ("return", EVALUATED):
         bounds = RETURN_BOUNDS.get(" ".join(environments(data)), bounds)
     lines = sum(curve.run_count for curve in curves)
     for curve in curves:
-        look = column.looks[curve.condition]
+        line_style = column.looks[curve.condition]
         for band in settings.bands:
             frame = curve.frame(band)
             if band == INTERVAL:  # where some runs have no value, the remaining ones are no fair sample
                 frame[["low", "high"]] = frame[["low", "high"]].where(frame["count"] == curve.run_count)
-            grid.draw_band(axes, frame, bounds, color=look["color"], alpha=DARK if band == INTERVAL else PALE)
+            grid.draw_band(
+                axes, frame, bounds, color=line_style["color"], alpha=DARK if band == INTERVAL else PALE
+            )
         if _shows_runs(curve, settings.bands[0]):
             width, opacity = 0.3 * mpl.rcParams["lines.linewidth"], 0.4 * min(1.0, MANY_RUNS / lines)
-            axes.plot(curve.runs, color=look["color"], linewidth=width, alpha=opacity, zorder=1.4)
-        _draw_centre(axes, curve, look, column.labels[curve.condition])
+            axes.plot(curve.runs, color=line_style["color"], linewidth=width, alpha=opacity, zorder=1.4)
+        _draw_centre(axes, curve, line_style, column.labels[curve.condition])
     if column.beside:
-        _draw_beside(axes, others, column.beside, column.looks)
-    low, high = _reach([*curves, *others])
-    if unit == SHARES:
+        _draw_beside(axes, beside_curves, column.beside, column.looks)
+    low, high = _reach([*curves, *beside_curves])
+    if quantity_kind == SHARES:
         low = 0.0
-    grid.draw_random_player(axes.axhline, random_levels(data, name).values(), (low, high), unit)
-    end = max(float(curve.runs.index.max()) for curve in (*curves, *others))
+    grid.draw_random_player(axes.axhline, random_levels(data, name).values(), (low, high), quantity_kind)
+    end = max(float(curve.runs.index.max()) for curve in (*curves, *beside_curves))
     if settings.x == STEPS:
         end = max(end, data.budget)
         returns = random_returns(data)
         if name == "return" and returns is not None:
             axes.plot(returns, label=grid.RANDOM_PLAYER, **grid.RANDOM_LOOK)
     axes.set_xlim(0, end)
-    if unit == SHARES and not settings.log:
+    if quantity_kind == SHARES and not settings.log:
         top = min(max(axes.get_ylim()[1], 0.01), 1 + grid.BELOW_ZERO)
         axes.set_ylim(-grid.BELOW_ZERO * top, top)
 
 
-def _draw_centre(axes: Axes, curve: Curve, look: Mapping[str, Any], label: str) -> None:
+def _draw_centre(axes: Axes, curve: Curve, line_style: Mapping[str, Any], label: str) -> None:
     """Draw the centre of runs, faint where some have no value, and a cross where a run diverged."""
     frame, width = curve.frame(), mpl.rcParams["lines.linewidth"]
-    every = max(len(frame) // MARKED_POINTS, 1)
-    first = MARKERS.index(look["marker"]) * every // len(MARKERS) % every  # no two meet
-    whole = frame["centre"].where(frame["count"] == curve.run_count)
+    marker_spacing = max(len(frame) // MARKED_POINTS, 1)
+    first = (
+        MARKERS.index(line_style["marker"]) * marker_spacing // len(MARKERS) % marker_spacing
+    )  # no two meet
+    centre = frame["centre"].where(frame["count"] == curve.run_count)
     (line,) = axes.plot(
-        frame["x"], whole, label=label, markersize=2.2 * width, markevery=(first, every), clip_on=False,
-        zorder=2.2, **look,
+        frame["x"], centre, label=label, markersize=2.2 * width, clip_on=False,
+        markevery=(first, marker_spacing), zorder=2.2, **line_style,
     )  # fmt: skip
     line.set_in_layout(False)  # it may reach over the edge, and may be empty
-    axes.plot(frame["x"], frame["centre"], color=look["color"], alpha=0.35, zorder=1.5)
+    axes.plot(frame["x"], frame["centre"], color=line_style["color"], alpha=0.35, zorder=1.5)
     for step, value in curve.stops:
-        axes.plot(step, value, "x", color=look["color"], markersize=4 * width)
+        axes.plot(step, value, "x", color=line_style["color"], markersize=4 * width)
 
 
 def _draw_beside(
     axes: Axes, curves: Sequence[Curve], data: StudyData, looks: Mapping[str, Mapping[str, Any]]
 ) -> None:
     """Draw the runs of another study: in the colours of conditions that have their names, or else in grey."""
-    unlike = sum(curve.run_count for curve in curves if curve.condition not in looks)
+    run_count = sum(curve.run_count for curve in curves if curve.condition not in looks)
     opacity = min(1.0, MANY_RUNS / len(data.runs))
     for curve in curves:
-        colour, label = BESIDE_COLOUR, f"{data.full_title} ({unlike})"
+        colour, label = BESIDE_COLOUR, f"{data.full_title} ({run_count})"
         if curve.condition in looks:
             name = data.study.labels.get(curve.condition, curve.condition)
             colour = looks[curve.condition]["color"]
@@ -431,10 +437,10 @@ def _shows_runs(curve: Curve, band: str) -> bool:
 def _legend(column: Column) -> dict[str, Any]:
     """Return the artists of the legend that describe means, bands and runs, by their words."""
     bands = column.settings.bands
-    most = max(curve.run_count for curve in column.all_curves)
+    largest_group = max(curve.run_count for curve in column.all_curves)
     entries: dict[str, Any] = {"mean of (n) runs": Line2D([], [], color=style.INK, linewidth=1.6)}
     for band in bands:
-        if BANDS[band].label and most >= BANDS[band].least_runs:
+        if BANDS[band].label and largest_group >= BANDS[band].least_runs:
             opacity = PALE
             if band == INTERVAL:
                 opacity = DARK + PALE * (len(bands) - 1)  # one lies in the other
@@ -451,7 +457,7 @@ def _caption(column: Column) -> list[str]:
     for name, group in column.curves.items():
         if settings.log and not group[0].log:
             notes.append(f"{QUANTITIES[name].title}: no value is above 0, so the axis is linear.")
-    least = BANDS[settings.bands[0]].least_runs
+    least_runs = BANDS[settings.bands[0]].least_runs
     for curve in curves:
         runs = f"{curve.condition} ({counted(curve.run_count, 'run')})"
         if curve.stops:
@@ -462,8 +468,10 @@ def _caption(column: Column) -> list[str]:
             notes.append(
                 "On logarithmic axes, means and bands are of logarithms and leave out values of 0 or below."
             )
-        if settings.band and curve.run_count < least:
-            notes.append(f"The band {settings.band} needs {counted(least, 'run')}: not drawn for {runs}.")
+        if settings.band and curve.run_count < least_runs:
+            notes.append(
+                f"The band {settings.band} needs {counted(least_runs, 'run')}: not drawn for {runs}."
+            )
         if curve.values.isna().all().any():
             notes.append(f"Some of {runs} have no value in a panel and are left out of its means.")
     if {*column.curves} & {*EPISODE_QUANTITIES}:
@@ -489,19 +497,23 @@ def _window(data: StudyData, settings: Options) -> str:
 
 def _has_gaps(curve: Curve) -> bool:
     """Return whether some run that did not diverge lacks a value after all had one."""
-    whole = np.flatnonzero(curve.runs.notna().all(axis=1))
-    return not curve.stops and len(whole) > 0 and len(whole) < len(curve.runs) - whole[0]
+    complete_points = np.flatnonzero(curve.runs.notna().all(axis=1))
+    return (
+        not curve.stops
+        and len(complete_points) > 0
+        and len(complete_points) < len(curve.runs) - complete_points[0]
+    )
 
 
 # --- Scores over several environments ------------------------------------------------------------------
 
 
-def profile_page(data: StudyData, parts: Parts, outcome: str = OUTCOME) -> Page:
+def profile_page(data: StudyData, data_by_env: Parts, outcome: str = OUTCOME) -> Page:
     """Return performance profiles (Agarwal et al. 2021): the share of runs above each score.
 
     Scores are those of `pneuma.analysis.environments.scores`, over all environments together.
     """
-    table, looks = profiles(parts, outcome), looks_of([*parts.values()])
+    table, looks = profiles(data_by_env, outcome), looks_of([*data_by_env.values()])
 
     def draw(axes: Axes) -> None:
         for condition, frame in table.groupby("condition", sort=False):
@@ -513,7 +525,7 @@ def profile_page(data: StudyData, parts: Parts, outcome: str = OUTCOME) -> Page:
 
     panel = Panel(draw, x="Score", y="Share of runs above it", y_kind=SHARES)
     scales: list[str] = []
-    for env, (low, high) in references(parts, outcome).items():
+    for env, (low, high) in references(data_by_env, outcome).items():
         scale = f"{grid.number(low)} and {grid.number(high)} in {env}"
         if env not in data.study.scores:
             scale += " (random player, best condition)"

@@ -141,10 +141,10 @@ def _draw(page: Page, look: Look) -> Figure:
         if panel is None:
             axes.remove()
             continue
-        left, above, below = at(row, column - 1), at(row - 1, column), at(row + 1, column)
-        if left and left.y == panel.y:
+        left_panel, above, below = at(row, column - 1), at(row - 1, column), at(row + 1, column)
+        if left_panel and left_panel.y == panel.y:
             panel = replace(panel, y="")
-        if left and panel.rows and left.rows == panel.rows:
+        if left_panel and panel.rows and left_panel.rows == panel.rows:
             panel = replace(panel, rows=[""] * len(panel.rows))
         if above and above.title == panel.title:
             panel = replace(panel, title="")
@@ -181,9 +181,9 @@ def fill(axes: Axes, panel: Panel, width: float, pitch: float = ROW_INCHES) -> N
     axes.set(title=title, xlabel=panel.x, ylabel=panel.y)
 
 
-def _format_axis(axis: Axis, kind: str, most: int) -> None:
+def _format_axis(axis: Axis, axis_kind: str, most_ticks: int) -> None:
     """Set the scale of an axis, and at most so many ticks at round numbers."""
-    if kind == POWERS:
+    if axis_kind == POWERS:
         set_scale = axis.axes.set_xscale if axis is axis.axes.xaxis else axis.axes.set_yscale
         set_scale("log", nonpositive="clip")
         low, high = axis.get_view_interval()
@@ -192,11 +192,11 @@ def _format_axis(axis: Axis, kind: str, most: int) -> None:
             axis.set_minor_locator(NullLocator())
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
-    elif kind == SHARES:
-        axis.set_major_locator(MaxNLocator(most, steps=[1, 2, 2.5, 5, 10]))
+    elif axis_kind == SHARES:
+        axis.set_major_locator(MaxNLocator(most_ticks, steps=[1, 2, 2.5, 5, 10]))
         axis.set_major_formatter(FuncFormatter(lambda share, _: per_cent(share) if share >= 0 else ""))
     else:
-        axis.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10]))
+        axis.set_major_locator(MaxNLocator(most_ticks, steps=[1, 2, 5, 10]))
         if np.ptp(axis.get_view_interval()) > LONG_AXIS:
             axis.set_major_formatter(EngFormatter(sep=""))
 
@@ -239,7 +239,9 @@ def _put_texts(figure: Figure, page: Page, look: Look, x_label: str) -> Figure:
     height = look.height or above + page.inches * rows_of_panels + below
     fitting = int((height - above - below) / LEAST_PANEL_HEIGHT)
     if look.height and fitting < rows_of_panels:
-        return _draw_fewer(page, look, fitting, least=above + below + LEAST_PANEL_HEIGHT * rows_of_panels)
+        return _draw_fewer(
+            page, look, fitting, least_height=above + below + LEAST_PANEL_HEIGHT * rows_of_panels
+        )
     figure.set_size_inches(look.width, height)
     engine: Any = figure.get_layout_engine()
     engine.set(rect=(0, below / height, 1, 1 - (above + below) / height))
@@ -266,26 +268,26 @@ def _put_texts(figure: Figure, page: Page, look: Look, x_label: str) -> Figure:
     return figure
 
 
-def _draw_fewer(page: Page, look: Look, rows: int, least: float) -> Figure:
+def _draw_fewer(page: Page, look: Look, rows: int, least_height: float) -> Figure:
     """Draw so many rows of a page's panels, if others may be left out."""
     panels = [panel for row in page.grid for panel in row]
-    kept = max(rows, 1) * len(_arrange(page, look.width)[0])
-    if not page.spare or kept >= len(panels):
-        message = f"--height {look.height:g}: at least {math.ceil(10 * least) / 10:.1f} inches"
+    panel_count = max(rows, 1) * len(_arrange(page, look.width)[0])
+    if not page.spare or panel_count >= len(panels):
+        message = f"--height {look.height:g}: at least {math.ceil(10 * least_height) / 10:.1f} inches"
         if not look.plain:
             message += "; --plain has no headline and caption"
         raise UserError(message)
-    print_aside(f"Note: {kept} of {len(panels)} panels fit the height; choose them with --quantity.")
-    return _draw(replace(page, grid=[panels[:kept]]), look)
+    print_aside(f"Note: {panel_count} of {len(panels)} panels fit the height; choose them with --quantity.")
+    return _draw(replace(page, grid=[panels[:panel_count]]), look)
 
 
-def _legend_entries(figure: Figure, more: Mapping[str, Any]) -> dict[str, Any]:
+def _legend_entries(figure: Figure, page_entries: Mapping[str, Any]) -> dict[str, Any]:
     """Return one artist for each label in panels, then some more, and the random player's level last."""
     entries: dict[str, Any] = {}
     for axes in figure.axes:
         for artist, label in zip(*axes.get_legend_handles_labels(), strict=True):
             entries[label] = artist
-    entries.update(more)
+    entries.update(page_entries)
     levels = [label for label in entries if label.startswith(RANDOM_PLAYER)]
     for label in levels:
         artist = entries.pop(label)
@@ -328,12 +330,12 @@ def draw_band(axes: Axes, frame: pd.DataFrame, bounds: tuple[float, float], **lo
 
 
 def draw_interval(
-    axes: Axes, place: float, row: Mapping[Any, Any], marker: str, colour: str, size: float
+    axes: Axes, position: float, row: Mapping[Any, Any], marker: str, colour: str, size: float
 ) -> None:
     """Draw a row's `value` as a marker, and the interval from `low` to `high` if it has one."""
     value, low, high = row["value"], row["low"], row["high"]
     axes.errorbar(
-        value, place, xerr=[[value - low], [high - value]], marker=marker, markerfacecolor=colour,
+        value, position, xerr=[[value - low], [high - value]], marker=marker, markerfacecolor=colour,
         markersize=size, color=INK, markeredgewidth=0.8, linewidth=0.25 * size, zorder=2.7, clip_on=False,
     )  # fmt: skip
 

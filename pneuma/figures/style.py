@@ -183,8 +183,8 @@ def _lay_out(figure: Figure) -> None:
     engine.execute(figure)
     figure.set_layout_engine("none")
     for axes in figure.axes:
-        left, bottom, width, height = np.round(axes.get_position().bounds, 5).tolist()
-        axes.set_position((left, bottom, width, height))
+        left_edge, bottom, width, height = np.round(axes.get_position().bounds, 5).tolist()
+        axes.set_position((left_edge, bottom, width, height))
     for text in figure.texts:
         if text.get_gid() == X_LABEL:
             boxes = [axes.get_position() for axes in figure.axes]

@@ -60,8 +60,8 @@ def summary_page(studies: StudyData | Mapping[str, StudyData], basename: str = "
     else:
         datas = [*studies.values()]
         for title, data in studies.items():
-            named = data.study.outcomes
-            columns[title] = data, named[0] if len(named) == 1 else default_outcome(data)
+            own_outcomes = data.study.outcomes
+            columns[title] = data, own_outcomes[0] if len(own_outcomes) == 1 else default_outcome(data)
     first = datas[0]
     rows, looks = shown_conditions(datas), looks_of(datas)
     short, factors = short_names(datas)
@@ -82,12 +82,12 @@ def summary_page(studies: StudyData | Mapping[str, StudyData], basename: str = "
     if factors:
         notes.append(f"Rows: {factors}.")
     budgets = {steps for data in datas for steps in data.runs["steps"]}
-    shown = f"after {budgets.pop():,} steps" if len(budgets) == 1 else "at the end of training"
+    time_text = f"after {budgets.pop():,} steps" if len(budgets) == 1 else "at the end of training"
     return Page(
         basename=basename or first.basename("summary"),
         grid=[panels],
         inches=max(pitch * len(rows) + 0.7, 0.6 * style.PANEL_INCHES),
-        headline=headline_of(first, shown) if len(datas) == 1 else f"{first.study.title}: {shown}",
+        headline=headline_of(first, time_text) if len(datas) == 1 else f"{first.study.title}: {time_text}",
         runs=lines_of_runs(*datas),
         entries=_legend(max(int(data.runs["condition"].value_counts().max()) for data in datas)),
         caption=notes,
@@ -114,10 +114,10 @@ def _notes(data: StudyData, outcome: str) -> list[str]:
     notes = [*notes_of(data, is_return(outcome)), data.ends]
     counts: list[int] = []
     for name in shown_conditions([data]):
-        total, known = len(data.of_condition(name)), len(known_values(data, name, outcome))
-        counts.append(known)
-        if known < total:
-            notes.append(f"{total - known} of {total} runs of {name} have no value.")
+        total, value_count = len(data.of_condition(name)), len(known_values(data, name, outcome))
+        counts.append(value_count)
+        if value_count < total:
+            notes.append(f"{total - value_count} of {total} runs of {name} have no value.")
     if min(counts) < LEAST_RUNS:
         notes.append(f"Of fewer than {LEAST_RUNS} runs there is no interval.")
     if max(counts) >= LEAST_RUNS:
@@ -136,12 +136,12 @@ def _draw(
     """Draw each run of a condition as a dot, and its means with intervals, in rows of a height in inches."""
     size = 0.5 * style.text_points() * pitch / ROW_INCHES
     values = {name: known_values(data, name, outcome) for name in shown_conditions([data])}
-    every = np.concatenate([*values.values()])
+    all_values = np.concatenate([*values.values()])
     table = summary_table(data, [outcome])
     for condition, runs in values.items():
-        place, colour = rows.index(condition), looks[condition]["color"]
+        position, colour = rows.index(condition), looks[condition]["color"]
         (dots,) = axes.plot(
-            runs, place + _offsets(runs, float(np.ptp([*every, 0.0]))), "o", color=colour,
+            runs, position + _offsets(runs, float(np.ptp([*all_values, 0.0]))), "o", color=colour,
             markersize=0.6 * size, markeredgewidth=0, alpha=0.5, clip_on=False, zorder=2.6,
         )  # fmt: skip
         dots.set_in_layout(False)  # there may be none
@@ -149,12 +149,14 @@ def _draw(
             "records"
         ):
             if row["statistic"] == "mean" and len(runs) > 1:
-                grid.draw_interval(axes, place - ABOVE, row, "D", colour, size)
+                grid.draw_interval(axes, position - ABOVE, row, "D", colour, size)
             elif row["statistic"] == "iqm" and len(runs) >= LEAST_RUNS:
-                grid.draw_interval(axes, place + ABOVE, row, "s", "white", size)
-    if len(every):
-        levels, kind = _random_levels(data, outcome), _kind(outcome)
-        grid.draw_random_player(axes.axvline, levels.values(), (every.min(), every.max()), kind)
+                grid.draw_interval(axes, position + ABOVE, row, "s", "white", size)
+    if len(all_values):
+        levels, return_kind = _random_levels(data, outcome), _kind(outcome)
+        grid.draw_random_player(
+            axes.axvline, levels.values(), (all_values.min(), all_values.max()), return_kind
+        )
 
 
 def _random_levels(data: StudyData, outcome: str) -> dict[str, float]:
@@ -178,15 +180,15 @@ def _offsets(values: np.ndarray, reach: float) -> np.ndarray:
     return np.asarray(steps * (members.cumcount() - (count - 1) / 2))
 
 
-def _legend(most: int) -> dict[str, Any]:
+def _legend(largest_group: int) -> dict[str, Any]:
     """Return the legend of panels in which a condition has at most so many runs."""
     look: Any = {"marker": "D", "color": INK, "markersize": 4}
     entries = {"a run": Line2D([], [], color=GREY, marker="o", linestyle="", markersize=3)}
-    if most >= LEAST_RUNS:
+    if largest_group >= LEAST_RUNS:
         entries["mean, 95 % interval"] = Line2D([], [], **look)
         entries["interquartile mean, 95 % interval"] = Line2D(
             [], [], **{**look, "marker": "s", "markerfacecolor": "white"}
         )
-    elif most > 1:
+    elif largest_group > 1:
         entries["mean"] = Line2D([], [], linestyle="", **look)
     return entries

@@ -20,9 +20,9 @@ LINES = ("-", "--", "-.", ":")
 """They distinguish conditions of one colour."""
 
 
-def headline_of(data: StudyData, shown: str = "") -> str:
+def headline_of(data: StudyData, subject: str = "") -> str:
     """Return title and what is shown; default: the thesis's figure to which the study's corresponds."""
-    return ": ".join(filter(None, [data.full_title, shown or after_thesis(data.study.figure)]))
+    return ": ".join(filter(None, [data.full_title, subject or after_thesis(data.study.figure)]))
 
 
 def after_thesis(figure: str) -> str:
@@ -46,8 +46,8 @@ def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = 
         for engine in data.engines(name):
             engines.setdefault(engine, []).append(name)
     if len(engines) > 1:
-        parts = [f"{engine} ({named(names)})" for engine, names in sorted(engines.items())]
-        notes.append(f"The conditions were trained by different engines: {', '.join(parts)}.")
+        engine_texts = [f"{engine} ({named(names)})" for engine, names in sorted(engines.items())]
+        notes.append(f"The conditions were trained by different engines: {', '.join(engine_texts)}.")
     units = kinds_of_return(data)
     if beside:
         units |= kinds_of_return(beside)

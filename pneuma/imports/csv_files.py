@@ -86,7 +86,7 @@ def import_csv(paths: Sequence[Path], columns: Columns, store: Store, name: str 
         runs = [monitors]
     for files in runs:
         logs.append(_read_monitors(files, shared, columns))
-    return store_logs(logs, store, SOURCE, study, adds=name is not None)
+    return store_logs(logs, store, SOURCE, study, adds_runs=name is not None)
 
 
 def _name_parts(path: Path, shared: Path) -> tuple[str, ...]:
@@ -146,10 +146,10 @@ def _read_runs(path: Path, shared: Path, text: str, columns: Columns) -> Iterato
         notes, points = [], []
         for column, quantity in quantities.items():
             finite = values[column][rows].replace([math.inf, -math.inf], math.nan).dropna()
-            lost = len(rows) - len(finite)
-            if lost:
+            lost_rows = len(rows) - len(finite)
+            if lost_rows:
                 notes.append(
-                    f"{lost} of {counted(len(rows), 'row')} have no finite {column} and are left out"
+                    f"{lost_rows} of {counted(len(rows), 'row')} have no finite {column} and are left out"
                 )
             _refuse_two_runs(path, steps[finite.index], name)
             mean_tag, single_tag = QUANTITIES[quantity]
@@ -215,10 +215,10 @@ def _column_and_quantity(table: pd.DataFrame, value: str) -> tuple[str, str]:
     _find_column(table, "--value", column)
     if quantity not in QUANTITIES:
         raise unknown_name(f"quantity in --value {value}:", quantity, QUANTITIES)
-    least, most = f"{column}__MIN", f"{column}__MAX"
-    if least in table and most in table and not table[least].equals(table[most]):
+    min_column, max_column = f"{column}__MIN", f"{column}__MAX"
+    if min_column in table and max_column in table and not table[min_column].equals(table[max_column]):
         raise UserError(
-            f"--value {column}: a mean, as {least} and {most} show; export single runs, and all rows"
+            f"--value {column}: holds means, as {min_column} shows; export all rows of single runs"
         )
     return column, quantity
 
@@ -235,8 +235,8 @@ def _whole_numbers(path: Path, cells: pd.Series) -> pd.Series:
     """Return steps or seeds; refuse others, and such as 1.000, which may be a thousand."""
     numbers = _numbers(path, cells)
     thousands = cells.str.strip().str.fullmatch(r"[1-9]\d{0,2}(\.\d{3})+")
-    whole = numbers.between(0, 2**53) & (numbers % 1 == 0) & ~thousands
-    _refuse_cells(path, cells[~whole], "a whole number as 1024")
+    is_integer = numbers.between(0, 2**53) & (numbers % 1 == 0) & ~thousands
+    _refuse_cells(path, cells[~is_integer], "a whole number as 1024")
     return numbers.astype("int64")
 
 

@@ -67,7 +67,7 @@ Import = tuple[str, list[Log], list[str]]
 """An imported study's name, its runs that were read, and notes for the user."""
 
 
-def store_logs(logs: Sequence[Log], store: Store, source: str, study: str, adds: bool = False) -> Import:
+def store_logs(logs: Sequence[Log], store: Store, source: str, study: str, adds_runs: bool = False) -> Import:
     """Store logs as the runs of a study.
 
     Args:
@@ -75,7 +75,7 @@ def store_logs(logs: Sequence[Log], store: Store, source: str, study: str, adds:
         store: where to store them.
         source: of which kind the logs are.
         study: the study's name, as `choose_study_name` returns it.
-        adds: whether other runs that the study has stay in it.
+        adds_runs: whether other runs that the study has stay in it.
 
     Raises:
         UserError: for two runs of one name or with the same data, or a study that has other runs.
@@ -88,41 +88,41 @@ def store_logs(logs: Sequence[Log], store: Store, source: str, study: str, adds:
         if log.steps == 0:
             notes.append(f"{log.name}: has no values at agent steps, and is left out")
             continue
-        other = by_name.setdefault((log.condition, log.seed), log)
-        if other is not log:
-            both = f"{other.name} and {log.name} are two runs of one name, "
-            raise UserError(f"{both}{log.condition} with seed {log.seed}: give each another seed")
-        other = by_id.setdefault(log.run_id, log)
-        if other is not log:
-            raise UserError(f"{other.name} and {log.name} contain the same data: import one of them")
-    kept = list(by_id.values())
-    if not kept:
+        first_log = by_name.setdefault((log.condition, log.seed), log)
+        if first_log is not log:
+            names = f"{first_log.name} and {log.name} are two runs of one name, "
+            raise UserError(f"{names}{log.condition} with seed {log.seed}: give each another seed")
+        first_log = by_id.setdefault(log.run_id, log)
+        if first_log is not log:
+            raise UserError(f"{first_log.name} and {log.name} contain the same data: import one of them")
+    kept_logs = list(by_id.values())
+    if not kept_logs:
         raise UserError(
             f"{logs[0].name}: has no values at agent steps as Stable-Baselines3 or CleanRL log them"
         )
-    listing = store.listing(study) or {"baseline": kept[0].condition, "runs": []}
-    others, replaced = [], 0
+    listing = store.listing(study) or {"baseline": kept_logs[0].condition, "runs": []}
+    other_runs, replaced = [], 0
     for run in listing["runs"]:
         if (run["condition"], run["seed"]) not in by_name:
-            others.append(run)
+            other_runs.append(run)
         elif run["run_id"] not in by_id:
             replaced += 1
     if replaced:
         notes.append(
             f"{counted(replaced, 'run')} of study {study} had other data before; another --name keeps both"
         )
-    if others and not adds:
+    if other_runs and not adds_runs:
         raise UserError(
             f"--name: study {study} has other runs; give --name {study} to add to them, or another name"
         )
     store.check_writable()
-    for log in kept:
+    for log in kept_logs:
         log.new = not store.status(log.run_id).finished
         if log.new:
             _store_run(log, store, source)
-    runs = [{"run_id": log.run_id, "condition": log.condition, "seed": log.seed} for log in kept]
-    store.save_listing(study, {"title": study, "source": source, **listing, "runs": others + runs})
-    return study, kept, notes
+    runs = [{"run_id": log.run_id, "condition": log.condition, "seed": log.seed} for log in kept_logs]
+    store.save_listing(study, {"title": study, "source": source, **listing, "runs": other_runs + runs})
+    return study, kept_logs, notes
 
 
 def _store_run(log: Log, store: Store, source: str) -> None:
@@ -138,10 +138,10 @@ def _store_run(log: Log, store: Store, source: str) -> None:
     store.save_run(log.run_id, status, files)
 
 
-def choose_study_name(name: str | None, place: Path, store: Store, source: str) -> str:
+def choose_study_name(name: str | None, source_path: Path, store: Store, source: str) -> str:
     """Return the name of the study to import into: by default that of the place where the logs are."""
     if name is None:
-        name = re.sub(r"[^A-Za-z0-9._-]+", "-", place.resolve().name).strip("-.")
+        name = re.sub(r"[^A-Za-z0-9._-]+", "-", source_path.resolve().name).strip("-.")
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", name) or name.endswith(".toml"):
         raise UserError(f"--name {name}: use only letters, digits, dots, - and _, and not the name of a file")
     if name in list_studies():
@@ -152,18 +152,18 @@ def choose_study_name(name: str | None, place: Path, store: Store, source: str) 
     return name
 
 
-def condition_and_seed(parts: Sequence[str]) -> tuple[str, int]:
+def condition_and_seed(folder_names: Sequence[str]) -> tuple[str, int]:
     """Return the condition and the seed in the names of a run's folders.
 
     Stable-Baselines3 calls folders CONDITION_SEED, CleanRL CONDITION__SEED__TIME. The seed is that of the
     last name with a number, 0 without one; the condition is all the names without it.
     """
-    names, seed = list(parts), 0
-    for place in reversed(range(len(names))):
-        match = re.fullmatch(r"(.+)__([0-9]{1,9})__[0-9]{9,}", names[place])
-        match = match or re.fullmatch(r"(.+)_([0-9]{1,18})", names[place])
+    names, seed = list(folder_names), 0
+    for position in reversed(range(len(names))):
+        match = re.fullmatch(r"(.+)__([0-9]{1,9})__[0-9]{9,}", names[position])
+        match = match or re.fullmatch(r"(.+)_([0-9]{1,18})", names[position])
         if match:
-            names[place], seed = match[1], int(match[2])
+            names[position], seed = match[1], int(match[2])
             break
     return "/".join(names).lstrip("_/ ") or "run", seed  # legends leave out what begins with _
 

@@ -39,8 +39,8 @@ def import_tensorboard(folders: Sequence[Path], store: Store, name: str | None =
     """
     shared = os.path.commonpath([folder.resolve() for folder in folders])
     study = choose_study_name(name, Path(shared), store, SOURCE)
-    logs = [_read_log(parts, paths) for parts, paths in find_logs(folders).items()]
-    return store_logs(logs, store, SOURCE, study, adds=name is not None)
+    logs = [_read_log(folder_names, paths) for folder_names, paths in find_logs(folders).items()]
+    return store_logs(logs, store, SOURCE, study, adds_runs=name is not None)
 
 
 def find_logs(folders: Sequence[Path]) -> dict[tuple[str, ...], list[Path]]:
@@ -63,7 +63,7 @@ def find_logs(folders: Sequence[Path]) -> dict[tuple[str, ...], list[Path]]:
     return {folder.relative_to(shared).parts: by_folder[folder] for folder in sorted(by_folder)}
 
 
-def _read_log(parts: tuple[str, ...], paths: Sequence[Path]) -> Log:
+def _read_log(folder_names: tuple[str, ...], paths: Sequence[Path]) -> Log:
     files, notes = [], []
     rows: list[tuple[object, ...]] = []
     for number, path in enumerate(paths):
@@ -74,18 +74,20 @@ def _read_log(parts: tuple[str, ...], paths: Sequence[Path]) -> Log:
         files.append(file_facts(data))
         scalars, sound = read_event_file(path)
         rows.extend((number, *scalar) for scalar in scalars)
-        lost = len(data) - sound
-        if lost:
-            notes.append(f"{path.name} is damaged: its last {lost:,} of {len(data):,} bytes are left out")
+        lost_bytes = len(data) - sound
+        if lost_bytes:
+            notes.append(
+                f"{path.name} is damaged: its last {lost_bytes:,} of {len(data):,} bytes are left out"
+            )
     points = pd.DataFrame(rows, columns=["file", *Scalar._fields])
     points["superseded"] = find_superseded(points)
     superseded = int(points["superseded"].sum())
     if superseded:
         notes.append(f"left out {counted(superseded, 'point')} that a restart superseded")
     contents = "".join(file["sha256"] for file in files)
-    condition, seed = condition_and_seed(parts)
+    condition, seed = condition_and_seed(folder_names)
     return Log(
-        name="/".join(parts),
+        name="/".join(folder_names),
         condition=condition,
         seed=seed,
         points=points,

@@ -232,10 +232,12 @@ def _read(path: Path, search: Search, published: bool = False) -> Record:
     with stored_file(path):
         study = _load_study(JournalStorage(JournalFileBackend(str(path), LogLock(path))), search)
         about = study.user_attrs[ABOUT]
-        begun = about["identity"]
-        budget = Budget(trials=about["trials_asked"], seeds=begun["seeds"], steps=begun["steps"])
+        stored_identity = about["identity"]
+        budget = Budget(
+            trials=about["trials_asked"], seeds=stored_identity["seeds"], steps=stored_identity["steps"]
+        )
         identity = _identify(search, budget)
-        changed = [key for key in COMPARED if begun.get(key) != identity[key]]
+        changed = [key for key in COMPARED if stored_identity.get(key) != identity[key]]
         if changed:
             raise UserError(
                 f"{path}: its file now has other {', '.join(changed)} than when the search began; "

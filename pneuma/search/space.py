@@ -92,17 +92,17 @@ def _read_parameter(name: str, table: Mapping[str, Any]) -> Parameter:
     for value in arguments.get("choices", ()):
         choice = _read(name, value)
         choices[as_parameter(choice)] = choice
-    for end in arguments.keys() & {"low", "high"}:
-        arguments[end] = _read(name, arguments[end])
-    kind: Any = IntDistribution if isinstance(arguments.get("low"), int) else FloatDistribution
+    for bound in arguments.keys() & {"low", "high"}:
+        arguments[bound] = _read(name, arguments[bound])
+    distribution: Any = IntDistribution if isinstance(arguments.get("low"), int) else FloatDistribution
     if "choices" in arguments:
-        kind, arguments["choices"] = CategoricalDistribution, list(choices)
+        distribution, arguments["choices"] = CategoricalDistribution, list(choices)
         if len(choices) < 2:
             raise ValueError("choices must be a list of two different values or more")
-    if kind is IntDistribution and not isinstance(arguments.get("step", 1), int):
+    if distribution is IntDistribution and not isinstance(arguments.get("step", 1), int):
         raise ValueError(f"step = {arguments['step']} is not allowed: a whole number")
     with warnings.catch_warnings(action="error"):
-        return Parameter(name, kind(**arguments), choices, when)
+        return Parameter(name, distribution(**arguments), choices, when)
 
 
 def _read_space(tables: Any) -> Any:

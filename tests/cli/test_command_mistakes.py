@@ -36,7 +36,7 @@ MISTAKES = {
     f"{RUN} --set gamma": "--set gamma: must be KEY=VALUE",
     f"{RUN} --set steps=3": "--steps",
     f"{RUN} --set momentum=0.9": "momentum",  # Adam does not read it
-    "study run collapse --set scale=raw": "--set scale: conditions of study collapse set it",
+    "study run collapse --set scale=raw": "--set scale: conditions of study collapse differ in it",
     f"{RUN} --address a:1": "--address requires --executor ray",
     f"{RUN} --seeds 0": "--seeds 0: must be a count",
     "study run nowhere.toml": "nowhere.toml: cannot be read: No such file",

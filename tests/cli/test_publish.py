@@ -79,7 +79,7 @@ def test_of_two_that_publish_at_once_one_is_told_to_wait(results: Path) -> None:
     whole = path.read_bytes()
     with run_lock(results / ".publishing" / path.stem):
         called = _publish(results)
-    assert called.code == 2 and "another command publishes" in called.err and path.read_bytes() == whole
+    assert called.code == 2 and "another command is writing" in called.err and path.read_bytes() == whole
     assert _publish(results).code == 0
 
 

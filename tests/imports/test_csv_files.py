@@ -122,9 +122,17 @@ def test_without_columns_they_are_listed_with_a_command_to_copy() -> None:
 @pytest.mark.parametrize(
     ("rows", "options", "told"),
     [
-        ("1.024,5", "", "row 2: '1.024' in column step must be a whole number as 1024, without separators"),
+        (
+            "1.024,5",
+            "",
+            "row 2: '1.024' in column step must be a whole number as 1024, without thousands separators",
+        ),
         ("1.000,5", "", "'1.000' in column step must be a whole number"),
-        ('"1,024",5', "", "'1,024' in column step must be a plain number as 1024 or 0.5, without separators"),
+        (
+            '"1,024",5',
+            "",
+            "'1,024' in column step must be a plain number as 1024 or 0.5, without thousands separators",
+        ),
         ('8,"1,5"', "", "'1,5' in column return must be a plain number"),
         ("1,024,5", "", "Expected 2 fields in line 2, saw 3"),
         ("8,many", "", "'many' in column return must be a plain number"),
@@ -133,7 +141,7 @@ def test_without_columns_they_are_listed_with_a_command_to_copy() -> None:
         (
             "8,5\n8,6",
             "",
-            "row 3: step 8 of runs with seed 0 is not after the one before: tell two runs apart",
+            "row 3: step 8 of runs with seed 0 is not after the one before: distinguish the runs",
         ),
         ("8,5\n16,6\n8,5", "", "row 4: step 8 of runs with seed 0 is not after the one before"),
         ("8,", "", "has no values at agent steps"),
@@ -210,7 +218,7 @@ def test_of_a_wandb_export_of_two_metrics_the_named_one_is_taken() -> None:
 def test_two_runs_of_one_display_name_and_a_groups_mean_are_refused() -> None:
     tidy_export(f"Step,ppo_1{RETURN},ppo_1{RETURN}", "5,1,2", "6,3,4")
     told = refused("import", "csv", "runs.csv", *WANDB)
-    assert "step 5 of ppo with seed 1 is not after the one before: tell two runs apart" in told
+    assert "step 5 of ppo with seed 1 is not after the one before: distinguish the runs" in told
     tidy_export(f"Step,algo: ppo{RETURN},algo: ppo{RETURN}__MIN,algo: ppo{RETURN}__MAX", "5,2,1,3")
     assert "'' in column condition must be a condition" in refused("import", "csv", "runs.csv", *WANDB)
     told = refused("import", "csv", "wandb.csv", "--step", "Step", "--value", f"algo: ppo{RETURN}")
