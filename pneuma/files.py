@@ -212,9 +212,7 @@ def parse_json(data: bytes | str) -> dict[str, Any]:
         ValueError: for anything else.
     """
     try:
-        document = json.loads(
-            data, parse_int=_parse_integer, parse_float=_parse_float, parse_constant=_parse_float
-        )
+        document = _DECODER.decode(data if isinstance(data, str) else data.decode())
     except (RecursionError, MemoryError) as error:
         raise ValueError(str(error)) from None
     if not isinstance(document, dict):
@@ -233,6 +231,10 @@ def _parse_float(text: str) -> float:
     if not math.isfinite(number):
         raise ValueError(f"the number {text[:LONGEST_INTEGER]} is not finite")
     return number
+
+
+# made once: `json.loads` makes one for each document, of which a results folder has thousands
+_DECODER = json.JSONDecoder(parse_int=_parse_integer, parse_float=_parse_float, parse_constant=_parse_float)
 
 
 def checksum(data: bytes) -> str:

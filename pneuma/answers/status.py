@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from pneuma.analysis.runs import find_study, studies_here
+from pneuma.analysis.runs import plan_to_read, runs_of_plan, studies_here
 from pneuma.analysis.study_data import StudyData
 from pneuma.answers.answer import Answer
 from pneuma.store.index import RunIndex
@@ -37,8 +37,8 @@ def study_status(index: RunIndex, data: StudyData) -> Answer:
     rows = _count_states(first, data)
     for preset in data.study.presets:
         if preset != first:
-            preset_data = find_study(index, Query(data.study.file, data.study.world, preset))
-            rows += _count_states(preset, preset_data)
+            plan = plan_to_read(index, Query(data.study.file, data.study.world, preset))
+            rows += _count_states(preset, runs_of_plan(index, plan))
     table = pd.DataFrame(rows).fillna(0)
     states = [state for state in STATES if state in table]
     table = table[HEADS + states].astype(dict.fromkeys(states, int))
