@@ -168,6 +168,7 @@ def uncommitted(source: Path = SOURCE) -> list[str]:
     return [line[3:] for line in lines]
 
 
+@cache
 def file_at(path: Path, commit: str, line: str) -> str | None:
     """Return the text of a file with a line as it was at a commit, where it may have had another name.
 

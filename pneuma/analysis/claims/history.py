@@ -63,7 +63,7 @@ def changed_since(
     changed: list[str] = []
     is_known = False
     for commit in commits:
-        text_then = _text_at(claims.path, commit, title)
+        text_then = file_at(claims.path, commit, title)
         if text_then is None:
             continue
         is_known = True
@@ -77,11 +77,6 @@ def changed_since(
         if is_own and _rules_at(claims.path, commit) != RULES:
             changed.append(RULES_KEY)
     return tuple(dict.fromkeys(changed)) if is_known else None
-
-
-@cache
-def _text_at(path: Path, commit: str, title: str) -> str | None:
-    return file_at(path, commit, title)
 
 
 @cache
