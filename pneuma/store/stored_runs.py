@@ -41,17 +41,17 @@ def run_files(store: Store, run_id: str) -> list[dict[str, Any]]:
     for path in folder.rglob("[!.]*"):
         if path.is_file():
             sizes[path.relative_to(folder).as_posix()] = path.stat().st_size
+    unlisted = sorted(sizes.keys() - checksums.keys() - {"status.json"})
     files = []
-    for name, checksum in checksums.items():
-        if name not in sizes:
+    for name in [*checksums, *unlisted]:
+        state = "sound"
+        if name not in checksums:
+            state = "unlisted"
+        elif name not in sizes:
             state = "missing"
-        elif read_sound(folder, name, checksum) is None:
+        elif read_sound(folder, name, checksums[name]) is None:
             state = "damaged"
-        else:
-            state = "sound"
         files.append({"name": name, "bytes": sizes.get(name, 0), "state": state})
-    for name in sorted(sizes.keys() - checksums.keys() - {"status.json"}):
-        files.append({"name": name, "bytes": sizes[name], "state": "unlisted"})
     return files
 
 
