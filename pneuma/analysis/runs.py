@@ -192,9 +192,10 @@ def _runs_of_older_versions(
     candidates = missing[["condition", "seed", "steps"]].merge(finished, on=["seed", "steps"])
     alike = []
     for (condition, _), runs in candidates.groupby(["condition", "config_id"], sort=False):
-        run_id = str(runs["run_id"].iloc[0])
-        if have_same_fields(as_fields(configurations[str(condition)]), index.fields_of(run_id)):
-            alike.append(runs.assign(started=[index.started(run_id) for run_id in runs["run_id"]]))
+        stored_fields = index.document("fields", str(runs["run_id"].iloc[0]))
+        if have_same_fields(as_fields(configurations[str(condition)]), stored_fields):
+            origins = [index.document("provenance", run_id) for run_id in runs["run_id"]]
+            alike.append(runs.assign(started=[str(origin.get("started", "")) for origin in origins]))
     if not alike:
         return candidates.iloc[:0]
     newest_first = pd.concat(alike).sort_values("started", ascending=False, kind="stable")

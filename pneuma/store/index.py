@@ -20,6 +20,7 @@ from pneuma.store.published import Published
 from pneuma.store.row_builder import UNKNOWN, stored_row
 from pneuma.store.rows import Row
 from pneuma.store.store import FINISHED, Identity, Store, checked_listing
+from pneuma.store.stored_runs import stored_settings
 from pneuma.study.identity import config_id
 from pneuma.study.shipped import list_studies
 
@@ -103,20 +104,14 @@ class RunIndex:
                 names.add(name)
         return sorted(names - set(list_studies()))
 
-    def fields_of(self, run_id: str) -> Mapping[str, Any]:
-        """Return the fields of a run; empty if they cannot be read."""
+    def document(self, column: str, run_id: str) -> Mapping[str, Any]:
+        """Return the fields or the provenance of a run; empty if they cannot be read."""
         for table in self.tables.values():
             if run_id in table.places:
-                return table.document("fields", run_id)
-        fields = self.store.read_document(run_id, "run.json").get("run")
-        return fields if isinstance(fields, dict) else {}
-
-    def started(self, run_id: str) -> str:
-        """Return when the training of a run was started, in ISO format; empty if that is not known."""
-        for table in self.tables.values():
-            if run_id in table.places:
-                return str(table.document("provenance", run_id).get("started", ""))
-        return str(self.store.read_document(run_id, "provenance.json").get("started", ""))
+                return table.document(column, run_id)
+        if column == "fields":
+            return stored_settings(self.store, run_id)
+        return self.store.read_document(run_id, "provenance.json")
 
     def _stored_runs(self) -> list[tuple[Any, ...]]:
         runs = []

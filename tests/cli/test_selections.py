@@ -123,7 +123,7 @@ def test_a_published_run_has_the_fields_of_its_cell_whatever_fields_have_left_si
     index = RunIndex(store)
     data = find_study(index, Query().named("activation@paper"))
     run_id, condition = data.runs[["run_id", "condition"]].iloc[0]
-    stored, fields = index.fields_of(run_id), as_fields(data.configurations[condition])
+    stored, fields = index.document("fields", run_id), as_fields(data.configurations[condition])
     assert stored.keys() - fields.keys() and have_same_fields(fields, stored)
     assert not have_same_fields(fields, {**stored, "bodies": "pass"})
 
