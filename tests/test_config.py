@@ -128,7 +128,7 @@ PAIR: dict[str, Any] = {"players": 2, "learners": "independent"}
             "optimizer = upgd .*: the engine sb3 lacks it; batched has it",
         ),
         ({"env": "CartPole-v1", "wrappers": [{"stack_size": 4}]}, "wrappers = .*: module:Class"),
-        ({"algorithm": "qr-dqn"}, "algorithm = qr-dqn .* in pneuma/Pneuma-v0: only in other"),
+        ({"algorithm": "qr-dqn"}, "algorithm = qr-dqn .* in pneuma/Pneuma-v0: only Gymnasium's other"),
         (
             {"algorithm": "dqn", "engine": "batched"},
             'engine = "batched" .*: it cannot train the algorithm dqn',

@@ -74,7 +74,7 @@ def test_a_run_is_removed_by_its_id_unless_it_trains(store: Store) -> None:
     store.plan_run(run_id, run_identity(cell.run))
     words = ("run", "delete", run_id, "--yes", "--results", store.root)
     with run_lock(store.run_folder(run_id)):
-        assert "trains now" in refused(*words)
+        assert "is training now" in refused(*words)
     assert call(*words).code == 0 and store.runs() == []
 
 

@@ -163,7 +163,7 @@ def test_a_row_is_added_to_a_finished_run_alone_and_its_loss_damages_nothing(sto
 def test_a_run_is_not_removed_while_another_process_trains_it(store: Store) -> None:
     """A process may begin to train it after `study delete` has looked."""
     with run_lock(store.run_folder(NAME)):
-        with pytest.raises(UserError, match=f"run {NAME} trains now"):
+        with pytest.raises(UserError, match=f"run {NAME} is training now"):
             store.delete_run(NAME)
         assert store.read_file(NAME, "run.json") == FILES["run.json"]
     store.delete_run(NAME)
