@@ -63,6 +63,10 @@ class RunIndex:
         return runs.set_index("run_id", drop=False).astype({"seed": int, "steps": int, "end": int})
 
     @cached_property
+    def _where(self) -> Mapping[Any, str]:
+        return self.frame["where"].to_dict()
+
+    @cached_property
     def tables(self) -> dict[str, Published]:
         tables = {}
         for path in self.store.published(self._shipped):
@@ -128,7 +132,7 @@ class RunIndex:
         return runs
 
     def _read_row(self, run_id: str) -> Row | None:
-        where = str(self.frame.at[run_id, "where"])
+        where = self._where[run_id]
         if where:
             return next((row for _, row in self._published(run_id, where)), None)
         try:

@@ -11,6 +11,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -275,8 +276,8 @@ def unpack_signs(text: str) -> dict[str, list[Stretch]]:
     signs = {}
     try:
         for sign, gaps in packed["signs"].items():
-            ends = (np.cumsum(gaps) * packed["unit"]).astype(float).tolist()
+            ends = [end * packed["unit"] for end in accumulate(map(float, gaps))]
             signs[sign] = list(zip(ends[::2], ends[1::2], strict=True))
-    except (KeyError, TypeError, AttributeError) as error:
+    except (KeyError, TypeError, AttributeError, OverflowError) as error:
         raise ValueError(f"invalid signs of collapse: {error}") from None
     return signs
