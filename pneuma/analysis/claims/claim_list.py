@@ -15,6 +15,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -141,28 +142,38 @@ class Claim(Table):
         """The event that is counted, as 'below 0.05'; empty if runs are not counted."""
         if self.above is not None:
             return f"above {self.above:.15g}"
-        return "" if self.below is None else f"below {self.below:.15g}"
+        if self.below is not None:
+            return f"below {self.below:.15g}"
+        return ""
 
     def has_event(self, values: np.ndarray) -> np.ndarray:
         """Return of which values, (runs,), the event is true."""
-        return values < self.below if self.above is None else values > self.above
+        if self.above is not None:
+            return values > self.above
+        return values < self.below
 
     def pairs(self, outcome: str) -> list[Pair]:
         """Return the contrasts for an outcome."""
-        b = self.b if pick(self.value, outcome) is None else ()
+        arms_of_b = [(condition,) for condition in self.b]
+        is_against_value = pick(self.value, outcome) is not None
+        if is_against_value:
+            arms_of_b = [()]
         if self.kind in TOGETHER:
-            return [(self.a, b)]
-        pairs: list[Pair] = []
-        for place, condition in enumerate(self.a):
-            others = b[place : place + 1] if self.paired else b
-            pairs += [((condition,), (other,)) for other in others] or [((condition,), ())]
-        return pairs
+            return [(self.a, sum(arms_of_b, ()))]
+        arms_of_a = [(condition,) for condition in self.a]
+        if self.paired and not is_against_value:
+            return list(zip(arms_of_a, arms_of_b, strict=True))
+        return list(product(arms_of_a, arms_of_b))
 
     def seeds_of(self, condition: str) -> tuple[int, ...]:
-        seeds = self.seeds[condition] if isinstance(self.seeds, dict) else self.seeds
+        seeds = pick(self.seeds, condition)
         if isinstance(seeds, int):
-            return tuple(range(self.seeds_from, self.seeds_from + seeds))
+            seeds = tuple(range(self.seeds_from, self.seeds_from + seeds))
         return seeds
+
+    @property
+    def first_seed(self) -> int:
+        return min(map(min, map(self.seeds_of, self.conditions)))
 
     def claimed(self, outcome: str) -> str:
         """Return the direction that is claimed of an outcome: `better` is greater, or less, by its kind."""
@@ -179,12 +190,16 @@ class Claim(Table):
     def registered_margin_of(self, world: str, outcome: str) -> float | None:
         """Return the margin that was stated before the runs, if margins were set anew; else the margin."""
         registered = self._margin(self.registered_margin, self.list_registered, world, outcome)
-        return self.margin_of(world, outcome) if registered is None else registered
+        if registered is None:
+            registered = self.margin_of(world, outcome)
+        return registered
 
     def _margin(self, own: ByOutcome, of_list: Mapping[str, Any], world: str, outcome: str) -> float | None:
         margin = pick(own, outcome, world)
+        if margin is None and self.is_incidence:
+            outcome = "incidence"
         if margin is None:
-            margin = pick(of_list.get("incidence" if self.is_incidence else outcome), world)
+            margin = pick(of_list, outcome, world)
         return margin
 
     def value_of(self, world: str, outcome: str) -> float | str | None:
@@ -195,10 +210,11 @@ class Claim(Table):
     def _fits_together(self) -> Claim:
         """Refuse keys that are valid one by one but not together."""
         same_number = len(self.a) == len(self.b)
-        outcomes = [find_outcome(name) for name in self.outcome]
+        outcomes = list(map(find_outcome, self.outcome))
+        units, sources = {outcome.unit for outcome in outcomes}, {outcome.source for outcome in outcomes}
         if bool(self.b) == (self.value is not None) and not isinstance(self.value, dict):
             raise wrong("a claim compares a with either b, conditions, or value, a number")
-        if [self.above, self.below].count(None) != (1 if self.is_incidence else 2):
+        if [self.above, self.below].count(None) != 2 - self.is_incidence:
             raise wrong("an incidence, and nothing else, counts runs by either above or below, a number")
         if self.kind not in ("mean", "incidence", "range") and self.value is not None:
             raise wrong(f"kind = {self.kind} compares a with other conditions, b", "b")
@@ -206,17 +222,17 @@ class Claim(Table):
             raise wrong("a main effect, and what is paired, has as many conditions in b as in a", "b")
         if self.kind == "interaction" and not (same_number and len(self.a) == 2):
             raise wrong("an interaction is of two conditions in a and two in b", "b")
-        if self.kind == "hazard" and {outcome.unit for outcome in outcomes} != {"steps"}:
+        if self.kind == "hazard" and units != {"steps"}:
             raise wrong("a hazard is of an outcome in steps", "outcome")
-        if "times" in {outcome.source for outcome in outcomes}:
+        if "times" in sources:
             raise wrong("a claim cannot be about times, because machines differ in them", "outcome")
         if self.kind == "range" and 1 in (len(self.a), len(self.b)):
             raise wrong("a range is of two conditions or more", "a")
-        if isinstance(self.seeds, dict) and not {*self.conditions} <= {*self.seeds}:
+        if isinstance(self.seeds, dict) and not set(self.conditions) <= set(self.seeds):
             raise wrong(f"seeds: one value, or one for each of {', '.join(self.conditions)}", "seeds")
         for key in LISTS_OF_NAMES:
             names = getattr(self, key)
-            if len({*names}) < len(names):
+            if len(set(names)) < len(names):
                 raise wrong(f"{key}: a name is listed twice", key)
         self._check_outcomes()
         return self
@@ -224,7 +240,9 @@ class Claim(Table):
     def _check_outcomes(self) -> None:
         for key in ("direction", "margin", "registered_margin", "value"):
             numbers = getattr(self, key)
-            for name in numbers if isinstance(numbers, dict) else ():
+            if not isinstance(numbers, dict):
+                continue
+            for name in numbers:
                 if name not in self.outcome:
                     raise wrong(f"{key}: {unknown_name('outcome of the claim', name, self.outcome)}", key)
         for name in self.outcome:
@@ -288,7 +306,9 @@ class ClaimList:
         They are the list's in a world, or of these those of one study.
         """
         size = 0
-        for claim in self.on(study if self.head.families == "study" else "", world):
+        if self.head.families == "list":
+            study = ""
+        for claim in self.on(study, world):
             for outcome in claim.outcome:
                 size += len(claim.pairs(outcome))
         return size
@@ -349,10 +369,12 @@ def _read_claim(file: TomlFile, name: str, contents: ClaimsFile, studies: dict[s
         candidates = [key for key, table in contents.claims.items() if "like" not in table]
         raise mistake("like", unknown_name("claim", other, candidates))
     study_name = str(keys.get("study", ""))
-    path = file.path.parent / study_name
+    file_or_name = study_name
+    if study_name.endswith(".toml"):
+        file_or_name = str(file.path.parent / study_name)
     try:
         if study_name not in studies:
-            studies[study_name] = load_study(str(path) if path.suffix == ".toml" else study_name)
+            studies[study_name] = load_study(file_or_name)
     except UserError as error:
         raise mistake("study", error) from None
     study = studies[study_name]
@@ -363,8 +385,10 @@ def _read_claim(file: TomlFile, name: str, contents: ClaimsFile, studies: dict[s
             raise mistake("preset", unknown_name(f"preset of study {study.name}", preset, study.presets))
         compared = keys.get("a", ()) + keys.get("b", ())
         amounts = study.presets[preset].amounts(compared, study.world)
-        keys["seeds"] = {condition: amount.seeds for condition, amount in amounts.items()}
-        keys["steps"] = max((amount.steps for amount in amounts.values()), default=0)
+        keys |= {"seeds": {}, "steps": 0}
+        for condition, amount in amounts.items():
+            keys["seeds"][condition] = amount.seeds
+            keys["steps"] = max(keys["steps"], amount.steps)
     claim = read_model(Claim, file, ("claims", name), overrides=keys)
     conditions, worlds = ("condition", study.conditions), ("world", study.worlds)
     allowed = {"a": conditions, "b": conditions, "beside": conditions, "worlds": worlds}
@@ -372,7 +396,6 @@ def _read_claim(file: TomlFile, name: str, contents: ClaimsFile, studies: dict[s
         for value in getattr(claim, key):
             if value not in known_names:
                 raise mistake(key, unknown_name(f"{noun} of study {study.name}", value, known_names))
-    first = min(min(claim.seeds_of(condition)) for condition in claim.conditions)
-    if first < contents.list.seeds_from and not claim.seen:
-        raise mistake("seeds", f"{first} is below seeds_from = {contents.list.seeds_from}")
-    return claim.model_copy(update={"worlds": tuple(world for world in WORLDS if world in claim.worlds)})
+    if claim.first_seed < contents.list.seeds_from and not claim.seen:
+        raise mistake("seeds", f"{claim.first_seed} is below seeds_from = {contents.list.seeds_from}")
+    return claim.model_copy(update={"worlds": tuple(filter(claim.worlds.__contains__, WORLDS))})

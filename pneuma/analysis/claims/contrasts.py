@@ -77,9 +77,9 @@ def compare_arms(
         level: of the simultaneous interval.
         constant: in the unit of a.
     """
-    sizes = [runs.shape[-1] for runs in (*a.values(), *b.values())]
-    seeds = sizes[0], sizes[len(a)] if b else 0
-    if 0 in sizes:
+    sizes_of_a, sizes_of_b = [[runs.shape[-1] for runs in arms.values()] for arms in (a, b)]
+    seeds = sizes_of_a[0], (sizes_of_b or [0])[0]
+    if 0 in sizes_of_a + sizes_of_b:
         return Contrast(seeds=seeds, reason="an arm has no runs")
     means, interval = KINDS[kind](a, b, constant, intervals.LEVEL)
     _, simultaneous = KINDS[kind](a, b, constant, level)
@@ -98,7 +98,9 @@ Estimate = tuple[tuple[float, float], Interval]
 
 def _compare_means(a: Arms, b: Arms, constant: float, level: float) -> Estimate:
     """Compare the mean over some arms' means with that over others, or with a constant."""
-    weights = {name: 1 / len(a) for name in a} | {name: -1 / len(b) for name in b}
+    weights = dict.fromkeys(a, 1 / len(a))
+    for name in b:
+        weights[name] = -1 / len(b)
     means = float(np.mean(_means(a))), float(np.mean(_means(b) or [constant]))
     return means, _interval_of_sum({**a, **b}, weights, level).less(constant)
 
@@ -132,7 +134,9 @@ def weighted_sum(arms: Arms, weights: Mapping[str, float]) -> tuple[float, float
         effect += weight * runs.mean()
         variance += squared_error
         denominator += squared_error**2 / (runs.size - 1)
-    freedom = variance**2 / denominator if denominator > 0 else 1.0
+    freedom = 1.0
+    if denominator > 0:
+        freedom = variance**2 / denominator
     return effect, math.sqrt(variance), freedom
 
 
@@ -143,16 +147,15 @@ def _compare_spreads(a: Arms, b: Arms, constant: float, level: float) -> Estimat
 
 
 def _compare_shares(a: Arms, b: Arms, constant: float, level: float) -> Estimate:
-    counts: list[int] = []
-    for runs in (*a.values(), *b.values()):
-        if not np.isin(runs, (0, 1)).all():
-            raise ValueError("an incidence is of values 0 or 1")
-        counts += [int(runs.sum()), runs.size]
-    count, size, *others = counts
-    if not others:
+    (first,) = a.values()
+    if not np.isin(first, (0, 1)).all():
+        raise ValueError("an incidence is of values 0 or 1")
+    count, size = int(first.sum()), first.size
+    if not b:
         interval = intervals.incidence_interval(count, size, level)
         return (count / size, constant), interval.less(constant)
-    other_count, other_size = others
+    (second,) = b.values()
+    other_count, other_size = int(second.sum()), second.size
     interval = intervals.incidence_difference_interval(count, size, other_count, other_size, level)
     return (count / size, other_count / other_size), interval
 
@@ -190,7 +193,7 @@ def _compare_ranges(a: Arms, b: Arms, constant: float, level: float) -> Estimate
     of steps that are tried; of all steps of b the widest counts (Berger 1982), and of a the farthest.
     """
     arms = {**a, **b}
-    means = np.ptp(_means(a)), np.ptp(_means(b)) if b else constant
+    means = np.ptp(_means(a)), np.ptp(_means(b) or [0, constant])
     reason = intervals.why_none(*arms.values())
     if reason:
         return means, no_interval(reason)

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,7 @@ FLOOR_LEVEL = 0.05
 """The chance that an arm that plays like the random player is said to play better."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ClaimRuns:
     """The runs that a claim fixed in one world.
 
@@ -51,17 +52,17 @@ class ClaimRuns:
     configurations: Mapping[str, Run]
     rows: Mapping[str, Sequence[Row]]
     folder: Path
+    _values: dict[tuple[str, str], np.ndarray] = field(default_factory=dict, repr=False)
 
     @property
     def commits(self) -> tuple[str, ...]:
         """The commits of the code that trained them."""
         commits: set[str] = set()
-        for rows in self.rows.values():
-            for row in rows:
-                # Pneuma's code, and the user's own studies
-                for source in (row.provenance, row.provenance.get("project")):
-                    if isinstance(source, dict):
-                        commits.add(str(source.get("commit")).removesuffix("-dirty"))
+        for row in chain.from_iterable(self.rows.values()):
+            # Pneuma's code, and the user's own studies
+            for source in (row.provenance, row.provenance.get("project")):
+                if isinstance(source, dict):
+                    commits.add(str(source.get("commit")).removesuffix("-dirty"))
         return tuple(sorted(commits))
 
     @cached_property
@@ -71,59 +72,61 @@ class ClaimRuns:
         Of each run its mean score over all evaluations counts, where 0 is the random player; the greatest
         score would be above 0 by chance alone. None if a run has no score.
         """
-        learned: dict[str, bool | None] = {}
+        learned: dict[str, bool | None] = dict.fromkeys(self.rows)
         for condition, rows in self.rows.items():
-            means = []
-            for row in rows:
-                _, scores = row.known_evaluations("score")
-                means.append(scores.mean() if len(scores) else np.nan)
-            learned[condition] = None
-            if len(means) > 1 and np.isfinite(means).all():
+            scores = [row.known_evaluations("score")[1] for row in rows]
+            if len(scores) > 1 and all(map(len, scores)):
+                means = list(map(np.mean, scores))
                 interval = mean_interval(means, 1 - 2 * FLOOR_LEVEL)
-                learned[condition] = bool((interval.low if interval.exists else np.mean(means)) > 0)
+                # without an interval all are equal
+                learned[condition] = bool(interval.low > 0 or not interval.exists and means[0] > 0)
         return learned
 
     def why_incomparable(self, name: str, conditions: Sequence[str]) -> str:
         """Return why arms cannot be compared by an outcome; empty if they can."""
-        configurations = [self.configurations[condition] for condition in conditions]
-        if len({config_id(run) for run in configurations}) < len(conditions):
+        claim, ids = self.claim, set()
+        engines: dict[str, str] = {}
+        missing: list[str] = []
+        rows: list[Row] = []
+        for condition in conditions:
+            run = self.configurations[condition]
+            ids.add(config_id(run))
+            engines[f"{condition} by {run.engine}"] = run.engine
+            stored, fixed = len(self.rows[condition]), len(claim.seeds_of(condition))
+            rows += self.rows[condition]
+            if stored != fixed:
+                fixed_ones = f"{stored} of the {fixed} fixed ones with {round_up(run, claim.steps):,} steps"
+                missing.append(f"runs missing: {condition} has {fixed_ones}")
+        if len(ids) < len(conditions):
             return f"what is compared is the same: {' and '.join(conditions)} have one configuration"
-        if len({run.engine for run in configurations}) > 1:
-            mixed = [f"{condition} by {self.configurations[condition].engine}" for condition in conditions]
-            return f"trained by different engines: {', '.join(mixed)}"
-        missing = [text for text in map(self._missing, conditions) if text]
+        if len(set(engines.values())) > 1:
+            return f"trained by different engines: {', '.join(engines)}"
         if missing:
-            return "; ".join([*missing, f"{TRAIN_WITH} {self.training_command}"])
-        rows = [row for condition in conditions for row in self.rows[condition]]
-        if is_return(name) and len({unit_of_return(row) for row in rows}) > 1:
+            return f"{'; '.join(missing)}; {TRAIN_WITH} {self.training_command}"
+        if is_return(name) and len(set(map(unit_of_return, rows))) > 1:
             return "returns of unlike rewards"
         for condition in conditions:
-            for row in self.rows[condition]:
-                if np.isnan(outcome(row, name)):
+            for row, value in zip(self.rows[condition], self._outcomes(name, condition), strict=True):
+                if np.isnan(value):
                     return f"a run has no value: {condition} seed {row.seed}: {reason(row, name)}"
         return ""
-
-    def _missing(self, condition: str) -> str:
-        fixed, stored = len(self.claim.seeds_of(condition)), len(self.rows[condition])
-        if stored == fixed:
-            return ""
-        steps = round_up(self.configurations[condition], self.claim.steps)
-        return f"runs missing: {condition} has {stored} of the {fixed} fixed ones with {steps:,} steps"
 
     @property
     def training_command(self) -> str:
         """The command that trains the missing runs: by a preset, or all conditions and seeds."""
         claim = self.claim
-        words = [*asked_words(self.study), "--preset", claim.preset]
-        if not claim.preset:
-            words = asked_words(self.study)
+        words = ["pneuma", "study", "run"] + asked_words(self.study)
+        if claim.preset:
+            words += ["--preset", claim.preset]
+        else:
+            seeds: set[int] = set()
             for condition in claim.conditions:
                 words += ["--condition", condition]
-            seeds = set().union(*map(claim.seeds_of, claim.conditions))
+                seeds.update(claim.seeds_of(condition))
             words += ["--seeds", seeds_option(seeds), "--steps", str(claim.steps)]
-        if any(row.published for rows in self.rows.values() for row in rows):
+        if any(row.published for row in chain.from_iterable(self.rows.values())):
             words.append("--unpublished")
-        return shlex.join(["pneuma", "study", "run", *words, *results_words(self.folder)])
+        return shlex.join(words + results_words(self.folder))
 
     def values(self, name: str, condition: str) -> np.ndarray:
         """Return an outcome of each run of a condition, whose runs have all finished and have one.
@@ -131,8 +134,7 @@ class ClaimRuns:
         It is (seeds,) in the order of seeds; 1 or 0 if runs with an event are counted. Of a hazard it is
         (2, seeds): steps, and whether they are those of an event.
         """
-        rows = self.rows[condition]
-        values = np.array([outcome(row, name) for row in rows])
+        rows, values = self.rows[condition], self._outcomes(name, condition)
         if self.claim.kind == "hazard":
             last_seen = [row.evaluations("step")[-1] for row in rows]
             return np.array([np.minimum(values, last_seen), np.isfinite(values)])
@@ -140,6 +142,15 @@ class ClaimRuns:
             return self.claim.has_event(values).astype(float)
         # steps to what is never reached are at least those of the run
         return np.where(np.isinf(values), [row.budget for row in rows], values)
+
+    def run_ids(self, condition: str) -> list[str]:
+        return [row.run_id for row in self.rows[condition]]
+
+    def _outcomes(self, name: str, condition: str) -> np.ndarray:
+        key = name, condition
+        if key not in self._values:
+            self._values[key] = np.array([outcome(row, name) for row in self.rows[condition]])
+        return self._values[key]
 
 
 # --- Finding runs ----------------------------------------------------------------------------------
@@ -152,13 +163,19 @@ def find_claim_runs(
 
     Those of all claims on a study are found together, as each search takes as long as one for many runs.
     """
-    found: dict[tuple[str, str, int], StudyData] = {}
+    studies: dict[tuple[str, str, int], StudyData] = {}
     for claim, world in wanted:
         study = claims.studies[claim.study].in_world(world)
         key = claim.study, world, claim.steps
-        if key not in found:
-            found[key] = _find_runs(index, study, _amounts(claims.on(claim.study, world), claim.steps))
-        data = found[key]
+        if key not in studies:
+            amounts = _amounts_by_steps(claims.on(claim.study, world))[claim.steps]
+            cells: list[Cell] = []
+            for condition, run in configure(study, {}, list(amounts), index.engine_of).runs.items():
+                steps = round_up(run, claim.steps)
+                for seed in amounts[condition].seeds:
+                    cells.append(Cell(condition, seed, replace(run, seed=seed, steps=steps)))
+            studies[key] = finished_rows(index, runs_of_plan(index, Plan(study, tuple(cells))))
+        data = studies[key]
         rows: dict[str, list[Row]] = {}
         for condition in claim.a + claim.b:
             seeds = claim.seeds_of(condition)
@@ -166,26 +183,16 @@ def find_claim_runs(
         yield ClaimRuns(claim, study, data.configurations, rows, index.store.root)
 
 
-def _find_runs(index: RunIndex, study: Study, amounts: Mapping[str, Amount]) -> StudyData:
-    """Return the finished runs of amounts of a study's conditions."""
-    cells: list[Cell] = []
-    for condition, run in configure(study, {}, list(amounts), index.engine_of).runs.items():
-        steps = round_up(run, amounts[condition].steps)
-        for seed in amounts[condition].seeds:
-            cells.append(Cell(condition, seed, replace(run, seed=seed, steps=steps)))
-    return finished_rows(index, runs_of_plan(index, Plan(study, tuple(cells))))
-
-
-def _amounts(claims: Iterable[Claim], steps: int) -> dict[str, Amount]:
-    """Return the seeds and steps of each condition that those of some claims with so many steps train."""
-    seeds_by_condition: dict[str, set[int]] = {}
+def _amounts_by_steps(claims: Iterable[Claim]) -> dict[int, dict[str, Amount]]:
+    """Return by steps the seeds of each condition that claims train."""
+    amounts: dict[int, dict[str, Amount]] = {}
     for claim in claims:
-        if claim.steps == steps:
-            for condition in claim.conditions:
-                seeds_by_condition.setdefault(condition, set()).update(claim.seeds_of(condition))
-    amounts: dict[str, Amount] = {}
-    for condition, seeds in seeds_by_condition.items():
-        amounts[condition] = Amount.model_construct(seeds=tuple(sorted(seeds)), steps=steps)
+        by_condition = amounts.setdefault(claim.steps, {})
+        for condition in claim.conditions:
+            seeds = set(claim.seeds_of(condition))
+            if condition in by_condition:
+                seeds.update(by_condition[condition].seeds)
+            by_condition[condition] = Amount.model_construct(seeds=tuple(sorted(seeds)), steps=claim.steps)
     return amounts
 
 
@@ -202,12 +209,12 @@ def with_claims(study: Study, steps: int | None = None) -> Study:
         UserError: when no claim is about the study, or several budgets are possible.
     """
     amounts = fixed_amounts(study)
-    budgets = " or ".join(f"{budget:,}" for budget in amounts)
     if not amounts:
         raise UserError(
             f"--preset {CLAIMS}: no list of claims fixes runs of study {study.name} in this world"
         )
     if len(amounts) > 1 and steps is None:
+        budgets = " or ".join(f"{budget:,}" for budget in amounts)
         raise UserError(f"--preset {CLAIMS}: claims fix runs of {budgets} steps: choose with --steps")
     steps = steps or next(iter(amounts))
     conditions: dict[str, Amount] = {}
@@ -219,8 +226,7 @@ def with_claims(study: Study, steps: int | None = None) -> Study:
 
 def fixed_amounts(study: Study) -> dict[int, dict[str, Amount]]:
     """Return seeds and steps of each condition by number of steps; empty if no claim is about the study."""
-    claims = [claim for _, claim in claims_on(study)]
-    return {steps: _amounts(claims, steps) for steps in dict.fromkeys(claim.steps for claim in claims)}
+    return _amounts_by_steps(claim for _, claim in claims_on(study))
 
 
 def claims_on(study: Study) -> Iterator[tuple[ClaimList, Claim]]:

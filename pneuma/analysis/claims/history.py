@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +57,7 @@ def changed_since(
     `THE_CLAIM` stands for a claim that the list did not have yet.
     """
     text = claims.path.read_text(encoding="utf-8")
-    title = next((line for line in text.splitlines() if line.startswith("title = ")), "[defaults]")
+    (title,) = re.findall("^title = .*", text, flags=re.MULTILINE)[:1] or ["[defaults]"]
     now = _deciding_keys(text, claim.name, world)
     is_own = SOURCE in claims.path.resolve().parents
     changed: list[str] = []
@@ -76,14 +76,16 @@ def changed_since(
                 changed.append(key)
         if is_own and _rules_at(claims.path, commit) != RULES:
             changed.append(RULES_KEY)
-    return tuple(dict.fromkeys(changed)) if is_known else None
+    if not is_known:
+        return None
+    return tuple(dict.fromkeys(changed))
 
 
 @cache
 def _rules_at(path: Path, commit: str) -> int | None:
     """Return the version of the judge's rules at a commit; None if it had none."""
-    version = re.search(r"^RULES = (\d+)", line_at(path, commit, "RULES = ", "pneuma"))
-    return int(version[1]) if version else None
+    version = re.match(r"RULES = (\d+)", line_at(path, commit, "RULES = ", "pneuma"))
+    return version and int(version[1])
 
 
 @cache
@@ -100,9 +102,9 @@ def _deciding_keys(text: str, name: str, world: str) -> Mapping[str, Any]:
         claim = Claim.model_construct(**{"seeds": (), "steps": 0, **claim_keys(_parse(text), name)})
         deciding = {key: getattr(claim, key) for key in _DECIDING}
         deciding["paired"] = claim.paired and bool(claim.b)
-        deciding["value"] = [claim.value_of(world, outcome) for outcome in claim.outcome]
-        deciding["margin"] = [claim.registered_margin_of(world, outcome) for outcome in claim.outcome]
-        deciding["seeds"] = [claim.seeds_of(condition) for condition in claim.a + claim.b]
+        deciding["value"] = list(map(partial(claim.value_of, world), claim.outcome))
+        deciding["margin"] = list(map(partial(claim.registered_margin_of, world), claim.outcome))
+        deciding["seeds"] = list(map(claim.seeds_of, claim.a + claim.b))
         return deciding
     except (ValueError, LookupError, AttributeError, TypeError):
         return {}

@@ -73,8 +73,10 @@ class ClaimContrast:
     @property
     def names(self) -> tuple[str, str]:
         """The arms as text; b may be a number or an outcome."""
-        value = f"{self.value:g}" if isinstance(self.value, float) else str(self.value)
-        return ", ".join(self.a), ", ".join(self.b) or value
+        second = ", ".join(self.b) or str(self.value)
+        if isinstance(self.value, float):
+            second = f"{self.value:g}"
+        return ", ".join(self.a), second
 
     @property
     def has_effect(self) -> bool:
@@ -139,22 +141,18 @@ def judge(
     pairs: list[tuple[Claim, str]] = []
     for claim in claims.claims.values():
         pairs += [(claim, world) for world in claim.worlds if wanted(claim, world)]
-    return [judge_claim(claims, runs) for runs in find_claim_runs(index, claims, pairs)]
+    return [_judge_claim(claims, runs) for runs in find_claim_runs(index, claims, pairs)]
 
 
-def judge_claim(claims: ClaimList, runs: ClaimRuns) -> Verdict:
+def _judge_claim(claims: ClaimList, runs: ClaimRuns) -> Verdict:
     """Return the verdict on a claim of a list in one world by its runs."""
     claim, world = runs.claim, runs.study.world
     alpha = claims.head.alpha / claims.family_size(world, claim.study)
     rows: list[ClaimContrast] = []
-    verdicts: list[str] = []
-    registered_verdicts: list[str] = []
     for outcome in claim.outcome:
-        of_outcome = [_judge_contrast(runs, outcome, pair, alpha) for pair in claim.pairs(outcome)]
-        verdicts.append(all_of(row.verdict for row in of_outcome))
-        registered_verdicts.append(all_of(row.registered_verdict for row in of_outcome))
-        rows += of_outcome
-    verdict = combine(verdicts, claim.need)
+        for pair in claim.pairs(outcome):
+            rows.append(_judge_contrast(runs, outcome, pair, alpha))
+    verdict = _of_claim(claim, rows, "verdict")
     changed = changed_since(claims, claim, world, runs.commits)
     return Verdict(
         claim=claim,
@@ -162,17 +160,25 @@ def judge_claim(claims: ClaimList, runs: ClaimRuns) -> Verdict:
         verdict=verdict,
         reason=_reason(verdict, rows),
         contrasts=tuple(rows),
-        registered_verdict=combine(registered_verdicts, claim.need),
-        label=_label(claims, claim, changed),
+        registered_verdict=_of_claim(claim, rows, "registered_verdict"),
+        label=_label(claims, claim, changed or ()),
         changed=changed,
     )
 
 
-def _label(claims: ClaimList, claim: Claim, changed: Sequence[str] | None) -> str:
+def _of_claim(claim: Claim, rows: Iterable[ClaimContrast], column: str) -> str:
+    """Return the verdict on a claim, by one of the columns of its rows that have verdicts."""
+    by_outcome: dict[str, list[str]] = {}
+    for row in rows:
+        by_outcome.setdefault(row.outcome, []).append(getattr(row, column))
+    return combine(list(map(all_of, by_outcome.values())), claim.need)
+
+
+def _label(claims: ClaimList, claim: Claim, changed: Iterable[str]) -> str:
     """Return whether a claim was stated before its runs."""
-    if claim.seen or {*(changed or ())} - {*HOW_MANY}:
+    if claim.seen or set(changed) - set(HOW_MANY):
         return DESCRIPTIVE
-    if min(min(claim.seeds_of(condition)) for condition in claim.a + claim.b) < claims.head.known_below:
+    if claim.first_seed < claims.head.known_below:
         return f"same runs as {claims.head.known_from}"
     return PREREGISTERED
 
@@ -181,15 +187,13 @@ def _reason(verdict: str, rows: Sequence[ClaimContrast]) -> str:
     if verdict == UNTESTABLE:  # each part of the reasons once, the command that trains what is missing last
         parts = dict.fromkeys("; ".join(row.contrast.reason for row in rows).split("; "))
         return "; ".join(sorted(filter(None, parts), key=lambda part: part.startswith(TRAIN_WITH)))
-    refuted = [row for row in rows if row.verdict == REFUTED]
-    if verdict == REFUTED and all(map(_is_as_claimed_but_small, refuted)):
-        return AS_CLAIMED_BUT_SMALL
-    return ""
-
-
-def _is_as_claimed_but_small(row: ClaimContrast) -> bool:
-    """Return whether an effect is refuted as too small although its interval is on the claimed side of 0."""
-    return decide(row.contrast.simultaneous, row.claim.claimed(row.outcome), margin=None) == SUPPORTED
+    if verdict != REFUTED:
+        return ""
+    for row in rows:
+        without_margin = decide(row.contrast.simultaneous, row.claim.claimed(row.outcome), margin=None)
+        if row.verdict == REFUTED and without_margin != SUPPORTED:
+            return ""
+    return AS_CLAIMED_BUT_SMALL
 
 
 # --- Contrasts -----------------------------------------------------------------------------------
@@ -197,10 +201,12 @@ def _is_as_claimed_but_small(row: ClaimContrast) -> bool:
 
 def _judge_contrast(runs: ClaimRuns, outcome: str, pair: Pair, alpha: float) -> ClaimContrast:
     claim, world, (a, b) = runs.claim, runs.study.world, pair
-    value = None if b else claim.value_of(world, outcome)
-    margins = [claim.margin_of(world, outcome), claim.registered_margin_of(world, outcome)]
+    value = None
+    if not b:
+        value = claim.value_of(world, outcome)
+    margin, registered_margin = claim.margin_of(world, outcome), claim.registered_margin_of(world, outcome)
     if value and not isinstance(value, str):
-        margins = [None, None]
+        margin = registered_margin = None
     conditions = tuple(dict.fromkeys(a + b))
     reason = claim.not_tested or runs.why_incomparable(outcome, conditions)
     row = ClaimContrast(
@@ -211,35 +217,39 @@ def _judge_contrast(runs: ClaimRuns, outcome: str, pair: Pair, alpha: float) -> 
         b=b,
         value=value,
         alpha=alpha,
-        margin=margins[0],
-        registered_margin=margins[1],
-        runs={name: [row.run_id for row in runs.rows[name]] for name in conditions},
+        margin=margin,
+        registered_margin=registered_margin,
+        runs={condition: runs.run_ids(condition) for condition in conditions},
         contrast=Contrast(reason=reason),
     )
     if reason:
         return row
-    arms = {name: runs.values(outcome, name) for name in conditions}
-    first, second = ({name: arms[name] for name in names} for names in pair)
-    constant = 0.0 if isinstance(value, str) else value or 0.0
-    if isinstance(value, str):  # of each run its own other outcome is taken away, and their mean added again
-        others = runs.values(value, a[0])
+    arms = {condition: runs.values(outcome, condition) for condition in conditions}
+    first = {condition: arms[condition] for condition in a}
+    second = {condition: arms[condition] for condition in b}
+    constant = value or 0.0
+    if isinstance(constant, str):  # of each run its own other outcome is taken away, their mean added again
+        others = runs.values(constant, a[0])
         constant = float(others.mean())
         first[a[0]] = first[a[0]] - others + constant
     contrast = compare_arms(claim.kind, first, second, 1 - alpha, constant)
     none_learned = _have_none_learned(runs, outcome, conditions)
-    reasons: list[str] = []
-    verdicts: list[str] = []
-    for margin in margins:
-        reasons.append(_why_untestable(runs, outcome, arms, margin))
-        verdict = decide(contrast.simultaneous, claim.claimed(outcome), margin, not none_learned)
-        verdicts.append(UNTESTABLE if reasons[-1] else verdict)
-    if reasons[0]:
-        contrast, none_learned = Contrast(seeds=contrast.seeds, reason=reasons[0]), False
+
+    def verdict_by(margin: float | None) -> tuple[str, str]:
+        reason = _why_untestable(runs, outcome, arms, margin)
+        if reason:
+            return UNTESTABLE, reason
+        return decide(contrast.simultaneous, claim.claimed(outcome), margin, not none_learned), ""
+
+    verdict, reason = verdict_by(margin)
+    registered_verdict, _ = verdict_by(registered_margin)
+    if reason:
+        contrast, none_learned = Contrast(seeds=contrast.seeds, reason=reason), False
     return replace(
         row,
         contrast=contrast,
-        verdict=verdicts[0],
-        registered_verdict=verdicts[1],
+        verdict=verdict,
+        registered_verdict=registered_verdict,
         none_learned=none_learned,
     )
 
@@ -253,19 +263,19 @@ def _why_untestable(
     without one within the outcome's own tolerance. Of an incidence the arms' shares of runs count.
     """
     measured = find_outcome(outcome)
-    learned = [runs.learned[name] for name in arms]
-    if measured.requires_learning and False in learned:
-        name = list(arms)[learned.index(False)]
-        return f"the agents learned nothing there: {name} is not shown to play better than the random player"
+    for condition in arms:
+        if measured.requires_learning and runs.learned[condition] is False:
+            random_player = "is not shown to play better than the random player"
+            return f"the agents learned nothing there: {condition} {random_player}"
     if len(arms) < 2 or runs.claim.kind == "hazard":
         return ""
     values = np.concatenate(list(arms.values()))
     bounds, tolerance = measured.bounds, margin or measured.alike
     if runs.claim.is_incidence:
-        values = np.array([events.mean() for events in arms.values()])
+        values = np.array(list(map(np.mean, arms.values())))
         bounds, tolerance = (0.0, 1.0), RARE
     ends = {"floor": bounds[0], "ceiling": bounds[1]}
-    if _is_of_play(runs.claim, outcome) and None not in learned:
+    if _is_of_play(runs.claim, outcome) and None not in map(runs.learned.get, arms):
         del ends["floor"]  # the comparison with the random player decides it
     for end, bound in ends.items():
         if np.isfinite(bound) and (np.abs(values - bound) <= tolerance).all():
@@ -282,7 +292,7 @@ def _have_none_learned(runs: ClaimRuns, outcome: str, conditions: Sequence[str])
     if claim.kind == "hazard" or len(conditions) < 2:
         return False
     needs_play = _is_of_play(claim, outcome) or claim.claimed(outcome) in ("equal", "no-less")
-    return needs_play and all(runs.learned[name] is False for name in conditions)
+    return needs_play and set(map(runs.learned.get, conditions)) == {False}
 
 
 def _is_of_play(claim: Claim, outcome: str) -> bool:
@@ -314,7 +324,9 @@ def decide(ends: Interval, claimed: str, margin: float | None, alike_counts: boo
     }[claimed]
     if fails:
         return REFUTED
-    return SUPPORTED if holds else INCONCLUSIVE
+    if holds:
+        return SUPPORTED
+    return INCONCLUSIVE
 
 
 def all_of(verdicts: Iterable[str]) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from textwrap import shorten
 
@@ -85,22 +84,26 @@ def _section_numbers(verdict: Verdict) -> list[int]:
 
 def worlds_of(by_claim: ByClaim) -> dict[str, str]:
     """Return the names of the worlds in which claims were judged; statements of one's own may have none."""
-    verdicts = [verdict for by_world in by_claim.values() for verdict in by_world.values()]
-    judged_in = {verdict.world for verdict in verdicts}
-    if len(judged_in) == 1 and not any(verdict.claim.quote for verdict in verdicts):
+    judged_in: set[str] = set()
+    quotes: set[str] = set()
+    for by_world in by_claim.values():
+        judged_in.update(by_world)
+        for verdict in by_world.values():
+            quotes.add(verdict.claim.quote)
+    if len(judged_in) == 1 and not any(quotes):
         return dict.fromkeys(judged_in, "verdict")
     return {world: name for world, name in WORLD_NAMES.items() if world in judged_in}
 
 
 def count_words(by_claim: ByClaim) -> pd.DataFrame:
     """Return how many claims have each word, a row for each world."""
-    counts: Counter[tuple[str, str]] = Counter()
+    worlds = worlds_of(by_claim)
+    counts = pd.DataFrame(0, worlds.values(), list(WORDS))
     for by_world in by_claim.values():
-        counts.update((world, word(verdict)) for world, verdict in by_world.items())
-    rows = []
-    for world, name in worlds_of(by_claim).items():
-        rows.append([name, *(counts[world, text] for text in WORDS)])
-    return pd.DataFrame(rows, columns=["", *WORDS])
+        for world, verdict in by_world.items():
+            if word(verdict) in WORDS:
+                counts.loc[worlds[world], word(verdict)] += 1
+    return counts.reset_index(names="")
 
 
 def verdict_table(by_claim: ByClaim) -> pd.DataFrame:
@@ -117,10 +120,13 @@ def verdict_table(by_claim: ByClaim) -> pd.DataFrame:
             quoted.add(quote)
         row = [claim.section, f"{heading}\n{arms_in_words(claim)}"]
         for world in worlds:
-            row.append(cell(by_world[world]) if world in by_world else "–")
+            verdict = by_world.get(world)
+            row.append(cell(verdict) if verdict else "–")
         rows.append(row)
-    heading = "The thesis's sentence" if quoted else "Claim"
-    return pd.DataFrame(rows, columns=["Section", heading, *worlds.values()])
+    columns = ["Section", "The thesis's sentence"] + list(worlds.values())
+    if not quoted:
+        columns[1] = "Claim"
+    return pd.DataFrame(rows, columns=columns)
 
 
 # --- One verdict -----------------------------------------------------------------------------------
@@ -128,7 +134,7 @@ def verdict_table(by_claim: ByClaim) -> pd.DataFrame:
 
 def cell(verdict: Verdict) -> str:
     """Return a verdict's word and label; in the next lines its effects, or why there are none."""
-    return "\n".join([f"{word(verdict)} [{letter(verdict)}]", *lines(verdict)])
+    return "\n".join([f"{word(verdict)} [{letter(verdict)}]"] + lines(verdict))
 
 
 def word(verdict: Verdict) -> str:
@@ -140,12 +146,13 @@ def lines(verdict: Verdict) -> list[str]:
     texts: list[str] = []
     if word(verdict) != NOT_TESTED:
         tested = [row for row in verdict.deciding if row.has_effect]
-        texts = [effect(row) for row in tested]
+        texts = list(map(effect, tested))
         if any(row.none_learned for row in tested):
             texts.append("none plays better than at random")
-        sizes = [size for size in tested[0].contrast.seeds if size] if tested else []
-        if len({*sizes}) > 1:
-            texts.append(f"{sizes[0]} against {sizes[1]} runs")
+        for row in tested[:1]:
+            first, second = row.contrast.seeds
+            if second not in (0, first):
+                texts.append(f"{first} against {second} runs")
     texts.append(why(verdict))
     if verdict.registered_verdict not in ("", verdict.verdict):
         texts.append(f"by the registered margins: {_WORD_OF[verdict.registered_verdict]}")
@@ -158,7 +165,9 @@ def letter(verdict: Verdict) -> str:
     A star follows if the claim was changed after its first run.
     """
     mark = _LETTERS.get(verdict.label, verdict.label.rpartition(" ")[2])
-    return f"{mark}*" if verdict.changed else mark
+    if verdict.changed:
+        mark += "*"
+    return mark
 
 
 def registration(verdict: Verdict) -> str:
@@ -170,8 +179,10 @@ def registration(verdict: Verdict) -> str:
 
 def why(verdict: Verdict) -> str:
     """Return in a few words why a claim is not tested, or what its word does not tell; mostly empty."""
+    if verdict.lacks_runs and verdict.run_ids:
+        return "partly trained"
     if verdict.lacks_runs:
-        return "partly trained" if verdict.run_ids else "not trained yet"
+        return "not trained yet"
     if verdict.verdict == MIXED:
         return "its two measures disagree"
     return verdict.reason.partition(":")[0]
@@ -179,16 +190,18 @@ def why(verdict: Verdict) -> str:
 
 def remedy(verdict: Verdict) -> list[str]:
     """Return the command that trains what is missing, if runs are."""
-    return [verdict.reason.rpartition("; ")[2]] if verdict.lacks_runs else []
+    if not verdict.lacks_runs:
+        return []
+    return [verdict.reason.rpartition("; ")[2]]
 
 
 def details(verdict: Verdict) -> list[str]:
     """Return the sentence, what is compared, and for each contrast arms, numbers of runs and effect."""
     texts = [sentence(verdict.claim), verdict.claim.context]
     if verdict.lacks_runs:
-        return [*texts, verdict.reason]
+        return texts + [verdict.reason]
     for row in verdict.contrasts:
-        runs = " and ".join(str(count) for count in row.contrast.seeds if count)
+        runs = " and ".join(map(str, filter(None, row.contrast.seeds)))
         parts = [f"{' against '.join(row.names)}, {runs} runs:"]
         if row.has_effect:
             parts.append(effect(row))
@@ -213,7 +226,7 @@ def effect(row: ClaimContrast) -> str:
         a, b, low, high, smallest = _factors(row)
     else:
         a, b, low, high, smallest = _numbers(row)
-    brackets: list[str] = []
+    brackets = []
     if row.contrast.simultaneous.exists:
         brackets.append(interval.format(low, high))
     if row.margin:
@@ -225,19 +238,22 @@ def effect(row: ClaimContrast) -> str:
         text += f", {_outcome_words(row.value)} {b}"
     elif row.value:
         text += f", threshold {b}"
-    return f"{text} ({'; '.join(brackets)})" if brackets else text
+    if brackets:
+        text += f" ({'; '.join(brackets)})"
+    return text
 
 
 def _numbers(row: ClaimContrast) -> list[str]:
     """Return both numbers, the ends of their difference's interval, and the margin, as known."""
     contrast, ends = row.contrast, row.contrast.simultaneous
     is_share = row.claim.is_incidence or find_outcome(row.outcome).unit == "share"
-    scale, unit = (100, " %") if is_share else (1, "")
-    low, high, margin = scale * ends.low, scale * ends.high, scale * (row.margin or 0.0)
-    digits = _places(scale * (contrast.means[0] - contrast.means[1]), low, high)
+    scale, unit, least_digits = 1, "", -MOST
     if is_share:
-        digits = max(digits, 0)
-    texts = [shown(scale * mean, digits) + unit for mean in contrast.means]
+        scale, unit, least_digits = 100, " %", 0
+    first, second = scale * contrast.means[0], scale * contrast.means[1]
+    low, high, margin = scale * ends.low, scale * ends.high, scale * (row.margin or 0.0)
+    digits = max(_places(scale * (contrast.means[0] - contrast.means[1]), low, high), least_digits)
+    texts = [shown(first, digits) + unit, shown(second, digits) + unit]
     texts += [_end(low, digits), _end(high, digits), shown(margin, decimals(margin) - 1)]
     return [text.replace("-", "−") for text in texts]
 
@@ -245,7 +261,7 @@ def _numbers(row: ClaimContrast) -> list[str]:
 def _factors(row: ClaimContrast) -> list[str]:
     """Return the same of logarithms as factors; of a hazard both numbers are shares of runs."""
     contrast, ends = row.contrast, row.contrast.simultaneous
-    factors = [_factor(log) for log in (*contrast.means, ends.low, ends.high, row.margin or 0.0)]
+    factors = list(map(_factor, contrast.means + (ends.low, ends.high, row.margin or 0.0)))
     if row.claim.kind == "hazard":
         factors[:2] = [f"{100 * share:.0f} %" for share in contrast.means]
     return factors
@@ -306,8 +322,10 @@ def arms_in_words(claim: Claim) -> str:
     """Return what is compared, as 'tanh against ReLU'; one arm alone is held against a threshold."""
     first, second = " and ".join(claim.a), " and ".join(claim.b)
     if claim.called:
-        first, second = (*claim.called, "")[:2]
-    return f"{first} against {second}" if second else first
+        first, second = claim.called[:2]
+    if second:
+        first += f" against {second}"
+    return first
 
 
 def sentence(claim: Claim) -> str:
