@@ -11,66 +11,56 @@ from scipy import stats
 
 Ends = tuple[float, float] | None
 """Of an interval; None if there is none."""
+Values = Mapping[str, np.ndarray]
 
 
 def interval(
-    kind: str,
-    a: Sequence[str],
-    b: Sequence[str],
-    values: Mapping[str, np.ndarray],
-    constant: float,
-    alpha: float,
+    kind: str, a: Sequence[str], b: Sequence[str], values: Values, constant: float, alpha: float
 ) -> tuple[float, Ends]:
     """Return the effect and the ends of its interval; none if an arm shows nothing of how runs differ."""
-    if kind == "range":
-        return of_range(a, b, values, constant, alpha)
-    if kind in ("main-effect", "interaction"):
-        share = 1 / len(a) if kind == "main-effect" else 1.0
-        signs = [1.0] * len(a) if kind == "main-effect" else [1.0, -1.0]
-        parts = [(values[name], share * sign) for name, sign in zip(a, signs, strict=True)]
-        parts += [(values[name], -share * sign) for name, sign in zip(b, signs, strict=True)]
-        return of_sum(parts, alpha)
     if kind == "hazard":
         return of_hazard(values[a[0]], values[b[0]], alpha)
-    first, second = values[a[0]], values[b[0]] if b else None
     if kind == "incidence":
-        return of_shares(first, second, constant, alpha)
+        return of_shares([values[name] for name in (*a, *b)], constant, alpha)
     if kind == "spread":
-        assert second is not None
-        first, second = (abs(own - np.median(own)) for own in (first, second))
-    effect = first.mean() - (constant if second is None else second.mean())
-    if any(varies_not(own) for own in (first, second) if own is not None):
-        return effect, None
-    if second is None:
-        test = stats.ttest_1samp(first - constant, 0)
-    else:
-        test = stats.ttest_ind(first, second, equal_var=kind == "spread")
-    found = test.confidence_interval(1 - alpha)
-    return effect, (found.low, found.high)
-
-
-def varies_not(runs: np.ndarray) -> bool:
-    return len(runs) < 2 or np.ptp(runs) <= 1e-12 * abs(runs).max()
-
-
-def of_sum(parts: Sequence[tuple[np.ndarray, float]], alpha: float) -> tuple[float, Ends]:
-    """Return the interval of a weighted sum of means, with Satterthwaite's degrees of freedom."""
-    effect = sum(weight * runs.mean() for runs, weight in parts)
-    if any(varies_not(runs) for runs, _ in parts):
-        return effect, None
-    errors = [weight**2 * runs.var(ddof=1) / len(runs) for runs, weight in parts]
-    freedom = sum(errors) ** 2 / sum(
-        e**2 / (len(runs) - 1) for e, (runs, _) in zip(errors, parts, strict=True)
+        values = {name: abs(runs - np.median(runs)) for name, runs in values.items()}
+    varies = all(
+        len(runs) > 1 and np.ptp(runs) > 1e-12 * abs(runs).max()
+        for runs in (values[name] for name in (*a, *b))
     )
-    half = stats.t.ppf(1 - alpha / 2, freedom) * sum(errors) ** 0.5
-    return effect, (effect - half, effect + half)
+    if kind == "range":
+        effect, ends = of_range(a, b, values, constant, alpha)
+    elif kind in ("main-effect", "interaction"):
+        factors = {"main-effect": [1 / len(a)] * len(a), "interaction": [1.0, -1.0]}[kind]
+        weights = dict(zip(a, factors, strict=True)) | {name: -f for name, f in zip(b, factors, strict=True)}
+        effect, error, freedom = of_sum(weights, values)
+        half = stats.t.ppf(1 - alpha / 2, freedom) * error
+        ends = effect - half, effect + half
+    else:
+        first = values[a[0]] - constant
+        if b:
+            test = stats.ttest_ind(first, values[b[0]], equal_var=kind == "spread")
+        else:
+            test = stats.ttest_1samp(first, 0)
+        effect = first.mean() - sum(values[name].mean() for name in b)
+        ends = tuple(test.confidence_interval(1 - alpha))
+    return effect, ends if varies else None
+
+
+def of_sum(weights: Mapping[str, float], values: Values) -> tuple[float, float, float]:
+    """Return a weighted sum of means, its standard error and Satterthwaite's degrees of freedom."""
+    effect = sum(weight * values[name].mean() for name, weight in weights.items())
+    squares = {name: (weight * stats.sem(values[name])) ** 2 for name, weight in weights.items()}
+    rest = sum(square**2 / (len(values[name]) - 1) for name, square in squares.items())
+    total = sum(squares.values())
+    return effect, total**0.5, total**2 / rest if rest else 1.0
 
 
 def of_hazard(first: np.ndarray, second: np.ndarray, alpha: float) -> tuple[float, Ends]:
     """Return Peto's logarithm of the ratio of two rates: (observed less expected) by the variance."""
     surplus, variance = 0.0, 0.0
     for time in sorted({*first[0][first[1] > 0], *second[0][second[1] > 0]}):
-        group = np.array([(first[0] >= time).sum(), (second[0] >= time).sum()])
+        group = np.array([(arm[0] >= time).sum() for arm in (first, second)])
         deaths = np.array([sum((arm[0] == time) * arm[1]) for arm in (first, second)])
         share = group[0] / group.sum()
         surplus += deaths[0] - deaths.sum() * share
@@ -83,46 +73,29 @@ def of_hazard(first: np.ndarray, second: np.ndarray, alpha: float) -> tuple[floa
     return surplus / variance, (surplus / variance - half, surplus / variance + half)
 
 
-def of_shares(
-    first: np.ndarray, second: np.ndarray | None, constant: float, alpha: float
-) -> tuple[float, tuple[float, float]]:
-    if second is None:
-        found = stats.binomtest(int(first.sum()), len(first)).proportion_ci(1 - alpha, method="exact")
-        return first.mean() - constant, (found.low - constant, found.high - constant)
-    exact = [
-        stats.binomtest(int(own.sum()), len(own)).proportion_ci(1 - alpha, method="exact")
-        for own in (first, second)
-    ]
-    (p, one), (q, two) = (first.mean(), exact[0]), (second.mean(), exact[1])
+def of_shares(arms: Sequence[np.ndarray], constant: float, alpha: float) -> tuple[float, Ends]:
+    tests = [stats.binomtest(int(runs.sum()), len(runs)) for runs in arms]
+    (p, one), *others = [(test.statistic, test.proportion_ci(1 - alpha, method="exact")) for test in tests]
+    if not others:
+        return p - constant, (one.low - constant, one.high - constant)
+    ((q, two),) = others
     low = p - q - ((p - one.low) ** 2 + (two.high - q) ** 2) ** 0.5
     high = p - q + ((one.high - p) ** 2 + (q - two.low) ** 2) ** 0.5
     return p - q, (low, high)
 
 
 def of_range(
-    a: Sequence[str], b: Sequence[str], values: Mapping[str, np.ndarray], constant: float, alpha: float
+    a: Sequence[str], b: Sequence[str], values: Values, constant: float, alpha: float
 ) -> tuple[float, Ends]:
     """Compare each step from arm to arm of a with each of b; arms that both have cancel, or count twice."""
     steps_a: list[tuple[str, ...]] = [*permutations(a, 2)]
     steps_b: list[tuple[str, ...]] = [*permutations(b, 2)] or [()]
-    effects, lows, highs = (np.empty((len(steps_a), len(steps_b))) for _ in range(3))
+    effects, lows, highs = np.empty((3, len(steps_a), len(steps_b)))
     for place in np.ndindex(effects.shape):
-        weight = Counter[str]()
-        for step, sign in ((steps_a[place[0]], 1), (steps_b[place[1]], -1)):
-            if step:
-                weight[step[0]] += sign
-                weight[step[1]] -= sign
-        parts = [(values[name], count) for name, count in weight.items() if count]
-        effect = sum(count * own.mean() for own, count in parts) - constant
-        errors = [count**2 * own.var(ddof=1) / len(own) for own, count in parts]
-        rest = sum(error**2 / (len(own) - 1) for error, (own, _) in zip(errors, parts, strict=True))
-        freedom = sum(errors) ** 2 / rest if rest else 1
-        low, high = (
-            stats.t.ppf(1 - alpha / 2 / len(steps), freedom) * sum(errors) ** 0.5
-            for steps in (steps_a, steps_b)
-        )
-        effects[place], lows[place], highs[place] = effect, effect - low, effect + high
-    seen = effects.min(axis=1).max()
-    if any(varies_not(values[name]) for name in {*a, *b}):
-        return seen, None
-    return seen, (lows.min(axis=1).max(), highs.max(axis=0).min())
+        weights = Counter(dict(zip(steps_a[place[0]], (1, -1), strict=True)))
+        weights.update(dict(zip(steps_b[place[1]], (-1, 1), strict=False)))
+        effect, error, freedom = of_sum(weights, values)
+        low, high = (stats.t.ppf(1 - alpha / 2 / len(steps), freedom) * error for steps in (steps_a, steps_b))
+        effects[place] = effect - constant
+        lows[place], highs[place] = effects[place] - low, effects[place] + high
+    return effects.min(axis=1).max(), (lows.min(axis=1).max(), highs.max(axis=0).min())

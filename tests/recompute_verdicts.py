@@ -77,24 +77,19 @@ def compared(
     planned = [(outcome, *pair) for outcome in claim["outcome"] for pair in pairs(claim, outcome)]
     yield "claims", "", len(planned), len(document["contrasts"])
     by_margin: dict[str, dict[str, list[str]]] = {"margin": {}, "registered_margin": {}}
-    has_runs = False
+    what = "claims without runs"
     for (outcome, a, b), row in zip(planned, document["contrasts"], strict=True):
         place = f"{outcome} {', '.join(a)}"
         yield "contrasts", place, (outcome, ", ".join(a)), (row["outcome"], row["a"])
-        arms = {
-            name: fixed(runs.of_condition(claim["study"], name, world), seeds_of(claim, name), claim["steps"])
-            for name in (*a, *b)
-        }
-        ids = {name: tuple(str(run["run_id"]) for run in rows) for name, rows in arms.items()}
-        for name in arms:
-            yield (
-                "arms",
-                f"{place} {name}",
-                ids[name] or ("none",),
-                tuple(row["runs"].get(name, ())) or ("none",),
-            )
-        is_complete = all(len(rows) == len(seeds_of(claim, name)) for name, rows in arms.items())
-        has_runs |= is_complete
+        arms: dict[str, list[Row]] = {}
+        is_complete = True
+        for name in dict.fromkeys((*a, *b)):
+            seeds = seeds_of(claim, name)
+            arms[name] = fixed(runs.of_condition(claim["study"], name, world), seeds, claim["steps"])
+            ids = ["none", *(str(run["run_id"]) for run in arms[name])]
+            yield "arms", f"{place} {name}", tuple(ids), ("none", *row["runs"].get(name, ()))
+            is_complete &= len(arms[name]) == len(seeds)
+        what = "verdicts" if is_complete else what
         for key, verdicts in by_margin.items():
             verdict = "untestable"
             if is_complete and "not_tested" not in claim:
@@ -108,12 +103,7 @@ def compared(
             verdicts.setdefault(outcome, []).append(verdict)
     for key, verdicts in by_margin.items():
         verdict = of_claim([all_of(each) for each in verdicts.values()], claim)
-        yield (
-            "verdicts" if has_runs else "claims without runs",
-            key,
-            verdict,
-            document[key.replace("margin", "verdict")],
-        )
+        yield what, key, verdict, document[key.replace("margin", "verdict")]
 
 
 def alike(mine: Any, theirs: Any) -> bool:
@@ -275,39 +265,33 @@ def rule(way: str, ends: Ends, margin: float | None, unlike_only: bool) -> str:
     if ends is None:
         return "inconclusive"
     low, high = ends
-    more, less = low > 0, high < 0
-    much_more, much_less = (margin is not None and low > margin), (margin is not None and high < -margin)
-    small = margin is not None and max(abs(low), abs(high)) < margin and not unlike_only
-    if way == "greater":
-        yes, no = more and not small, less or small
-    elif way == "less":
-        yes, no = less and not small, more or small
-    elif way == "different":
-        yes, no = (more or less) and not small, small
-    elif way == "equal":
-        yes, no = small, much_more or much_less
-    else:  # no-less
-        yes, no = margin is not None and low > -margin and not unlike_only, much_less
+    near = -1.0 if margin is None else margin  # nothing is nearer to 0 than a margin that there is not
+    far = np.inf if margin is None else margin
+    small = max(abs(low), abs(high)) < near and not unlike_only
+    yes, no = {
+        "greater": (low > 0, high < 0),
+        "less": (high < 0, low > 0),
+        "different": (low > 0 or high < 0, False),
+        "equal": (small, low > far or high < -far),
+        "no-less": (margin is not None and low > -far and not unlike_only, high < -far),
+    }[way]
+    if small and way in ("greater", "less", "different"):
+        yes, no = False, True
     return "supported" if yes else "refuted" if no else "inconclusive"
 
 
 def all_of(verdicts: Sequence[str]) -> str:
-    if "refuted" in verdicts:
-        return "refuted"
-    if "untestable" in verdicts:
-        return "untestable"
-    if {*verdicts} == {"described"}:
-        return "described"
-    return "supported" if {*verdicts} == {"supported"} else "inconclusive"
+    decisive = ("refuted", "untestable", "inconclusive", "supported", "described")
+    return next(word for word in decisive if word in verdicts)
 
 
 def of_claim(verdicts: Sequence[str], claim: Claim) -> str:
     if claim["need"] == "all":
         return all_of(verdicts)
-    yes, no = "supported" in verdicts, "refuted" in verdicts
-    if yes or no:
-        return "mixed" if yes and no else "supported" if yes else "refuted"
-    return next((word for word in ("inconclusive", "described") if word in verdicts), "untestable")
+    if {"supported", "refuted"} <= {*verdicts}:
+        return "mixed"
+    decisive = ("supported", "refuted", "inconclusive", "described", "untestable")
+    return next(word for word in decisive if word in verdicts)
 
 
 if __name__ == "__main__":

@@ -52,14 +52,6 @@ def test_a_claim_like_another_has_its_keys_but_for_its_own(tmp_path: Path) -> No
     assert worse.seeds_of("high") == (*range(20, 28),) and better.seeds_of("high") == (*range(8),)
 
 
-@pytest.mark.parametrize(("wrong", "name"), [("no claim 'bettr'|'bettr'", "bettr"), ("'worse2'", "worse2")])
-def test_what_is_like_nothing_is_refused(tmp_path: Path, wrong: str, name: str) -> None:
-    """Nor may a claim be like one that is like another."""
-    chain = LIKE.replace("worse", "worse2") + LIKE.replace('"better"', f'"{name}"')
-    with pytest.raises(UserError, match=wrong):
-        load_claims(write_files(tmp_path, CLAIMS + chain))
-
-
 def test_events_have_a_number_and_what_is_better_has_a_direction(tmp_path: Path) -> None:
     counted = changed(('"mean"', '"incidence"'), ("margin = 0.04", "margin = 0.3\nabove = 0.5"))
     claim = load_claims(write_files(tmp_path, counted)).claims["better"]
@@ -70,12 +62,15 @@ def test_events_have_a_number_and_what_is_better_has_a_direction(tmp_path: Path)
     assert [claim.claimed(name) for name in claim.outcome] == ["less", "greater"]
 
 
+WORLDS_LINE = 'worlds = ["text"]'
 VALUE, TWO = ('b = "low"', "value = 1"), ('"final-share-killed"', '["final-share-killed", "final-return"]')
 
 
 @pytest.mark.parametrize(
     ("wrong", "changes"),
     [
+        ("no claim 'bettr'|'bettr'", [(WORLDS_LINE, LIKE.replace('"better"', '"bettr"'))]),
+        ("'worse2'", [(WORLDS_LINE, LIKE.replace("worse", "worse2") + LIKE.replace("better", "worse2"))]),
         ("'final-share-kiled'", [("margin = 0.04", "margin = { final-share-kiled = 0.1 }")]),
         ("'txt'", [("margin = 0.04", "margin = { final-share-killed = { txt = 0.1 } }")]),
         ("'final-share-kiled'", [("[defaults]", "[margins]\nfinal-share-kiled = 0.1\n[defaults]")]),

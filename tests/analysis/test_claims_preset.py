@@ -8,7 +8,6 @@ import pytest
 
 from pneuma.analysis.claims.fixed_runs import fixed_amounts, with_claims
 from pneuma.errors import UserError
-from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import Study, load_study
 
 from .claim_files import CLAIMS, write_files
@@ -53,11 +52,3 @@ def test_where_claims_fix_several_budgets_one_is_chosen(tmp_path: Path) -> None:
     preset = with_claims(study, 512).presets["claims"]
     assert {amount.steps for amount in preset.conditions.values()} == {512}
     assert [*with_claims(study, 1024).presets["claims"].conditions] == ["high", "low"]
-
-
-def test_a_plan_has_the_conditions_of_claims_alone(tmp_path: Path) -> None:
-    claims = FEW.replace("seeds = 2", "seeds = { high = 3, low = [1, 7] }")
-    plan = make_plan(with_claims(_study(tmp_path, claims)), Query(preset="claims"))
-    assert [(cell.condition, cell.seed) for cell in plan.cells] == [
-        ("low", 1), ("high", 1), ("low", 7), ("high", 0), ("high", 2),
-    ]  # fmt: skip

@@ -112,25 +112,6 @@ def test_every_verdict(case: str, store: Store, tmp_path: Path) -> None:
     assert {*one.run_ids} == {*ids} and (one.reason == "") == (verdict != UNTESTABLE)
 
 
-def test_main_effects_interactions_and_hazards(store: Store, tmp_path: Path) -> None:
-    """A main effect and an interaction of two outcomes, and a hazard."""
-    arms: Arms = {"high": HIGH, "low": LOW, "other": GREATER, "middle": NEAR}
-    save_runs(store, tmp_path, arms)
-    crossed = [(PAIR[0], PAIR[1]), CROSSED, TWO]
-    main = judge_one(store, tmp_path, changed(*crossed, ('"mean"', '"main-effect"')))
-    assert [row.contrast.effect for row in main.contrasts] == pytest.approx([0.2995] * 2)
-    assert (main.verdict, len(main.run_ids)) == (SUPPORTED, 32)
-    kind = ('"mean"', '"interaction"')
-    interaction = judge_one(store, tmp_path, changed(*crossed, kind, direction("described")))
-    assert [row.contrast.effect for row in interaction.contrasts] == pytest.approx([0.401] * 2)
-    assert interaction.verdict == "described"
-    stay = Store(tmp_path / "stay")  # in one action for five evaluations in a row
-    save_runs(stay, tmp_path, {"high": [[0.2] * 5] * 8, "low": [[0.95] * 5] * 7 + [[0.2] * 5]})
-    hazard = outcome('"lasting-one-action-step"'), ('"mean"', '"hazard"'), direction("less")
-    (row,) = judge_one(stay, tmp_path, changed(*hazard)).contrasts
-    assert (row.contrast.means, row.verdict) == ((0, 7 / 8), SUPPORTED)
-
-
 def test_the_worlds_are_judged_side_by_side_each_as_a_family_of_its_own(store: Store, tmp_path: Path) -> None:
     like = '\n[claims.there]\nlike = "better"\nworlds = ["arena"]\nseeds_from = 3\nseeds = 5\n'
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
@@ -187,18 +168,6 @@ def test_a_list_that_is_longer_asks_for_more(store: Store, tmp_path: Path) -> No
 # --- Several outcomes ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("returns", "verdict"), [((HIGH, LOW), SUPPORTED), ((LOW, HIGH), "mixed")])
-def test_two_outcomes_are_judged_together(
-    returns: tuple[list[float], ...], verdict: str, store: Store, tmp_path: Path
-) -> None:
-    """The share killed is greater; the return is as the case has it."""
-    save_runs(store, tmp_path, {"high": HIGH}, returns=returns[0])
-    save_runs(store, tmp_path, {"low": LOW}, returns=returns[1])
-    one = judge_one(store, tmp_path, changed(TWO))
-    assert one.verdict == verdict
-    assert [own.outcome for own in one.contrasts] == ["final-share-killed", "final-return"]
-
-
 def test_the_outcome_that_supports_the_claim_decides(store: Store, tmp_path: Path) -> None:
     """The return supports it against both arms, the share killed against one: the latter decides nothing."""
     scattered = [0.0, 1.0] * 4
@@ -239,27 +208,6 @@ def test_what_is_never_reached_counts_as_the_runs_budget(store: Store, tmp_path:
     (row,) = judge_one(store, tmp_path, changed(outcome('"steps-to:0.5"'), NO_MARGIN)).contrasts
     assert [*row.contrast.means] == [768, 1024]
     assert "equal" in row.contrast.reason and row.verdict == INCONCLUSIVE
-
-
-def test_runs_that_were_seen_before_may_be_below_the_first_seed(store: Store, tmp_path: Path) -> None:
-    seen = changed(
-        ("[defaults]", "[list]\nseeds_from = 50\n[defaults]"),
-        ("margin = 0.04", "margin = 0.04\nseen = true\nseeds_from = 0"),
-    )
-    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    one = judge_one(store, tmp_path, seen)
-    assert (one.verdict, one.label, len(one.run_ids)) == (SUPPORTED, "descriptive", 16)
-
-
-def test_an_outcome_may_be_compared_with_another_of_the_same_runs(store: Store, tmp_path: Path) -> None:
-    """The best score of a run and its last: 0.1 apart in every run."""
-    falls = [0.1, 0.12, 0.08, 0.11, 0.09, 0.1, 0.12, 0.08]
-    save_runs(store, tmp_path, {"high": [[x + y, x] for x, y in zip(HIGH, falls, strict=True)]})
-    one = judge_one(store, tmp_path, changed(outcome('"best-score"'), value('"normalised-score"')))
-    (row,) = one.contrasts
-    assert row.contrast.means == pytest.approx((np.mean(HIGH) + 0.1, np.mean(HIGH)))
-    student = stats.ttest_1samp(falls, 0).confidence_interval()
-    assert row.contrast.interval.low == pytest.approx(student.low) and one.verdict == SUPPORTED
 
 
 # --- What cannot be tested: every reason for which there is no verdict ----------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import product
 
 import numpy as np
@@ -88,36 +87,6 @@ def test_a_claims_verdict_is_false_only_where_an_outcomes_is(need: str) -> None:
 
 # --- How often they are false --------------------------------------------------------------------------
 
-LISTS, ALPHA = 300, 0.05
-MOST = ALPHA + 3 * np.sqrt(ALPHA * (1 - ALPHA) / LISTS)
-DRAWS: dict[str, Callable[[np.random.Generator, int], np.ndarray]] = {
-    "normal": lambda generator, runs: generator.normal(size=runs),
-    "with ties": lambda generator, runs: np.round(generator.normal(size=runs)),
-    "0 or 20, half each": lambda generator, runs: 20.0 * (generator.random(runs) < 0.5),
-    "0 or 20, a fifth": lambda generator, runs: 20.0 * (generator.random(runs) < 0.2),
-}
-
-
-@pytest.mark.parametrize("runs", [2, 5, 30])
-@pytest.mark.parametrize("draw", DRAWS)
-def test_arms_alike_are_seldom_found_different(draw: str, runs: int) -> None:
-    generator = np.random.default_rng(runs)
-    for kind in ("mean", "spread"):
-        arms = [(DRAWS[draw](generator, runs), DRAWS[draw](generator, runs)) for _ in range(LISTS)]
-        told = [decide(compare(kind, *pair).interval, "different", None) for pair in arms]
-        assert told.count(S) / LISTS <= MOST, kind
-
-
-@pytest.mark.parametrize("runs", [2, 3, 5, 10, 30])
-def test_arms_a_margin_apart_are_seldom_found_alike(runs: int) -> None:
-    """With margins of one to four standard errors; a difference the other way is never found."""
-    generator, told = np.random.default_rng(runs), []
-    for place in range(LISTS):
-        margin = (1 + place % 4) * np.sqrt(2 / runs)
-        a, b = generator.normal(size=(2, runs))
-        told.append(decide(compare("mean", a + margin, b).interval, "greater", margin))
-    assert told.count(R) / LISTS <= MOST / 2
-
 
 @pytest.mark.parametrize("runs", [2, 3, 5, 10, 30])
 @pytest.mark.parametrize(
@@ -132,7 +101,7 @@ def test_shares_are_told_falsely_as_seldom_as_they_may(runs: int, apart: float, 
         false[place] = decide(compare("incidence", a, b).interval, way, apart or None) == wrong
     for share in np.linspace(0, 1 - apart, 21):
         chance = np.outer(stats.binom.pmf(counts, runs, share + apart), stats.binom.pmf(counts, runs, share))
-        assert chance[false].sum() <= ALPHA
+        assert chance[false].sum() <= 0.05
 
 
 def test_two_runs_that_are_ten_times_as_far_apart_are_never_found_closer_together() -> None:
