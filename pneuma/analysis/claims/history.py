@@ -85,7 +85,9 @@ def changed_since(
 def _rules_at(path: Path, commit: str) -> int | None:
     """Return the version of the judge's rules at a commit; None if it had none."""
     version = re.match(r"RULES = (\d+)", line_at(path, commit, "RULES = ", "pneuma"))
-    return version and int(version[1])
+    if version is None:
+        return None
+    return int(version[1])
 
 
 @cache
