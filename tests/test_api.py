@@ -17,7 +17,7 @@ import pytest
 from pneuma.api import _store, evaluate, load_policy, run_study
 from pneuma.config import as_fields, make_run, stream_seed
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import EVALUATION_COLUMNS
+from pneuma.engines.records import EVALUATION_COLUMNS, VALUE_COLUMNS
 from pneuma.errors import UserError
 from pneuma.store.store import Status, Store
 from pneuma.study.plan import Query, make_plan
@@ -168,7 +168,7 @@ POLICY = Policy("tanh", (LAYER,), (LAYER,))
 
 def test_a_function_is_evaluated_as_the_policy_that_it_asks_is() -> None:
     told = evaluate(POLICY, seed=3, episodes=12)
-    assert tuple(told) == (*EVALUATION_COLUMNS, "steps_to_clear", "hp_lost", "commonest_action")
+    assert {*EVALUATION_COLUMNS} < {*told} < {*EVALUATION_COLUMNS, *VALUE_COLUMNS}
     assert told["length"] > 10
     draws = np.random.default_rng(stream_seed(3, "evaluation-actions", 0))
     asked = evaluate(lambda seen: POLICY.sample(seen, draws), best=POLICY.best, seed=3, episodes=12)

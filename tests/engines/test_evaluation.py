@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.config import Run, make_run
+from pneuma.config import ACTIVATIONS, Run, make_run
 from pneuma.engines.batched.learner import initial_networks
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.evaluation import ActionValues, Evaluation, OwnAgent, evenness
@@ -181,7 +181,7 @@ def test_the_commonest_action_is_counted_over_all_steps_of_the_sampled_episodes(
     assert told == pytest.approx(0.6, abs=0.05)
 
 
-@pytest.mark.parametrize("activation", ["tanh", "relu", "leaky-relu"])
+@pytest.mark.parametrize("activation", ACTIVATIONS)
 @pytest.mark.parametrize("players", [1, 2])
 def test_compiled_play_is_what_numpy_plays(
     activation: str, players: int, monkeypatch: pytest.MonkeyPatch
