@@ -17,7 +17,6 @@ import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
-from importlib.metadata import entry_points
 from typing import Any
 
 import gymnasium
@@ -340,8 +339,6 @@ def make_env(run: Run, render_mode: str = "") -> gymnasium.Env[Any, Any]:
         if run.env_module:
             _load(run.env_module)
         with blamed(f"env = {run.env}"):
-            if run.env not in gymnasium.registry:
-                _register_installed(run.env.partition("/")[0])
             env = gymnasium.make(run.env, disable_env_checker=True, **arguments)
     except UserError as error:
         raise UserError(f"{error}{_how_to_register(run)}") from None
@@ -381,13 +378,6 @@ def blamed(source: str) -> Iterator[None]:
         if str(error).strip():
             text += f": {str(error).strip().splitlines()[0]}"
         raise OwnCodeError(f"{source}: {text}") from error
-
-
-def _register_installed(namespace: str) -> None:
-    """Let an installed package register its environments by Gymnasium's former entry point."""
-    for entry in entry_points(group="gymnasium.envs"):
-        if entry.name in (namespace, "__root__"):
-            entry.load()()
 
 
 def _load(name: str) -> Any:

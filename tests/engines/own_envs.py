@@ -108,8 +108,4 @@ class Doubled(gymnasium.RewardWrapper[Any, Any]):
         return 2 * float(reward)
 
 
-def register_more() -> None:
-    gymnasium.register("Mine/Corridor-v0", "tests.engines.own_envs:Corridor", max_episode_steps=30)
-
-
 gymnasium.register("Corridor-v0", "tests.engines.own_envs:Corridor", max_episode_steps=30)

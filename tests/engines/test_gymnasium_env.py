@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from importlib.metadata import EntryPoint
 from typing import Any
 
 import gymnasium
@@ -13,7 +12,6 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from pneuma.config import Run, make_run, slot_seeds
-from pneuma.engines import gymnasium_env
 from pneuma.engines.environment import check_environment
 from pneuma.engines.gymnasium_env import GymnasiumSlots, make_env
 from pneuma.engines.gymnasium_evaluation import Evaluation
@@ -103,12 +101,6 @@ def test_an_environment_that_was_made_to_be_checked_is_closed(
     with suppress(UserError):
         check_environment(run_of(**{**CORRIDOR, **fields}))
     assert len(closed) == 1
-
-
-def test_what_a_package_registers_by_an_entry_point_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    entry = EntryPoint("Mine", "tests.engines.own_envs:register_more", "gymnasium.envs")
-    monkeypatch.setattr(gymnasium_env, "entry_points", lambda group: [entry] * (group == entry.group))
-    check_environment(run_of(env="Mine/Corridor-v0"))
 
 
 @pytest.mark.parametrize("engine", ["batched", "sb3"])
