@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics  # noqa: F401  # loaded before a file of its name
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
