@@ -127,7 +127,7 @@ def train_plan(
 ) -> list[execute.CellResult]:
     """Train a plan's missing runs, with `retry_failed` also those that crashed, and show the progress.
 
-    Runs pause where `config.until` says.
+    Runs pause at the step `config.until`.
     """
     todo, notes = execute.prepare(planned, store, retry_failed, config.until or None)
     if own := planned.study.own_path:
@@ -190,7 +190,7 @@ def compare(
 
     Returns:
         An answer whose `table` has a row for each outcome: means, their difference with its interval,
-        `p_better`, and counts of runs. Its `notes` say what makes the numbers doubtful.
+        `p_better`, and counts of runs. Its `notes` list what makes the numbers doubtful.
 
     Raises:
         UserError: for unknown names, or outcomes that cannot be compared.

@@ -76,7 +76,7 @@ def written(message: str, write: Callable[[Hint], str]) -> str:
 
 
 class UserError(Exception):
-    """A mistake in a command or a file; the message says in one line what to change.
+    """A mistake in a command or a file. Its message is one line that names what to change.
 
     Its arguments are the parts of the message: texts and hints.
     """
@@ -86,15 +86,15 @@ class UserError(Exception):
 
 
 class StorageError(UserError):
-    """The disk takes nothing more: no run is at fault, so that training stops and can go on later."""
+    """The disk is full or read-only: training stops and can be resumed later."""
 
 
 class OwnCodeError(UserError):
-    """What a user's own code raised; it would again, so that nothing is tried twice."""
+    """An error of a user's own code, which is not retried because it would occur again."""
 
 
 class RunWarning(UserWarning):
-    """What is odd about a run, which is trained all the same; told once a run, and stored with it."""
+    """An oddity of a run that is trained anyway; reported once per run, and stored with it."""
 
 
 def install_extra(name: str) -> str:
@@ -106,7 +106,7 @@ def plain(text: str) -> str:
     """Return text in which each invisible character is written as its code, as in JSON.
 
     For terminals and figures: titles and names may come from untrusted files, and control characters could
-    drive a terminal, reverse the direction of writing, or make an SVG that is no XML.
+    drive a terminal, reverse the direction of writing, or make an SVG that is not valid XML.
     """
     if text.isprintable():
         return text

@@ -1,4 +1,4 @@
-"""The one place that turns pydantic's errors into one line that says what to change in a file.
+"""The one place that turns pydantic's errors into one line that names what to change in a file.
 
     TOML file → read_toml → read_model(SomeTable, file) → the model, checked
     pydantic's error → UserError "mine.toml, line 7: [run] gamma = 2 is not allowed: less than or equal to 1"

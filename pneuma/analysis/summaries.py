@@ -43,7 +43,7 @@ COLUMNS = ["condition", "outcome", "statistic", "value", "low", "high", "interva
 COMPARED = ("final-return", "auc-return")
 """Outcomes compared by default, beside the study's primary one."""
 LEAST_FOR_BETTER = 10
-"""Fewer runs say too little of how often one is better; of three against three 1.00 means nothing."""
+"""With fewer runs P(better) is too uncertain: with three against three, 1.00 means nothing."""
 
 SummaryRow = tuple[str, str, float, Interval, int]
 """Outcome, statistic, value, interval and number of runs."""

@@ -43,7 +43,7 @@ def pivot_cells(
         rows: the columns of the summary that make the rows of the table.
         columns: those that make its columns.
         row_labels: the rows, in order; those without a cell have `NO_CELL`.
-        column_labels: likewise.
+        column_labels: the same for columns.
     """
     table = summary.pivot(index=list(rows), columns=list(columns), values="cell")
     return table.reindex(index=row_labels, columns=column_labels).astype(object).fillna(NO_CELL)
@@ -54,7 +54,7 @@ def condition_cells(
 ) -> pd.DataFrame:
     """Return a row for each condition with its number of runs, and a column for each outcome's statistic.
 
-    A value of fewer runs than the condition has says of how many.
+    A value of fewer runs than the condition has is followed by their number.
     """
     runs = {condition: len(data.of_condition(condition)) for condition in data.conditions}
     is_of_fewer = summary["runs"] < summary["condition"].map(runs)

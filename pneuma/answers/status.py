@@ -1,4 +1,4 @@
-"""How far the runs of studies are."""
+"""The progress of studies' runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the runs of each condition come to."""
+"""Summaries of each condition's outcomes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pneuma.answers.cells import NO_CELL, condition_cells, pivot_cells, with_cel
 from pneuma.errors import counted
 
 SHOWN = 3
-"""Outcomes of which means are shown unless others are asked for."""
+"""Outcomes whose means are shown by default."""
 FAILURES = ("collapsed", "diverged")
 STANDING_FOR = ("mean", "share", "median")
 """Statistics that stand for an outcome in a column of its own: the first of them that it has."""

@@ -1,4 +1,4 @@
-"""What a player perceives: layouts, bounds and scales of an observation; `PneumaEnv` says what they mean.
+"""What a player perceives: layouts, bounds and scales of an observation; `PneumaEnv` explains them.
 
 An observation has a few numbers about the player, then a row for each monster perceived, or for each ray. A
 layout's own choices are in `pneuma.env.fields.OBSERVATION_FIELDS`. The land of random levels is the whole

@@ -102,7 +102,7 @@ def refuse_bad_places(
         level: what is checked.
         player_stats: (P,) `state.PLAYER_STATS`.
         monster_stats: (M,) `state.MONSTER_STATS`, in the level's order.
-        config: which says what stops bodies.
+        config: which defines what stops bodies.
     """
     shapes = np.unique(player_stats[["half_width", "half_height", "body_x", "body_y"]])
     starting = []

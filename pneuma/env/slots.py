@@ -1,4 +1,4 @@
-"""The players of N worlds as slots, as learners need them, and what every interface says of episodes."""
+"""The players of N worlds as slots, as learners need them, and what every interface reports on episodes."""
 
 from __future__ import annotations
 

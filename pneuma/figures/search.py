@@ -134,7 +134,7 @@ def _tables(record: Record) -> list[tuple[int, str]]:
 
 
 def _importances(record: Record) -> Axes:
-    """Draw how well each parameter tells the best trials from the others (Watanabe et al. 2023)."""
+    """Draw how well each parameter separates the best trials from the others (Watanabe et al. 2023)."""
     complete = record.complete
     share = max(BEST_SHARE, BEST_TRIALS / len(complete))
     evaluator = PedAnovaImportanceEvaluator(target_quantile=share)

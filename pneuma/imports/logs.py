@@ -73,7 +73,7 @@ def store_logs(logs: Sequence[Log], store: Store, source: str, study: str, adds_
     Args:
         logs: the runs that were read.
         store: where to store them.
-        source: of which kind the logs are.
+        source: the kind of logs.
         study: the study's name, as `choose_study_name` returns it.
         adds_runs: whether other runs that the study has stay in it.
 
