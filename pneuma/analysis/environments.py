@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis.intervals import LEVEL, interquartile_mean
+from pneuma.analysis.intervals import LEVEL, interquartile_mean, probability_of_improvement
 from pneuma.analysis.outcomes import known_values
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
@@ -185,11 +185,7 @@ def improvement(a: Scores, b: Scores) -> np.ndarray:
 
     The mean over environments, which stand in the same order in both.
     """
-    shares = []
-    for first, second in zip(a, b, strict=True):
-        left, right = first[..., :, None], second[..., None, :]
-        shares.append(((left > right) + 0.5 * (left == right)).mean(axis=(-2, -1)))
-    return np.mean(shares, axis=0)
+    return np.mean(list(map(probability_of_improvement, a, b)), axis=0)
 
 
 def _difference(aggregate: Statistic, a: Scores, b: Scores) -> np.ndarray:

@@ -48,16 +48,6 @@ def finite(values: ArrayLike) -> np.ndarray:
     return array
 
 
-def mean(values: ArrayLike) -> np.ndarray:
-    """Return the mean over the last axis, (…, runs) to (…)."""
-    return np.asarray(np.asarray(values, float).mean(axis=-1))
-
-
-def median(values: ArrayLike) -> np.ndarray:
-    """Return the median over the last axis, (…, runs) to (…)."""
-    return np.asarray(np.median(np.asarray(values, float), axis=-1))
-
-
 def interquartile_mean(values: ArrayLike) -> np.ndarray:
     """Return the mean of the middle half over the last axis, (…, runs) to (…).
 
@@ -66,7 +56,7 @@ def interquartile_mean(values: ArrayLike) -> np.ndarray:
     """
     runs = np.sort(values, axis=-1)
     cut = int(TRIMMED * runs.shape[-1])
-    return mean(runs[..., cut : runs.shape[-1] - cut])
+    return np.asarray(runs[..., cut : runs.shape[-1] - cut].mean(axis=-1))
 
 
 def deviation(values: ArrayLike) -> float:
@@ -80,14 +70,14 @@ def deviation(values: ArrayLike) -> float:
     return float(runs.std(ddof=1)) if np.ptp(runs) > 0 else 0.0
 
 
-def probability_of_improvement(a: ArrayLike, b: ArrayLike) -> float:
-    """Return the probability that a run of a is above a run of b; a tie counts one half.
+def probability_of_improvement(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the probability that a run of a is above a run of b, a tie one half: (…, runs) to (…).
 
     Values may be infinite. Source: rliable's `probability_of_improvement` of one task: the Mann–Whitney U
     over both counts.
     """
-    first, second = np.asarray(a)[:, None], np.asarray(b)
-    return float(((first > second) + 0.5 * (first == second)).mean())
+    first, second = a[..., :, None], b[..., None, :]
+    return np.asarray(((first > second) + 0.5 * (first == second)).mean(axis=(-2, -1)))
 
 
 def is_constant(values: np.ndarray) -> bool:
@@ -199,10 +189,16 @@ def incidence_interval(count: int, runs: int, level: float = LEVEL) -> Interval:
     """Return Clopper and Pearson's interval of a share, which never covers less than its level."""
     if runs < 1:
         return no_interval("an arm has no runs")
-    tail = (1 - level) / 2
-    low = special.betaincinv(count, runs - count + 1, tail) if count else 0.0
-    high = special.betaincinv(count + 1, runs - count, 1 - tail) if count < runs else 1.0
+    low, high = exact_ends(count, runs, level)
     return Interval(float(low), float(high), "Clopper-Pearson")
+
+
+def exact_ends(counts: ArrayLike, runs: int, level: float = LEVEL) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends of Clopper and Pearson's intervals of counts of runs."""
+    counts, tail = np.asarray(counts), (1 - level) / 2
+    low = special.betaincinv(np.maximum(counts, 1), runs - counts + 1, tail)
+    high = special.betaincinv(counts + 1, np.maximum(runs - counts, 1), 1 - tail)
+    return np.where(counts > 0, low, 0.0), np.where(counts < runs, high, 1.0)
 
 
 def incidence_difference_interval(

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy import special, stats
 
-from pneuma.analysis.intervals import LEVEL
+from pneuma.analysis.intervals import LEVEL, exact_ends
 from pneuma.analysis.outcomes import known_values
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
@@ -85,10 +85,8 @@ def seeds_for_shares(share_a: float, share_b: float, power: float = POWER) -> in
 def power_of_shares(share_a: float, share_b: float, seeds: int) -> float:
     """Return how often the interval of `incidence_difference_interval` leaves out 0, summed exactly."""
     counts = np.arange(seeds + 1)
-    share, tail = counts / seeds, (1 - LEVEL) / 2
-    low = np.where(counts, special.betaincinv(np.maximum(counts, 1), seeds - counts + 1, tail), 0.0)
-    failures = np.maximum(seeds - counts, 1)
-    high = np.where(counts < seeds, special.betaincinv(counts + 1, failures, 1 - tail), 1.0)
+    share = counts / seeds
+    low, high = exact_ends(counts, seeds)
     below, above = (share - low)[:, None] ** 2, (high - share)[:, None] ** 2
     centre = share[:, None] - share
     leaves_out_0 = (centre - np.sqrt(below + above.T) > 0) | (centre + np.sqrt(above + below.T) < 0)

@@ -9,6 +9,7 @@ at its own end.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,10 +105,10 @@ def _statistics(condition: str, name: str, values: np.ndarray) -> Iterator[Summa
     interval = no_interval()
     if count >= LEAST_RUNS:
         interval = intervals.within(intervals.mean_interval(values), *find_outcome(name).bounds)
-    yield name, "mean", float(intervals.mean(values)), interval, count
+    yield name, "mean", float(values.mean()), interval, count
     # Each outcome of each condition has a stream of its own, so that rows do not depend on each other.
     generator = np.random.default_rng(stream_seed("summary", f"{condition}/{name}"))
-    estimates: dict[str, Estimate] = {"median": intervals.median, "iqm": intervals.interquartile_mean}
+    estimates: dict[str, Estimate] = {"median": partial(np.median, axis=-1), "iqm": intervals.interquartile_mean}
     for statistic, estimate in estimates.items():
         interval = intervals.bootstrap_interval(values, estimate, generator)
         yield name, statistic, float(estimate(values)), interval, count
@@ -171,7 +172,7 @@ def compare_groups(a: Group, b: Group, outcome: str) -> dict[str, Any]:
             interval = intervals.within(intervals.difference_interval(first, second), -width, width)
     if declared.better and fewer >= LEAST_FOR_BETTER:
         sign = 1 if declared.better == "higher" else -1
-        p_better = intervals.probability_of_improvement(sign * first, sign * second)
+        p_better = float(intervals.probability_of_improvement(sign * first, sign * second))
     return {
         "outcome": outcome,
         "unit": declared.unit,
