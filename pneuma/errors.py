@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -122,6 +123,11 @@ def print_aside(text: str) -> None:
 def counted(count: int, noun: str) -> str:
     """Return a count with its noun: 1 run, 2 runs, 10,000 runs."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+
+
+def tallied(words: Iterable[str]) -> str:
+    """Return how often there is each word: 3 done, 1 crashed."""
+    return ", ".join(f"{count} {word}" for word, count in Counter(words).items())
 
 
 def nearest_name(word: str, names: Iterable[str]) -> str:

@@ -58,10 +58,6 @@ def by_environment(data: StudyData) -> dict[str, StudyData]:
     return {env: data.renamed(names_in_env) for env, names_in_env in names.items()}
 
 
-def environments(data: StudyData) -> list[str]:
-    return [*dict.fromkeys(str(fields.get("env")) for fields in data.fields.values())]
-
-
 def in_environment_of(data: StudyData, second: StudyData) -> StudyData | None:
     """Return another study's runs in a study's environment; None without any.
 
@@ -71,7 +67,7 @@ def in_environment_of(data: StudyData, second: StudyData) -> StudyData | None:
         return second
     data_by_env = by_environment(second)
     for env, env_data in data_by_env.items():
-        if env in environments(data):
+        if env in data.environments:
             return second if len(data_by_env) == 1 else env_data
     return None
 

@@ -59,12 +59,11 @@ def interquartile_mean(values: ArrayLike) -> np.ndarray:
     return np.asarray(runs[..., cut : runs.shape[-1] - cut].mean(axis=-1))
 
 
-def deviation(values: ArrayLike) -> float:
+def deviation(runs: np.ndarray) -> float:
     """Return the sample standard deviation of (runs,); NaN for fewer than two.
 
     For equal runs it is exactly 0, despite rounding of the mean.
     """
-    runs = finite(values)
     if runs.size < 2:
         return math.nan
     return float(runs.std(ddof=1)) if np.ptp(runs) > 0 else 0.0
@@ -127,9 +126,8 @@ def around(centre: float, error: float, freedom: float, level: float, method: st
     return Interval(float(centre - half), float(centre + half), method)
 
 
-def mean_interval(values: ArrayLike, level: float = LEVEL) -> Interval:
+def mean_interval(runs: np.ndarray, level: float = LEVEL) -> Interval:
     """Return Student's t interval of the mean of (runs,)."""
-    runs = finite(values)
     if reason := why_none(runs):
         return no_interval(reason)
     error = runs.std(ddof=1) / np.sqrt(runs.size)
@@ -141,22 +139,21 @@ def within(interval: Interval, low: float, high: float) -> Interval:
     return replace(interval, low=max(interval.low, low), high=min(interval.high, high))
 
 
-def difference_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Interval:
+def difference_interval(a: np.ndarray, b: np.ndarray, level: float = LEVEL) -> Interval:
     """Return Welch's t interval of the difference of means, a - b (Welch 1947)."""
-    first, second = finite(a), finite(b)
-    if reason := why_none(first, second):
+    if reason := why_none(a, b):
         return no_interval(reason)
-    parts = [arm.var(ddof=1) / arm.size for arm in (first, second)]
-    below = sum(part**2 / (arm.size - 1) for part, arm in zip(parts, (first, second), strict=True))
-    freedom = sum(parts) ** 2 / below
-    return around(first.mean() - second.mean(), float(np.sqrt(sum(parts))), freedom, level, "Welch t")
+    square_a, square_b = a.var(ddof=1) / a.size, b.var(ddof=1) / b.size
+    squares = square_a + square_b
+    freedom = squares**2 / (square_a**2 / (a.size - 1) + square_b**2 / (b.size - 1))
+    return around(a.mean() - b.mean(), float(np.sqrt(squares)), freedom, level, "Welch t")
 
 
-def spread_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Interval:
+def spread_interval(a: np.ndarray, b: np.ndarray, level: float = LEVEL) -> Interval:
     """Return Student's interval of the difference of mean distances from the median, a - b."""
-    if reason := why_none(finite(a), finite(b)):
+    if reason := why_none(a, b):
         return no_interval(reason)
-    first, second = distances(finite(a)), distances(finite(b))
+    first, second = distances(a), distances(b)
     if is_constant(first) or is_constant(second):
         far = "in an arm all runs are equally far from their median"
         return no_interval(f"{far}, so nothing shows how spreads differ")
@@ -166,12 +163,11 @@ def spread_interval(a: ArrayLike, b: ArrayLike, level: float = LEVEL) -> Interva
     return around(first.mean() - second.mean(), float(error), freedom, level, "Brown-Forsythe t")
 
 
-def deviation_interval(values: ArrayLike) -> Interval:
+def deviation_interval(runs: np.ndarray) -> Interval:
     """Return Bonett's 95 % interval of the standard deviation, which does not assume normality.
 
     Source: Bonett (2006), Approximate confidence interval for standard deviation of nonnormal distributions.
     """
-    runs = finite(values)
     if runs.size < 5 or is_constant(runs):
         return no_interval()
     z = special.ndtri((1 + LEVEL) / 2)
@@ -220,7 +216,7 @@ def incidence_difference_interval(
 
 
 def bootstrap_interval(
-    values: ArrayLike, statistic: Callable[[ArrayLike], np.ndarray], generator: np.random.Generator
+    runs: np.ndarray, statistic: Callable[[ArrayLike], np.ndarray], generator: np.random.Generator
 ) -> Interval:
     """Return the 95 % BCa bootstrap interval of a statistic over runs (Efron 1987).
 
@@ -228,7 +224,6 @@ def bootstrap_interval(
     `LEAST_RUNS`, or if both ends are equal, as for the median of mostly equal runs. `statistic` works along
     the last axis, as `mean` and `median` do.
     """
-    runs = finite(values)
     if runs.size < LEAST_RUNS or is_constant(runs):
         return no_interval()
     seen = float(statistic(runs))

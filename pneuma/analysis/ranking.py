@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pandas as pd
 
-from pneuma.analysis.environments import environments
 from pneuma.analysis.outcomes import check_outcome, find_outcome, outcome, primary
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
@@ -24,7 +23,7 @@ def ranked_runs(data: StudyData, name: str = "") -> tuple[str, pd.DataFrame]:
         UserError: for an unknown outcome, or if no run is stored here.
     """
     name = name or primary(data)
-    check_outcome(name, environments(data))
+    check_outcome(name, data.environments)
     stored = data.runs[data.runs["where"] == ""]
     if not len(stored):
         raise UserError(f"{data.label}: none of its runs is stored here")

@@ -99,6 +99,11 @@ class StudyData:
         return list(self.fields)
 
     @property
+    def environments(self) -> list[str]:
+        """The ids of the environments of its conditions."""
+        return list(dict.fromkeys(str(fields.get("env")) for fields in self.fields.values()))
+
+    @property
     def same(self) -> list[list[str]]:
         """Groups of conditions that are one configuration."""
         names_by_id: dict[str, list[str]] = {}
@@ -197,10 +202,9 @@ class StudyData:
     def full_title(self) -> str:
         """The title with the world, unless levels or characters in it are others, and with changed fields."""
         title = self.study.title
-        environments = {str(fields.get("env")) for fields in self.fields.values()}
         if not any(_has_own_world(run) for run in self.rows):
             for world in WORLDS.values():
-                if environments == {world.env}:
+                if self.environments == [world.env]:
                     title += f" in {world.title}"
         if self.study.settings:
             title += f" ({shown_settings(self.study.settings)})"

@@ -108,7 +108,10 @@ def _statistics(condition: str, name: str, values: np.ndarray) -> Iterator[Summa
     yield name, "mean", float(values.mean()), interval, count
     # Each outcome of each condition has a stream of its own, so that rows do not depend on each other.
     generator = np.random.default_rng(stream_seed("summary", f"{condition}/{name}"))
-    estimates: dict[str, Estimate] = {"median": partial(np.median, axis=-1), "iqm": intervals.interquartile_mean}
+    estimates: dict[str, Estimate] = {
+        "median": partial(np.median, axis=-1),
+        "iqm": intervals.interquartile_mean,
+    }
     for statistic, estimate in estimates.items():
         interval = intervals.bootstrap_interval(values, estimate, generator)
         yield name, statistic, float(estimate(values)), interval, count

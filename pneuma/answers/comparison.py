@@ -178,8 +178,7 @@ def _notes_on_pair(a: Group, b: Group) -> list[str]:
 
 def _claims_about(data: StudyData, a: str, b: str) -> list[Claim]:
     """Return the shipped claims that compare the means of two conditions of a study in its world."""
-    environments = {fields.get("env") for fields in data.fields.values()}
-    worlds = [name for name, world in WORLDS.items() if world.env in environments]
+    worlds = [name for name, world in WORLDS.items() if world.env in data.environments]
     if data.world:
         worlds = [data.world]
     claims = []

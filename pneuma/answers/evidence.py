@@ -72,8 +72,7 @@ def evidence_of(index: RunIndex, name: str, world: str | None) -> list[Evidence]
 
 def _evidence(index: RunIndex, data: StudyData) -> Evidence:
     titles = {world.env: f"In {world.title}" for world in WORLDS.values()}
-    environments = dict.fromkeys(str(fields.get("env")) for fields in data.fields.values())
-    where = ", ".join(titles.get(env, env) for env in environments)
+    where = ", ".join(titles.get(env, env) for env in data.environments)
     evidence = Evidence(data.label if data.plan else data.study.name, where)
     runs = data.runs
     missing = len(runs) - len(data.finished)

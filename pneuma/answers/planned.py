@@ -12,7 +12,7 @@ from pneuma.analysis.power import ENOUGH_RUNS, POWER, seeds_for_means, seeds_tab
 from pneuma.analysis.study_data import StudyData
 from pneuma.answers.answer import Answer
 from pneuma.config import Run
-from pneuma.errors import Hint, UserError
+from pneuma.errors import Hint, UserError, tallied
 from pneuma.store.index import RunIndex
 from pneuma.store.store import Status
 from pneuma.study.identity import config_id
@@ -52,8 +52,8 @@ def plan_answer(index: RunIndex, plan: Plan, workers: int) -> Answer:
     lines = []
     for condition, run in plan.configurations.items():
         states = table["state"][table["condition"] == condition]
-        lines.append((condition, f"{len(states):>3} x {run.steps:>11,} steps", _tally(states)))
-    legend = [f"{_tally(table['state'])}."]
+        lines.append((condition, f"{len(states):>3} x {run.steps:>11,} steps", tallied(states)))
+    legend = [f"{tallied(table['state'])}."]
     if todo:
         legend.append(f"Time to train: {_expected_time(index, todo, statuses, seconds, workers)}.")
     notes = [f"Note: {note}." for note in plan.notes]
@@ -69,11 +69,6 @@ def _state(status: Status, is_published: bool) -> str:
     if status.failed:
         return "failed"
     return "partial" if status.step else "to-train"
-
-
-def _tally(states: pd.Series) -> str:
-    counts = states.value_counts(sort=False)
-    return ", ".join(f"{count} {state}" for state, count in counts.items())
 
 
 def _expected_time(
@@ -136,27 +131,25 @@ def seeds_to_detect(data: StudyData | None, detect: float, outcome: str, sd: flo
     for name, value in {"detect": detect, "sd": sd}.items():
         if value is not None and value <= 0:
             raise UserError(Hint(name, f"{value:g}"), ": must be above 0")
+    legend = list(DETECT_LEGEND)
     if data is None:
         assert sd is not None
         outcome = outcome or "any outcome"
         table = pd.DataFrame([{"SD": f"{sd:g}", "seeds": seeds_text(seeds_for_means(detect, sd, sd))}])
-        about = {"outcome": outcome, "detect": detect}
-        return Answer(
-            f"Seeds to detect {detect:g} of {outcome}", about, {"seeds": table}, [table], (), DETECT_LEGEND
-        )
-    outcome = outcome or primary(data)
-    tables = {}
-    for env, env_data in by_environment(data).items():
-        tables[env] = seeds_table(env_data, outcome, detect)
-    table = pd.concat(tables, names=["environment"]).reset_index(level=0)
-    if len(tables) == 1:
-        table = table.drop(columns="environment")
-    title = f"{data.full_title}: seeds to detect {detect:g} of {with_unit(outcome)}"
-    legend = list(DETECT_LEGEND)
-    if any(len(data.of_condition(condition)) < ENOUGH_RUNS for condition in data.conditions):
-        legend.append(
-            f"With fewer than {ENOUGH_RUNS} runs the SD is a rough estimate: you may need three times the "
-            "seeds, or half."
-        )
+        title = f"Seeds to detect {detect:g} of {outcome}"
+    else:
+        outcome = outcome or primary(data)
+        tables = {}
+        for env, env_data in by_environment(data).items():
+            tables[env] = seeds_table(env_data, outcome, detect)
+        table = pd.concat(tables, names=["environment"]).reset_index(level=0)
+        if len(tables) == 1:
+            table = table.drop(columns="environment")
+        title = f"{data.full_title}: seeds to detect {detect:g} of {with_unit(outcome)}"
+        if any(len(data.of_condition(condition)) < ENOUGH_RUNS for condition in data.conditions):
+            legend.append(
+                f"With fewer than {ENOUGH_RUNS} runs the SD is a rough estimate: you may need three times "
+                "the seeds, or half."
+            )
     about = {"outcome": outcome, "detect": detect}
     return Answer(title, about, {"seeds": table}, [table], (), legend)

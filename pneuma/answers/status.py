@@ -10,6 +10,7 @@ import pandas as pd
 from pneuma.analysis.runs import plan_to_read, runs_of_plan, studies_here
 from pneuma.analysis.study_data import StudyData
 from pneuma.answers.answer import Answer
+from pneuma.errors import tallied
 from pneuma.store.index import RunIndex
 from pneuma.store.store import FINISHED
 from pneuma.study.plan import Query
@@ -90,8 +91,7 @@ def studies_status(index: RunIndex, world: str | None) -> Answer:
             "changed": shown_settings(data.study.settings),
         }
         studies.append({**study, "runs": runs[["run_id", "status", "step"]].to_dict("records")})
-        counts = Counter(runs["status"])
-        rows.append({**study, "runs": ", ".join(f"{count} {state}" for state, count in counts.items())})
+        rows.append({**study, "runs": tallied(runs["status"])})
     title = "" if rows else f"No study was run in {index.store.root} yet."
     columns = ["study", "world", "changed", "runs"]
     table = pd.DataFrame(studies, columns=columns)

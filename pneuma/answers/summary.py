@@ -28,16 +28,13 @@ SCALE = (
 )
 
 
-def summarize(
-    data: StudyData, outcomes: Sequence[str] = (), all_statistics: bool = False, paper_cells: str = ""
-) -> Answer:
+def summarize(data: StudyData, outcomes: Sequence[str] = (), paper_cells: str = "") -> Answer:
     """Summarize the outcomes of each condition.
 
     Args:
         data: an opened study.
         outcomes: names from docs/outcomes.md, of which all statistics are shown; default: the means of the
             first usual ones.
-        all_statistics: show all statistics of the usual outcomes.
         paper_cells: one of `CELL_FORMS` for the table of a paper: a column for each outcome.
 
     Returns:
@@ -48,21 +45,18 @@ def summarize(
         UserError: for an unknown outcome.
     """
     data_by_env = by_environment(data)
-    if len(data_by_env) > 1 and data.study.factors and not all_statistics and len(outcomes) <= 1:
+    if len(data_by_env) > 1 and data.study.factors and len(outcomes) <= 1:
         return _summarize_environments(data, data_by_env, (*outcomes, OUTCOME)[0], paper_cells or "interval")
     table = summary_table(data, outcomes)
-    listed = list(outcomes)
-    if all_statistics:
-        listed = [name for name in table["outcome"].unique() if name != "runs"]
     legend: list[str] = []
     if paper_cells:
-        cells = _paper_cells(data, with_cells(table, paper_cells), listed)
-    elif listed:
-        cells = _statistics_cells(data, with_cells(table), listed)
+        cells = _paper_cells(data, with_cells(table, paper_cells), outcomes)
+    elif outcomes:
+        cells = _statistics_cells(data, with_cells(table), outcomes)
     else:
         cells = _overview_cells(data, with_cells(table))
         legend = _overview_legend(data, table, cells)
-    notes = [data.ends, *_missing_values(data, table, outcomes), few_episodes(data, listed)]
+    notes = [data.ends, *_missing_values(data, table, outcomes), few_episodes(data, outcomes)]
     return Answer(data.full_title, data.about, {"summary": table}, [cells], notes, legend)
 
 

@@ -26,7 +26,6 @@ ABOUT = {
 }
 """A description of each environment."""
 
-CAMERAS = ("map", "follow")
 RANDOM, HUNTER = "random", "hunter"
 BEST = "best:"
 
@@ -55,7 +54,6 @@ def render(
     player: Annotated[
         str, opt.option("AGENT", "Agent: random, hunter, a run id, or best:STUDY (the study's best run).")
     ] = RANDOM,
-    camera: Annotated[str | None, opt.choice(CAMERAS, "Show the whole map, or follow a player.")] = None,
     seed: Seed = 0,
     seconds: Annotated[float, opt.option("N", "Longest episode in a .gif, in seconds.", min=1.0)] = 20.0,
     set_: opt.Settings = None,
@@ -75,10 +73,8 @@ def render(
     if player != RANDOM and not is_moving:
         raise UserError(f"--player {player} plays an episode, but {out} is a picture: name a .gif")
     if is_gymnasium_id(name):
-        if player == HUNTER or camera or set_:
-            raise UserError(
-                f"--player hunter, --camera and --set work only in Pneuma's environments, not in {name}"
-            )
+        if player == HUNTER or set_:
+            raise UserError(f"--player hunter and --set work only in Pneuma's environments, not in {name}")
         return _render_other(name, out, player, seed, seconds, trust, results)
     if name not in ENVIRONMENTS:
         raise unknown_name("environment", name, ENVIRONMENTS)
@@ -106,9 +102,9 @@ def render(
     else:
         act = RandomPlayer(generator).act
     if not is_moving:
-        write_file(out, watch.encode_png(Renderer(worlds, camera or "map", env_id=name).frame()))
+        write_file(out, watch.encode_png(Renderer(worlds, "map", env_id=name).frame()))
         return Result({"file": out}, [f"wrote {out}"])
-    renderer = Renderer(worlds, camera or "follow", zoom=GIF_FACTOR, env_id=name)
+    renderer = Renderer(worlds, "follow", zoom=GIF_FACTOR, env_id=name)
     most_frames = 1 + round(seconds * watch.FRAME_RATE)  # the first shows the start
     write_file(out, watch.encode_gif(islice(watch.episode_frames(worlds, act, renderer), most_frames)))
     return Result({"file": out}, [f"wrote {out}: {_story(worlds)}"])

@@ -9,7 +9,6 @@ import re
 import shutil
 import sys
 import textwrap
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass
@@ -44,11 +43,6 @@ def say(message: str, quiet: bool = False) -> None:
     """
     if not quiet:
         print_aside(written(message, write_hint))
-
-
-def tallied(words: Iterable[str]) -> str:
-    """Return how often there is each word: 3 done, 1 crashed."""
-    return ", ".join(f"{count} {word}" for word, count in Counter(words).items())
 
 
 @contextmanager

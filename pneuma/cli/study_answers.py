@@ -17,7 +17,6 @@ def summary(
     name: opt.Study,
     selection: opt.RunFilter,
     outcome: opt.Outcomes = None,
-    all_: Annotated[bool, opt.flag("--all", "Show all statistics of the default outcomes.")] = False,
     format: opt.Format = opt.TABLE,
     cells: Annotated[
         str | None, opt.choice(("sd", "interval"), "With markdown or latex: mean ± SD, or mean [low, high].")
@@ -33,7 +32,7 @@ def summary(
     from pneuma.answers.summary import summarize
 
     paper_cells = (cells or "sd") if format in PAPER_FORMATS else ""
-    return answer_result(summarize(data, outcome or (), all_, paper_cells))
+    return answer_result(summarize(data, outcome or (), paper_cells))
 
 
 def compare(

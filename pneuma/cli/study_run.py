@@ -10,13 +10,13 @@ from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pneuma.cli import STOPPED
 from pneuma.cli import options as opt
 from pneuma.cli.hints import command
-from pneuma.cli.output import Result, answer_result, say, tallied
-from pneuma.errors import UserError, counted, install_extra
+from pneuma.cli.output import Result, answer_result, say
+from pneuma.errors import UserError, counted, install_extra, tallied
 from pneuma.store.provenance import uncommitted
 from pneuma.store.store import Store
 from pneuma.study import plan, spec
@@ -110,12 +110,9 @@ def train(
         results, code = execute.cell_results(planned, store, unfinished), STOPPED
     rows = []
     for result in results:
-        rows.append({**_cell(result.cell), "status": result.status.name, "trained": result.trained})
+        identity = {key: getattr(result.cell, key) for key in ("run_id", "condition", "seed")}
+        rows.append({**identity, "status": result.status.name, "trained": result.trained})
     return Result({"study": planned.study.name, "runs": rows}, notes=notes, code=code)
-
-
-def _cell(cell: plan.Cell) -> dict[str, Any]:
-    return {"run_id": cell.run_id, "condition": cell.condition, "seed": cell.seed}
 
 
 def _check_logs(folders: Iterable[str]) -> None:

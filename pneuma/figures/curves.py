@@ -34,7 +34,7 @@ from pneuma.analysis.curves import (
     random_returns,
     study_curves,
 )
-from pneuma.analysis.environments import OUTCOME, Parts, environments, in_environment_of, profiles, references
+from pneuma.analysis.environments import OUTCOME, Parts, in_environment_of, profiles, references
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import find_outcome, have_one_return, is_foreign
 from pneuma.analysis.study_data import StudyData
@@ -193,7 +193,7 @@ def curves_page(
             columns[title] = _column(study, shared, beside, settings, looks, labels)
     studies_beside = dict.fromkeys(column.beside for column in columns.values() if column.beside)
     if beside and not studies_beside:
-        environments_text = f"{' and '.join(environments(beside))}, not in {' and '.join(environments(data))}"
+        environments_text = f"{' and '.join(beside.environments)}, not in {' and '.join(data.environments)}"
         raise UserError(f"--beside {beside.study.name}: its runs are in {environments_text}")
     rows: dict[str, list[Panel | None]] = {name: [] for name in names}
     entries: dict[str, Any] = {}
@@ -343,7 +343,7 @@ def _draw(column: Column, name: str, axes: Axes) -> None:
     )
     quantity_kind, bounds = QUANTITIES[name].kind, QUANTITIES[name].bounds
     if name in ("return", EVALUATED):
-        bounds = RETURN_BOUNDS.get(" ".join(environments(data)), bounds)
+        bounds = RETURN_BOUNDS.get(" ".join(data.environments), bounds)
     lines = sum(curve.run_count for curve in curves)
     for curve in curves:
         line_style = column.looks[curve.condition]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from pneuma.analysis import intervals
+from pneuma.analysis.claims.contrasts import compare
 from pneuma.analysis.intervals import Interval, interquartile_mean
 
 
@@ -32,7 +34,7 @@ def test_probability_of_improvement_is_the_u_statistic_and_halves_ties() -> None
 
 def test_a_value_that_is_not_finite_is_told_and_not_dropped() -> None:
     with pytest.raises(ValueError, match="2 of 3 values are not finite"):
-        intervals.mean_interval([1.0, math.nan, math.inf])
+        compare("mean", [1.0, math.nan, math.inf], 0.0)
 
 
 def test_equal_runs_have_no_deviation_at_all() -> None:
@@ -84,7 +86,8 @@ def test_bca_is_close_to_scipys_with_resamples_of_its_own(monkeypatch: pytest.Mo
         ).confidence_interval
         return float(theirs.low), float(theirs.high)
 
-    for statistic in (partial(np.mean, axis=-1), interquartile_mean):
+    statistics: list[Any] = [partial(np.mean, axis=-1), interquartile_mean]
+    for statistic in statistics:
         own = intervals.bootstrap_interval(RUNS, statistic, np.random.default_rng(6))
         assert ends(own) == pytest.approx(drawn(lambda x, axis, s=statistic: s(x)), abs=0.03)
 
@@ -95,9 +98,9 @@ def test_intervals_of_deviations_cover_of_normal_runs() -> None:
     assert np.mean([own.low <= 1 <= own.high for own in alone]) > 0.92
 
 
-@pytest.mark.parametrize("runs", [[], [3.0], [2.0, 2.0, 2.0, 2.0, 2.0, 2.0]])
-def test_too_few_or_equal_runs_have_no_interval(runs: list[float]) -> None:
-    generator = np.random.default_rng(0)
+@pytest.mark.parametrize("values", [[], [3.0], [2.0, 2.0, 2.0, 2.0, 2.0, 2.0]])
+def test_too_few_or_equal_runs_have_no_interval(values: list[float]) -> None:
+    generator, runs = np.random.default_rng(0), np.array(values)
     for own in (
         intervals.mean_interval(runs),
         intervals.difference_interval(runs, runs),

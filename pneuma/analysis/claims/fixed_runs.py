@@ -76,7 +76,7 @@ class ClaimRuns:
         for condition, rows in self.rows.items():
             scores = [row.known_evaluations("score")[1] for row in rows]
             if len(scores) > 1 and all(map(len, scores)):
-                means = list(map(np.mean, scores))
+                means = np.array(list(map(np.mean, scores)))
                 interval = mean_interval(means, 1 - 2 * FLOOR_LEVEL)
                 # without an interval all are equal
                 learned[condition] = bool(interval.low > 0 or not interval.exists and means[0] > 0)
