@@ -124,7 +124,7 @@ def _render_other(
     run, policy = make_run({"env": name}), None
     if player != RANDOM:
         store = Store(results)
-        run_id = find_run(store, player)
+        run_id = find_run(store, _run_id(player, name, results))
         settings = trusted_settings(store, run_id, trust)
         run, policy = stored_run(settings), stored_policy(store, run_id, settings)
         if run.env != name:
@@ -148,8 +148,7 @@ def _load_player(player: str, name: str, results: Path, trust: bool) -> tuple[Po
     from pneuma.env.fields import REWARDS
 
     try:
-        run_id = _best_run(player.removeprefix(BEST), name, results) if player.startswith(BEST) else player
-        policy, env, settings = load_policy(run_id, results, trust=trust)
+        policy, env, settings = load_policy(_run_id(player, name, results), results, trust=trust)
     except UserError as error:
         raise UserError(f"--player {player}: ", *error.args) from None
     if env != name or not isinstance(policy, Policy):
@@ -159,13 +158,19 @@ def _load_player(player: str, name: str, results: Path, trust: bool) -> tuple[Po
     return policy, settings
 
 
-def _best_run(study: str, env: str, results: Path) -> str:
-    """Return the best stored run of a study by its primary outcome, in the world of an environment."""
+def _run_id(player: str, env: str, results: Path) -> str:
+    """Return a player's run; of best:STUDY the best stored one in an environment, by the primary outcome."""
+    from pneuma.analysis.environments import by_environment
     from pneuma.analysis.ranking import ranked_runs
 
+    if not player.startswith(BEST):
+        return player
     worlds = [name for name, world in WORLDS.items() if world.env == env]
-    data = opt.RunFilter(world=worlds[0], results=results).open(study)
-    _, ranked = ranked_runs(data)
+    data = opt.RunFilter(world=next(iter(worlds), None), results=results).open(player.removeprefix(BEST))
+    parts = by_environment(data)
+    if env not in parts:
+        raise UserError(f"--player {player}: was trained in {' and '.join(parts)}, not in {env}")
+    _, ranked = ranked_runs(parts[env])
     return str(ranked["run_id"].iloc[0])
 
 
