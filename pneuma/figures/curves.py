@@ -359,7 +359,7 @@ def _draw(column: Column, name: str, axes: Axes) -> None:
             axes.plot(curve.runs, color=line_style["color"], linewidth=width, alpha=opacity, zorder=1.4)
         _draw_centre(axes, curve, line_style, column.labels[curve.condition])
     if column.beside:
-        _draw_beside(axes, beside_curves, column.beside, column.looks)
+        _draw_beside(axes, beside_curves, column)
     low, high = _reach([*curves, *beside_curves])
     if quantity_kind == SHARES:
         low = 0.0
@@ -394,22 +394,24 @@ def _draw_centre(axes: Axes, curve: Curve, line_style: Mapping[str, Any], label:
         axes.plot(step, value, "x", color=line_style["color"], markersize=4 * width)
 
 
-def _draw_beside(
-    axes: Axes, curves: Sequence[Curve], data: StudyData, looks: Mapping[str, Mapping[str, Any]]
-) -> None:
+def _draw_beside(axes: Axes, curves: Sequence[Curve], column: Column) -> None:
     """Draw the runs of another study: in the colours of conditions that have their names, or else in grey."""
-    run_count = sum(curve.run_count for curve in curves if curve.condition not in looks)
+    assert column.beside
+    data, looks = column.beside, column.looks
+    title = data.full_title
+    if data.study.name == column.data.study.name and data.plan:
+        title = f"preset {data.plan.preset}"  # what tells runs of one study apart
+    unlike = sum(curve.run_count for curve in curves if curve.condition not in looks)
     opacity = min(1.0, MANY_RUNS / len(data.runs))
     for curve in curves:
-        colour, label = BESIDE_COLOUR, f"{data.full_title} ({run_count})"
+        colour, label, fading = BESIDE_COLOUR, f"{title} ({unlike})", 1.0
         if curve.condition in looks:
             name = data.study.labels.get(curve.condition, curve.condition)
-            colour = looks[curve.condition]["color"]
-            label = f"{name}, {data.full_title} ({curve.run_count})"
-            opacity *= 0.6
+            colour, fading = looks[curve.condition]["color"], 0.6
+            label = f"{name}, {title} ({curve.run_count})"
         axes.plot(
-            curve.runs, label=label, color=colour, alpha=opacity, linewidth=0.7, linestyle=(0, (3, 1)),
-            zorder=1.3,
+            curve.runs, label=label, color=colour, alpha=fading * opacity, linewidth=0.7,
+            linestyle=(0, (3, 1)), zorder=1.3,
         )  # fmt: skip
 
 

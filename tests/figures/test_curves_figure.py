@@ -60,8 +60,9 @@ def test_every_run_of_another_study_is_drawn_beside(
     assert path.stem == f"mine-{quantity}-beside-other"
     assert len(beside.lines) == len(alone.lines) + 4
     assert "tanh, Another in the text's world (2)" in legend(drawn[1])  # in the colour of tanh
-    dashed = {line.get_color() for line in beside.lines if line.get_linestyle() == "--"}
-    assert dashed >= {"C0", "C1"}
+    dashed = [line for line in beside.lines if line.get_linestyle() == "--"]
+    assert {line.get_color() for line in dashed} >= {"C0", "C1"}
+    assert {line.get_alpha() for line in dashed} - {None} == {0.6}  # no condition is fainter than another
 
 
 def test_runs_beside_are_of_the_same_environment_or_not_drawn(
