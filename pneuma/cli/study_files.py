@@ -74,7 +74,7 @@ class Drawing:
     window: Annotated[str | None, opt.choice(WINDOWS, "Episodes averaged at each point.")] = None
     x: Annotated[str | None, opt.choice(X_AXES, "Horizontal axis of curves (default: steps).")] = None
     beside: Annotated[
-        str | None, opt.option("NAME", "Draw another study, or imported logs, in the same panels.")
+        opt.Several, opt.option("NAME", "Draw another study, or imported logs, in the same panels.")
     ] = None
     log: Annotated[bool, opt.flag("--log", "Use a logarithmic vertical axis.")] = False
     formats: opt.Formats = None
@@ -117,7 +117,10 @@ def plot(
     look = Look(drawing.width, drawing.height, drawing.title, drawing.style, drawing.plain)
     beside = None
     if drawing.beside:
-        beside = opt.RunFilter(results=selection.results, world=selection.world).open(drawing.beside)
+        if len(drawing.beside) > 1:
+            raise UserError("--beside takes one study: import the logs of several under one --name")
+        (name,) = drawing.beside
+        beside = opt.RunFilter(results=selection.results, world=selection.world).open(name)
 
     def draw(folder: Path) -> Iterator[Path]:
         for page in _pages(selection, drawing, names, beside):

@@ -129,7 +129,18 @@ def test_what_logs_beside_a_study_average_is_told(study: Path) -> None:
         page = curves_page(by_environment(open_data(study)), beside=open_data("logs"))
         assert _panels(page)[0].y == "Return in training"
         assert f"{note} The environment of logs is not recorded." in page.caption
-    assert call("study", "plot", study, "--beside", "logs", "--out", "beside.png").code == 0
+    plot = ("study", "plot", study, "--out", "beside.png", "--beside", "logs")
+    assert call(*plot).code == 0
+    assert "--beside takes one study" in call(*plot, "--beside", "two").err
+
+
+def test_the_best_run_is_one_of_the_environment(study: Path) -> None:
+    words = ("--player", f"best:{study}", "--out", "x.gif")
+    cells = make_plan(load_study(str(study)), Query()).cells
+    (best,) = (run_id(cell.run) for cell in cells if (cell.condition, cell.seed) == ("pole, ppo", 3))
+    assert best in call("env", "render", "CartPole-v1", *words).err  # it has no policy
+    told = call("env", "render", "Pendulum-v1", *words).err
+    assert "was trained in CartPole-v1 and Acrobot-v1, not in Pendulum-v1" in told
 
 
 def test_a_profile_is_of_the_runs_of_all_environments(study: Path) -> None:
