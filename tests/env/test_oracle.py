@@ -21,9 +21,9 @@ from pneuma.env.rules import ATTACK, CLEARED, KILLED, RIGHT, RUNNING, TIME_LIMIT
 from pneuma.env.worlds import Worlds
 
 from .arena import FIELD, characters_file, stage
-from .oracle import CONTACT_EPS, Box, Monster, Player
+from .oracle import CONTACT_EPS, Box, Monster, Oracle, Player
 from .oracle_arrays import Pair
-from .oracle_cases import MOOD_STEPS, Case, cases, choose_actions, make_worlds
+from .oracle_cases import MOOD_STEPS, Case, cases, choose_actions, hunt, make_worlds
 
 FEW = settings(
     max_examples=60,
@@ -33,6 +33,7 @@ FEW = settings(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )
 MANY = settings(FEW, max_examples=2000)
+ROUNDING = 1e-6
 EVENTS = ("hits", "kills", "notices", "contacts", "hp_gained", "died")
 
 
@@ -56,6 +57,7 @@ def play(case: Case, worlds: Worlds, counts: Counter[str]) -> None:
     """Play a case; ended worlds begin again after a step or two, and at times all of them do."""
     pair = Pair(worlds, case.seed)
     for step in range(len(case.breaks) * MOOD_STEPS):
+        before = [overlaps(world) for world in pair.oracles]
         actions = choose_actions(case, pair.oracles, step)
         masked = masked_players(pair, actions)
         pair.step(actions)
@@ -63,6 +65,8 @@ def play(case: Case, worlds: Worlds, counts: Counter[str]) -> None:
         for space, observations in zip(worlds.spaces, worlds.observations.swapaxes(0, 1), strict=True):
             assert ((observations >= space.low) & (observations <= space.high)).all()
             assert np.isfinite(space.high).all()
+        for world, allowed in zip(pair.oracles, before, strict=True):
+            assert overlaps(world) <= allowed
         for player, before_step in masked:
             counts["masked"] += 1
             assert player.hp == 0 or before_step == (player.x, player.y, player.facing)
@@ -72,6 +76,31 @@ def play(case: Case, worlds: Worlds, counts: Counter[str]) -> None:
             pair.reset(range(case.worlds), pause % len(worlds.level.starts), pause if pause % 2 else None)
         else:
             pair.reset([index for index in ended if (pause + step + index) % 3])
+
+
+def overlaps(world: Oracle) -> set[tuple[int, ...]]:
+    """Return who is inside what stops it, and which two are inside each other, by more than a hair.
+
+    Nobody gets there. Players who begin at one place are inside each other; they may part, and not come back.
+    """
+    living: list[tuple[int, Player | Monster]] = []
+    bodies: list[Player | Monster] = [*world.players, *world.monsters]
+    for number, body in enumerate(bodies):
+        if body.hp > 0.0:
+            living.append((number, body))
+    inside: set[tuple[int, ...]] = set()
+    for number, body in living:
+        closed = world.book.closed_to_players
+        if isinstance(body, Monster):
+            closed = world.book.closed_to_monsters
+        box = shrunk(body, ROUNDING)
+        for column, row in itertools.product(*(world.ground.covered(box, axis) for axis in (0, 1))):
+            if world.ground.is_closed(column, row, closed):
+                inside.add((number,))
+    for (number, body), (second_number, second) in itertools.combinations(living, 2):
+        if shrunk(body, CONTACT_EPS + ROUNDING).meets(second.box):
+            inside.add((number, second_number))
+    return inside
 
 
 def shrunk(body: Player | Monster, hair: float) -> Box:
@@ -119,6 +148,18 @@ def test_the_hunter_on_the_shipped_level(env_id: str, settings: dict[str, object
         kills += int(worlds.events["kills"].sum())
         pair.reset(np.flatnonzero(worlds.worlds["ending"]))
     assert kills >= 2
+
+
+def test_random_levels_are_drawn_before_starts() -> None:
+    worlds = Worlds(3, make_env_config({"level": "random:train:3", "random_levels": 4, "players": 2}))
+    pair, levels = Pair(worlds, seed=1), set()
+    for _ in range(12):
+        levels |= set(worlds.worlds["level"].tolist())
+        for _ in range(20):
+            pair.step(np.array([[hunt(o, player, ATTACK) for player in o.players] for o in pair.oracles]))
+        pair.reset(range(3))
+    assert levels == {0, 1, 2, 3}
+    assert worlds.worlds["draws"].tolist() == [26, 26, 26]  # a level and a start for each of 13 episodes
 
 
 def test_eight_players_fill_every_bit(tmp_path: Path) -> None:

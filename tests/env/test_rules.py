@@ -36,6 +36,21 @@ def test_a_blow_knocks_back_60_px_away_from_the_hilt(arena: str) -> None:
         assert pair.monster("x", "y") == pytest.approx(position)
 
 
+def test_a_second_blow_does_not_extend_a_flight(arena: str) -> None:
+    # At the hilt itself, (54, 14), a blow knocks nowhere, for 30 ticks. The second attack begins in tick 25
+    # and strikes; in tick 31 the monster comes nearer by 2.5 px on x, as on y it is within 30 px.
+    pair = stage(arena, (54.0, 14.0), ticks=1)
+    pair.put(monsters=True, hp=[400])
+    hits = 0
+    for _ in range(30):
+        pair.play(ATTACK)
+        hits += pair.player("hits")[0]
+        assert pair.monster("x", "y") == (54.0, 14.0)
+    assert hits == 2
+    pair.play(ATTACK)
+    assert pair.monster("x", "y") == (51.5, 14.0)
+
+
 @pytest.mark.parametrize(
     ("event", "facing", "last", "outwards"),
     [
@@ -103,6 +118,15 @@ def test_a_monster_comes_no_nearer_than_30_px_on_either_axis(
     assert pair.monster("x", "y") == stop
     pair.play(ATTACK)
     assert pair.monster("x", "y") == later
+
+
+def test_the_first_bite_comes_at_once_and_the_next_60_ticks_later(arena: str) -> None:
+    pair = stage(arena, (-40.0, 0.0), ticks=1)
+    hp = []
+    for _ in range(121):
+        pair.play(ATTACK)
+        hp += pair.player("hp")
+    assert hp == [93] * 60 + [86] * 60 + [79]
 
 
 def test_healing_saves_from_a_deadly_bite_in_the_same_tick(arena: str) -> None:
