@@ -154,7 +154,7 @@ class Claim(Table):
 
     def pairs(self, outcome: str) -> list[Pair]:
         """Return the contrasts for an outcome."""
-        arms_of_b = [(condition,) for condition in self.b]
+        arms_of_b: list[tuple[str, ...]] = [(condition,) for condition in self.b]
         is_against_value = pick(self.value, outcome) is not None
         if is_against_value:
             arms_of_b = [()]

@@ -98,12 +98,12 @@ def worlds_of(by_claim: ByClaim) -> dict[str, str]:
 def count_words(by_claim: ByClaim) -> pd.DataFrame:
     """Return how many claims have each word, a row for each world."""
     worlds = worlds_of(by_claim)
-    counts = pd.DataFrame(0, worlds.values(), list(WORDS))
+    words: dict[str, list[str]] = {world: [] for world in worlds}
     for by_world in by_claim.values():
         for world, verdict in by_world.items():
-            if word(verdict) in WORDS:
-                counts.loc[worlds[world], word(verdict)] += 1
-    return counts.reset_index(names="")
+            words[world].append(word(verdict))
+    rows = [[worlds[world], *map(words[world].count, WORDS)] for world in worlds]
+    return pd.DataFrame(rows, columns=["", *WORDS])
 
 
 def verdict_table(by_claim: ByClaim) -> pd.DataFrame:
