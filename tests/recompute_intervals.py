@@ -38,11 +38,13 @@ def interval(
         ends = effect - half, effect + half
     else:
         first = values[a[0]] - constant
+        effect = first.mean() - sum(values[name].mean() for name in b)
+        if not varies:
+            return effect, None
         if b:
             test = stats.ttest_ind(first, values[b[0]], equal_var=kind == "spread")
         else:
             test = stats.ttest_1samp(first, 0)
-        effect = first.mean() - sum(values[name].mean() for name in b)
         ends = tuple(test.confidence_interval(1 - alpha))
     return effect, ends if varies else None
 

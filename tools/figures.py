@@ -91,7 +91,7 @@ EARLIER: Mapping[str, tuple[str, dict[str, Any]]] = {"fig-6-2": ("one-environmen
 FORKS, FORK_OUTCOMES = "-forks-", ("final-share-killed", "final-return")
 """What names of forks have in them, and what is shown of them."""
 IN_ONE_ACTION = ("betas-by-clip", "betas-longer")
-"""Studies of when runs come to stay in one action."""
+"""Studies whose figure shows when runs come to stay in one action."""
 BESIDE = {"published-logs": "author-logs"}
 """The imported logs that are drawn with a study, and not alone."""
 
@@ -201,11 +201,11 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str
         pages.append(noise_scale.noise_page(noise_scale.open_noise_scale(index)))
     elif study == "acrobot":
         pages.append(_elsewhere(index))
+    elif study in IN_ONE_ACTION:
+        runs_there = study_runs(index, study, "godot")
+        pages += [replace(one_action_page(runs_there), basename=study)] if runs_there else []
     elif study not in WHOLE:
         pages += _study_pages(index, study, beside.get(study))
-    in_one_action = study_runs(index, study, "godot") if study in IN_ONE_ACTION else None
-    if in_one_action:
-        pages.append(replace(one_action_page(in_one_action), basename=f"{study}-one-action"))
     return _save(folder, pages)
 
 
