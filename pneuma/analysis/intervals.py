@@ -117,7 +117,9 @@ def why_none(*arms: np.ndarray) -> str:
     """Return why arms do not show how runs differ; empty if they do."""
     if min(arm.size for arm in arms) < 2:
         return "each arm needs at least 2 runs"
-    return "in an arm all runs are equal, so nothing shows how they differ" * any(map(is_constant, arms))
+    if any(map(is_constant, arms)):
+        return "in an arm all runs are equal, so nothing shows how they differ"
+    return ""
 
 
 def around(centre: float, error: float, freedom: float, level: float, method: str) -> Interval:
