@@ -30,6 +30,11 @@ def random_returns_file() -> Path:
     return shipped_tables() / "random-returns.json"
 
 
+def claims_history_file() -> Path:
+    """Return what `python -m tools.claims_history` wrote: what changed of claims since their first runs."""
+    return shipped_tables() / "claims-history.json"
+
+
 def shipped_names(folder: Path) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.toml") if not path.stem.startswith("claims"))
 

@@ -13,7 +13,9 @@ from pneuma.analysis.claims.history import THE_CLAIM, changed_since, refuse_chan
 from pneuma.errors import UserError
 from pneuma.store.index import RunIndex
 from pneuma.store.store import Store
+from pneuma.study.shipped import claims_history_file
 from pneuma.study.spec import load_study
+from tools.claims_history import has_history, written
 
 from ..cli.calls import described, printed
 from .claim_files import CLAIMS, HIGH, LOW, save_runs, write_files
@@ -108,3 +110,11 @@ def test_a_preset_of_claims_that_were_changed_is_refused(tmp_path: Path) -> None
     write_files(tmp_path, CLAIMS.replace("margin = 0.04", "margin = 0.4"))
     with pytest.raises(UserError, match=r"--preset claims: the claim better was changed .*\(margin\)"):
         refuse_changed(RunIndex(store), study)
+
+
+@pytest.mark.skipif(not has_history(), reason="an installed package or a clone of depth 1 has no history")
+def test_what_the_package_says_of_its_claims_is_what_the_history_says(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.undo()  # the checkout of Pneuma is this one
+    assert claims_history_file().read_text() == written(), "python -m tools.claims_history"

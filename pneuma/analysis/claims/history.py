@@ -6,13 +6,17 @@ Everything that decides a verdict counts: arms, seeds, steps, outcomes, directio
 registered ones, if margins were set anew), and the version of the judge's rules. Words do not. The file is
 found by its title, wherever it was. Nothing is known of a file outside a git checkout, nor of a commit that
 the checkout does not have, or at which there was no such list yet.
+
+Of the lists on the thesis and their published runs, `claims-history.json` holds what the history says, because
+neither an installed package nor a clone of depth 1 has a history. `python -m tools.claims_history` writes it.
 """
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -23,6 +27,7 @@ from pneuma.errors import UserError
 from pneuma.schema import plain
 from pneuma.store.index import RunIndex
 from pneuma.store.provenance import SOURCE, file_at, line_at
+from pneuma.study.shipped import claims_history_file
 from pneuma.study.spec import CLAIMS, Study
 
 THE_CLAIM, RULES_KEY = "the claim itself", "rules"
@@ -50,12 +55,36 @@ def refuse_changed(index: RunIndex, study: Study) -> None:
 
 
 def changed_since(
-    claims: ClaimList, claim: Claim, world: str, commits: Iterable[str]
+    claims: ClaimList, claim: Claim, world: str, commits: Sequence[str]
 ) -> tuple[str, ...] | None:
-    """Return what of a claim was otherwise at commits; None if no commit has its list.
+    """Return what of a claim was otherwise at commits; None if no commit is known to have its list.
 
     `THE_CLAIM` stands for a claim that the list did not have yet.
     """
+    recorded, key = _recorded(), record_key(claims, claim, world, commits)
+    if key not in recorded:
+        return changed_in_checkout(claims, claim, world, commits)
+    return recorded[key]
+
+
+def record_key(claims: ClaimList, claim: Claim, world: str, commits: Sequence[str]) -> str:
+    """Return all that the answer of the history depends on: the list, the judge's rules, and the runs."""
+    return " ".join([claim.name, world, claims.digest, f"rules={RULES}", *commits])
+
+
+@cache
+def _recorded() -> Mapping[str, tuple[str, ...] | None]:
+    """Return what the history says, by `record_key`."""
+    recorded: Mapping[str, tuple[str, ...] | None] = plain(
+        json.loads(claims_history_file().read_text(encoding="utf-8"))
+    )
+    return recorded
+
+
+def changed_in_checkout(
+    claims: ClaimList, claim: Claim, world: str, commits: Sequence[str]
+) -> tuple[str, ...] | None:
+    """Return the same by the history of the checkout that the list is in."""
     text = claims.path.read_text(encoding="utf-8")
     (title,) = re.findall("^title = .*", text, flags=re.MULTILINE)[:1] or ["[defaults]"]
     now = _deciding_keys(text, claim.name, world)
