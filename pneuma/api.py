@@ -133,7 +133,7 @@ def train_plan(
     if own := planned.study.own_path:
         files = {path for cell in planned.cells for path in user_files(as_fields(cell.run))}
         config = replace(config, project=project(Path(own), files))
-    for note in (*planned.notes, *notes):
+    for note in list(planned.notes) + list(notes):
         say(f"Note: {note}.")
     if todo:
         say(f"Training {counted(len(todo), 'run')}; compiling for the first time takes up to a minute.")

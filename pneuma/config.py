@@ -320,7 +320,7 @@ def make_run(given: Mapping[str, object]) -> Run:
     if not is_gymnasium_id(env):
         values = resolve_world(values)
 
-    naming = ("env", "algorithm", *OF_OPEN_LEARNERS)
+    naming = ("env", "algorithm") + OF_OPEN_LEARNERS
     learner = Run(**{name: values[name] for name in naming if name in values})
     values |= _rollout_steps(learner, values)
     defaults = default_fields(learner.algorithm, values.get("optimizer", ""))
@@ -379,7 +379,7 @@ def _read_by(env: str, algorithm: str, optimizer: str, is_open_run: bool) -> fro
         read |= OPTIMIZERS[optimizer].defaults.keys()
     for name, about in FIELDS.items():
         is_of_another_world = name in OF_WORLDS and is_gymnasium_id(env)
-        if not is_of_another_world and (not about.read_by or readers & {*about.read_by}):
+        if not is_of_another_world and (not about.read_by or readers & set(about.read_by)):
             read.add(name)
     if algorithm in VALUE_BASED and not is_open_run:  # what is replayed was seen otherwise
         read -= {"normalize_observations", "normalize_rewards"}

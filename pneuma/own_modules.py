@@ -63,7 +63,7 @@ def module_files(name: str) -> list[Path]:
     path = Path(name).resolve() if name.endswith(".py") else _find(name)
     if path is None or not path.is_file():
         return []
-    return [path] if path.name != "__init__.py" else [path, *sorted({*path.parent.rglob("*.py")} - {path})]
+    return [path] if path.name != "__init__.py" else [path] + sorted(set(path.parent.rglob("*.py")) - {path})
 
 
 def _find(name: str) -> Path | None:

@@ -164,7 +164,7 @@ class TomlFile:
         texts_by_line = []
         for where, key, message in mistakes:
             text = f"[{'.'.join(where)}] {message}" if where else message
-            line = _line_of(self.text, (*where, key) if key else where)
+            line = _line_of(self.text, where + (key,) if key else where)
             if line:
                 text = f"line {line}: {text}"
             texts_by_line.append((line or 0, text))
@@ -213,7 +213,7 @@ def read_model(
     except ValidationError as error:
         mistakes = []
         for path, key, message in mistakes_in(data, error):
-            mistakes.append(((*where, *path), key, message))
+            mistakes.append((where + path, key, message))
         raise file.mistakes(mistakes) from None
 
 
@@ -234,7 +234,7 @@ def mistakes_in(data: Mapping[str, Any], error: ValidationError, at: Where = ())
     """
     deepest: dict[Any, Any] = {}
     for details in error.errors(include_url=False, include_input=False):
-        details["loc"] = (*at, *details["loc"])
+        details["loc"] = at + details["loc"]
         key = details["loc"][:1]
         if key not in deepest or len(details["loc"]) > len(deepest[key]["loc"]):
             deepest[key] = details
@@ -277,7 +277,7 @@ def _find(location: Iterable[Any], data: Mapping[str, Any]) -> tuple[Where, Any]
     value: Any = data
     for key in location:
         if isinstance(value, Mapping) and key in value:
-            path, value = (*path, str(key)), value[key]
+            path, value = path + (str(key),), value[key]
     return path, value
 
 

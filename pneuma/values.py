@@ -234,7 +234,7 @@ def seeds_option(seeds: Collection[int]) -> str:
 def settings_name(settings: Mapping[str, Any], *more: str) -> str:
     """Return a file name for changed fields; the end of a long one is replaced by a checksum."""
     settings_texts = [f"{key}={shown_value(value)}" for key, value in settings.items()]
-    text = "-".join([*settings_texts, *more])
+    text = "-".join(settings_texts + list(more))
     name = re.sub(r"[^\w.=+-]+", "-", text).strip("-")
     if len(name) > LONGEST_NAME:
         digest = hashlib.sha256(text.encode(errors="replace")).hexdigest()

@@ -40,10 +40,10 @@ class Answer:
         return {**self.about, **self.tables}
 
     def __str__(self) -> str:
-        texts = [self.title, *self.notes]
+        texts = [self.title] + list(self.notes)
         for cells in self.cells:
             texts.append(cells.to_string(index=False))
-        return "\n".join([*texts, *self.legend])
+        return "\n".join(texts + list(self.legend))
 
     def _repr_html_(self) -> str:
         return self.cells[0].to_html(index=False)

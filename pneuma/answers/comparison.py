@@ -81,7 +81,7 @@ def compare(
             tables={**answer.tables, "scores": scores},
             cells=[*answer.cells, cells],
             notes=[*answer.notes, few_runs(data_by_env)],
-            legend=[*answer.legend, *SCALE],
+            legend=list(answer.legend) + list(SCALE),
         )
     claims = [] if outcomes else _claims_about(data, a, b)
     first = [name for claim in claims for name in claim.outcome]

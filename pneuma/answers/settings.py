@@ -20,7 +20,7 @@ def compare_settings(fields: Mapping[str, Mapping[str, Any]]) -> tuple[pd.DataFr
     table = pd.DataFrame(differing, index=pd.Index(list(fields), name="condition"), dtype=object)
     shared = {}
     for key, value in next(iter(fields.values()), {}).items():
-        if key not in (*differing, "seed", "steps"):
+        if key not in list(differing) + ["seed", "steps"]:
             shared[key] = setting_text(value)
     return table.map(setting_text).reset_index(), shared
 

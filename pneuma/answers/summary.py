@@ -56,7 +56,7 @@ def summarize(data: StudyData, outcomes: Sequence[str] = (), paper_cells: str = 
     else:
         cells = _overview_cells(data, with_cells(table))
         legend = _overview_legend(data, table, cells)
-    notes = [data.ends, *_missing_values(data, table, outcomes), few_episodes(data, outcomes)]
+    notes = [data.ends] + _missing_values(data, table, outcomes) + [few_episodes(data, outcomes)]
     return Answer(data.full_title, data.about, {"summary": table}, [cells], notes, legend)
 
 
@@ -82,7 +82,7 @@ def _summarize_environments(
             ", ".join(str(len(env_data.of_condition(condition))) for env_data in data_by_env.values())
         )
     cells.insert(0, "runs", runs)
-    legend = [f"{with_unit(outcome)} in each environment, then scores over all.", *SCALE]
+    legend = [f"{with_unit(outcome)} in each environment, then scores over all."] + list(SCALE)
     tables = {"summary": summary.drop(columns="cell"), "scores": scores}
     notes = [data.ends, few_runs(data_by_env)]
     return Answer(data.full_title, data.about, tables, [cells.reset_index()], notes, legend)
@@ -150,7 +150,7 @@ def _overview_legend(data: StudyData, table: pd.DataFrame, cells: pd.DataFrame) 
         text += " –: no run has a value."
     if any(len(data.of_condition(name)) < LEAST_RUNS for name in data.conditions):
         text += f" Means of fewer than {LEAST_RUNS} runs have no interval."
-    return [*legend, text]
+    return legend + [text]
 
 
 def _failed_shares(summary: pd.DataFrame, name: str) -> pd.Series:

@@ -88,7 +88,7 @@ def verify(
         tables={"contrasts": pd.DataFrame(contrasts)},
         cells=[words.verdict_table(by_claim), words.count_words(by_claim)],
         notes=[f"{problem}." for problem in index.problems],
-        legend=[*legend, _origin(index, verdicts)],
+        legend=legend + [_origin(index, verdicts)],
         verdicts=by_claim,
     )
 

@@ -17,7 +17,7 @@ VERBS = {"run_study": "run", "plot": "plot", "summarize": "summary"}
 
 
 def command(*words: object) -> str:
-    return plain(shlex.join(["pneuma", *map(str, words)]))
+    return plain(shlex.join(["pneuma"] + list(map(str, words))))
 
 
 def query_words(plan: Plan) -> list[str]:

@@ -116,7 +116,7 @@ def answer_result(answer: Answer) -> Result:
             shown.append("")
         shown.append(frame_table(cells))
     if answer.legend:
-        shown += ["", *answer.legend]
+        shown += [""] + list(answer.legend)
     return Result(answer.document, shown, answer.title, answer.notes, answer.cells[0], answer.table)
 
 

@@ -123,7 +123,7 @@ def show(
     }
     detail = f" ({status.detail})" if status.detail else ""
     head = f"run {run_id}: {status.name}{detail}, {status.step:,} steps trained"
-    return Result(document, [head, *_show(document, all_)])
+    return Result(document, [head] + list(_show(document, all_)))
 
 
 def _show(run: Mapping[str, Any], all_fields: bool) -> Iterator[str | Table]:

@@ -81,7 +81,7 @@ def show(name: SearchName, world: opt.World = None) -> Result:
     search = load_search(name, world)  # which checks it
     file = read_toml(search.path)
     document = {"search": search.name, "world": search.world, **file.data, "run": search.run}
-    return Result(document, [str(search.path), *file.text.splitlines()], search.full_title)
+    return Result(document, [str(search.path)] + file.text.splitlines(), search.full_title)
 
 
 @app.command()

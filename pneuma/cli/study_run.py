@@ -176,5 +176,5 @@ def _outcome(planned: plan.Plan, results: Sequence[execute.CellResult], store: S
     states = tallied(result.status.name for result in results) or "nothing to train"
     yield f"{planned.study.name}: {states}; {trained} trained now, {len(results) - trained} were stored."
     if results and all(result.status.finished for result in results):
-        words = [*spec.asked_words(planned.study), *spec.results_words(store.root)]
+        words = spec.asked_words(planned.study) + spec.results_words(store.root)
         yield f"Draw it with: {command('study', 'plot', *words)}"

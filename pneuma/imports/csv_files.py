@@ -94,7 +94,7 @@ def _name_parts(path: Path, shared: Path) -> tuple[str, ...]:
     name = path.name.removesuffix(MONITOR).removesuffix(".csv").rstrip(".")
     folders = path.resolve().parent.relative_to(shared).parts
     if name:
-        return (*folders, name)
+        return folders + (name,)
     return folders or (shared.name,)
 
 

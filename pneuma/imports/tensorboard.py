@@ -79,7 +79,7 @@ def _read_log(folder_names: tuple[str, ...], paths: Sequence[Path]) -> Log:
             notes.append(
                 f"{path.name} is damaged: its last {lost_bytes:,} of {len(data):,} bytes are left out"
             )
-    points = pd.DataFrame(rows, columns=["file", *Scalar._fields])
+    points = pd.DataFrame(rows, columns=("file",) + Scalar._fields)
     points["superseded"] = find_superseded(points)
     superseded = int(points["superseded"].sum())
     if superseded:

@@ -252,7 +252,7 @@ def _load_study(storage: JournalStorage, search: Search) -> optuna.Study:
     if study.directions != search.directions:
         raise ValueError("other directions")
     for trial in study.get_trials(deepcopy=False):
-        numbers = [*(trial.values or ()), *trial.intermediate_values.values()]
+        numbers = list(trial.values or ()) + list(trial.intermediate_values.values())
         is_whole = trial.state != TrialState.COMPLETE or len(trial.values) == len(search.objectives)
         are_ids = all(isinstance(run_id, str) for run_id in trial.user_attrs.get("run_ids", []))
         if not (is_whole and are_ids and all(map(math.isfinite, numbers)) and search.holds(trial.params)):

@@ -207,7 +207,7 @@ def load_search(name: str, world: str | None = None) -> Search:
     checked_world(world)
     if search.has_worlds:
         world = world or ARENA
-        run_fields = {**own_fields, **world_fields(world, {*search.space, *own_fields})}
+        run_fields = {**own_fields, **world_fields(world, search.space.keys() | own_fields.keys())}
         search = search.model_copy(update={"run": run_fields, "world": world})
     elif world:
         raise UserError(f"search {search.name} has only one environment; leave out the world {world}")

@@ -46,7 +46,7 @@ def run_search(search: Search, budget: Budget, store: Store, train: Train, say: 
     Raises:
         Unfinished: when a run crashed; trials that ended before are stored.
     """
-    runs = [search.make_run({}), *(run for _, run in search.corners())]
+    runs = [search.make_run({})] + [run for _, run in search.corners()]
     check_environments(runs)
     for name, objective in search.objectives.items():
         if objective.over_seeds == DEVIATION and len(budget.seeds) < 2:
@@ -91,7 +91,7 @@ def _run_generation(record: Record, store: Store, numbers: range, train: Train, 
             cells[number] = make_cells(record, number, trial.params)
         elif run_ids is not None:  # it has a note of why it can have no runs
             record.study.tell(number, state=TrialState.FAIL, skip_if_finished=True)
-    for pause in [*_pauses(record.search), EVALUATIONS]:
+    for pause in _pauses(record.search) + [EVALUATIONS]:
         running = [number for number in cells if record.trials[number].state == TrialState.RUNNING]
         planned: list[Cell] = []
         until: dict[str, int] = {}

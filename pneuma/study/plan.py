@@ -169,7 +169,7 @@ def _first_capable_engine() -> Callable[[Run], str]:
     from pneuma.engines.environment import able_engine  # gymnasium: not for Pneuma's own worlds
 
     cached_engine = cache(able_engine)
-    return lambda run: cached_engine(Run(**{key: getattr(run, key) for key in ("env", *OF_GYMNASIUM)}))
+    return lambda run: cached_engine(Run(**{key: getattr(run, key) for key in ("env",) + OF_GYMNASIUM}))
 
 
 @dataclass(frozen=True)
@@ -322,7 +322,7 @@ def default_preset(study: Study) -> str:
 def find_preset(study: Study, name: str) -> Preset:
     """Return a preset by its name; a UserError that lists the study's presets."""
     if name not in study.presets:
-        raise unknown_name(f"preset of study {study.name}", name, (*study.presets, LAST, CLAIMS))
+        raise unknown_name(f"preset of study {study.name}", name, list(study.presets) + [LAST, CLAIMS])
     return study.presets[name]
 
 

@@ -86,7 +86,7 @@ def find_file(
             places.append(copies / file)
         existing = [path for path in places if os.path.isfile(path)]
         if not existing:
-            return _by_figure(what, name, folder, [*shipped, *other_names])
+            return _by_figure(what, name, folder, shipped + list(other_names))
         path = existing[0]
         if path not in places[:2]:
             return path

@@ -264,7 +264,7 @@ class Study(Table):
     @property
     def variant(self) -> str:
         """The study's world and changed fields, as one text."""
-        return shlex.join([self.world, *setting_words(self.settings)])
+        return shlex.join([self.world] + setting_words(self.settings))
 
     @property
     def own_path(self) -> str | None:
@@ -352,7 +352,7 @@ def _mentioned_conditions(where: Where, amounts: Amounts) -> list[tuple[Where, s
     """Return the places, keys and names of the conditions that a preset mentions."""
     mentioned: list[tuple[Where, str, str]] = []
     for name in amounts.conditions:
-        mentioned.append(((*where, "conditions"), name, name))
+        mentioned.append((where + ("conditions",), name, name))
     for name in amounts.only:
         mentioned.append((where, "only", name))
     return mentioned
@@ -471,7 +471,7 @@ def does_nothing(key: str, runs: Iterable[Run]) -> str:
 
 def asked_words(study: Study) -> list[str]:
     """Return a command's words for a study as it is: its name or file, world and changed fields."""
-    return [study.file, *world_option(study.world, study.worlds), *setting_words(study.settings)]
+    return [study.file] + world_option(study.world, study.worlds) + setting_words(study.settings)
 
 
 def results_words(folder: Path) -> list[str]:

@@ -7,8 +7,9 @@ registered ones, if margins were set anew), and the version of the judge's rules
 found by its title, wherever it was. Nothing is known of a file outside a git checkout, nor of a commit that
 the checkout does not have, or at which there was no such list yet.
 
-Of the lists on the thesis and their published runs, `claims-history.json` holds what the history says, because
-neither an installed package nor a clone of depth 1 has a history. `python -m tools.claims_history` writes it.
+For the lists on the thesis and their published runs, `claims-history.json` holds what the history says,
+because neither an installed package nor a clone of depth 1 has a history. `python -m tools.claims_history`
+writes it.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def changed_since(
 
 def record_key(claims: ClaimList, claim: Claim, world: str, commits: Sequence[str]) -> str:
     """Return all that the answer of the history depends on: the list, the judge's rules, and the runs."""
-    return " ".join([claim.name, world, claims.digest, f"rules={RULES}", *commits])
+    return " ".join([claim.name, world, claims.digest, f"rules={RULES}"] + list(commits))
 
 
 @cache

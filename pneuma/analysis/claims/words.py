@@ -102,8 +102,8 @@ def count_words(by_claim: ByClaim) -> pd.DataFrame:
     for by_world in by_claim.values():
         for world, verdict in by_world.items():
             words[world].append(word(verdict))
-    rows = [[worlds[world], *map(words[world].count, WORDS)] for world in worlds]
-    return pd.DataFrame(rows, columns=["", *WORDS])
+    rows = [[worlds[world]] + list(map(words[world].count, WORDS)) for world in worlds]
+    return pd.DataFrame(rows, columns=[""] + list(WORDS))
 
 
 def verdict_table(by_claim: ByClaim) -> pd.DataFrame:
