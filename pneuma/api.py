@@ -81,9 +81,9 @@ def run_study(
         UserError: for an unknown study, selection or world, or when a run crashed or was killed.
         KeyboardInterrupt: after Ctrl-C; the same call resumes.
     """
-    most, store = _count("workers", workers) or available_cores(), _store(results)
+    most_workers, store = _count("workers", workers) or available_cores(), _store(results)
     planned = plan_study(_query(study, world, preset, seeds, steps, conditions, settings), store)
-    config = ExecutorConfig(workers=most)
+    config = ExecutorConfig(workers=most_workers)
     outcomes = train_plan(planned, store, config, quiet=quiet, on_progress=on_progress)
     if unwell := [outcome for outcome in outcomes if not outcome.status.finished]:
         cell, status = unwell[0].cell, unwell[0].status
@@ -130,9 +130,9 @@ def train_plan(
     Runs pause at the step `config.until`.
     """
     todo, notes = execute.prepare(planned, store, retry_failed, config.until or None)
-    if own := planned.study.own_path:
+    if own_path := planned.study.own_path:
         files = {path for cell in planned.cells for path in user_files(as_fields(cell.run))}
-        config = replace(config, project=project(Path(own), files))
+        config = replace(config, project=project(Path(own_path), files))
     for note in list(planned.notes) + list(notes):
         say(f"Note: {note}.")
     if todo:
@@ -305,9 +305,9 @@ def load_policy(
         UserError: for an unknown run, a run without a policy, or one that needs `trust`.
     """
     store = _store(results)
-    found = find_run(store, run_id)
-    run = trusted_settings(store, found, trust)
-    policy = stored_policy(store, found, run)
+    full_id = find_run(store, run_id)
+    run = trusted_settings(store, full_id, trust)
+    policy = stored_policy(store, full_id, run)
     env = read_field(Run, "env", run.get("env"))
     if is_gymnasium_id(env):
         settings = json.loads(run.get("env_kwargs") or "{}")
@@ -395,7 +395,7 @@ def _query(
     settings: Mapping[str, Any] | None,
 ) -> plan.Query:
     names = (conditions,) if isinstance(conditions, str) else tuple(conditions)
-    asked = plan.Query(
+    query = plan.Query(
         world=world,
         preset=preset,
         seeds=_seeds(seeds),
@@ -403,15 +403,15 @@ def _query(
         conditions=names,
         settings=plain(dict(settings or {})),
     )
-    return asked.named(os.fspath(study))
+    return query.named(os.fspath(study))
 
 
 def _seeds(seeds: int | Sequence[int] | None) -> tuple[int, ...] | None:
     if seeds is None:
         return None
     try:
-        given = plain(seeds)
-        return read_seeds(given if isinstance(given, int | str) else plain(list(given)))
+        plain_seeds = plain(seeds)
+        return read_seeds(plain_seeds if isinstance(plain_seeds, int | str) else plain(list(plain_seeds)))
     except (ValueError, TypeError):
         raise UserError(f"seeds = {seeds!r} is not allowed: a count, or different whole numbers") from None
 

@@ -304,17 +304,17 @@ ANNEALED = tuple(name for name in FIELDS if f"{name}_schedule" in FIELDS)
 """Fields that may fall over a run, each by a schedule of its own, as rl-baselines3-zoo's settings need."""
 
 
-def make_run(given: Mapping[str, object]) -> Run:
+def make_run(settings: Mapping[str, object]) -> Run:
     """Resolve fields to a complete run: checked, rounded, with all defaults filled in.
 
     Missing fields come from the environment's preset, and from the defaults of the algorithm and the
     optimizer. What these do not read is at the default of `Run`, so that two ways to write the same training
     give the same run. The budget is rounded up to whole horizons.
     """
-    env = str(given.get("env", ENVIRONMENTS[0]))
+    env = str(settings.get("env", ENVIRONMENTS[0]))
     usual = vars(Run())
     values: dict[str, Any] = {}
-    for name, value in read_fields(Run, with_environment(env, given)).items():
+    for name, value in read_fields(Run, with_environment(env, settings)).items():
         if value is not None or usual[name] is not None:
             values[name] = value
     if not is_gymnasium_id(env):
@@ -326,11 +326,11 @@ def make_run(given: Mapping[str, object]) -> Run:
     defaults = default_fields(learner.algorithm, values.get("optimizer", ""))
     complete = {**defaults, **values}
     learner = replace(learner, optimizer=complete.get("optimizer", learner.optimizer))
-    known = _read_by(learner.env, learner.algorithm, learner.optimizer, is_open(learner))
-    if values.get("learners") == "independent" and "learners" not in known:
+    readers = _read_by(learner.env, learner.algorithm, learner.optimizer, is_open(learner))
+    if values.get("learners") == "independent" and "learners" not in readers:
         _refuse("learners = independent", f"{learner.algorithm} trains one policy for all players")
-    run = Run(**{name: value for name, value in complete.items() if name in known})
-    idle = known - reads(run)
+    run = Run(**{name: value for name, value in complete.items() if name in readers})
+    idle = readers - reads(run)
     run = replace(run, **{name: defaults.get(name, usual[name]) for name in idle})
     run = replace(run, engine=_engine(run, values.get("engine", "")))
     _check_learner(run)
@@ -364,8 +364,8 @@ def reads(run: Run) -> frozenset[str]:
         "policy": not run.policy,
         "algorithm_kwargs": not run.algorithm_kwargs,
     }
-    known = _read_by(run.env, run.algorithm, run.optimizer, is_open(run))
-    return known - {name for name, is_idle in idle.items() if is_idle}
+    readers = _read_by(run.env, run.algorithm, run.optimizer, is_open(run))
+    return readers - {name for name, is_idle in idle.items() if is_idle}
 
 
 @cache

@@ -71,11 +71,11 @@ def _find(name: str) -> Path | None:
 
     The parts of the name are looked up one by one, because `find_spec` imports the packages before the last.
     """
-    first, *others = name.split(".")
+    first, *submodules = name.split(".")
     with suppress(ValueError), importing_from(Path.cwd()):
         spec = find_spec(first)
-        for part in others:
-            places = spec and spec.submodule_search_locations
-            spec = PathFinder.find_spec(part, places) if places else None
+        for submodule in submodules:
+            locations = spec and spec.submodule_search_locations
+            spec = PathFinder.find_spec(submodule, locations) if locations else None
         return Path(spec.origin) if spec and spec.has_location and spec.origin else None
     return None

@@ -231,10 +231,10 @@ def seeds_option(seeds: Collection[int]) -> str:
     return f"{text}," if len(seeds) == 1 else text
 
 
-def settings_name(settings: Mapping[str, Any], *more: str) -> str:
+def settings_name(settings: Mapping[str, Any], *words: str) -> str:
     """Return a file name for changed fields; the end of a long one is replaced by a checksum."""
     settings_texts = [f"{key}={shown_value(value)}" for key, value in settings.items()]
-    text = "-".join(settings_texts + list(more))
+    text = "-".join(settings_texts + list(words))
     name = re.sub(r"[^\w.=+-]+", "-", text).strip("-")
     if len(name) > LONGEST_NAME:
         digest = hashlib.sha256(text.encode(errors="replace")).hexdigest()

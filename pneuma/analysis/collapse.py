@@ -193,13 +193,13 @@ def both(one: list[Stretch], other: list[Stretch]) -> list[Stretch]:
 
 def joined(periods: list[Stretch], gap: float) -> list[Stretch]:
     """Join stretches that overlap or whose distance is at most `gap`."""
-    whole: list[Stretch] = []
+    overlaps: list[Stretch] = []
     for first, last in sorted(periods):
-        if whole and first - whole[-1][1] <= gap:
-            whole[-1] = (whole[-1][0], max(whole[-1][1], last))
+        if overlaps and first - overlaps[-1][1] <= gap:
+            overlaps[-1] = (overlaps[-1][0], max(overlaps[-1][1], last))
         else:
-            whole.append((first, last))
-    return whole
+            overlaps.append((first, last))
+    return overlaps
 
 
 def share_held(periods: list[Stretch], within: Stretch, distance: float) -> float:

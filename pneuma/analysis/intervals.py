@@ -228,13 +228,15 @@ def bootstrap_interval(
     """
     if runs.size < LEAST_RUNS or is_constant(runs):
         return no_interval()
-    seen = float(statistic(runs))
-    drawn = statistic(runs[generator.integers(0, runs.size, (RESAMPLES, runs.size))])
-    below = (np.count_nonzero(drawn < seen) + 0.5 * np.count_nonzero(drawn == seen)) / RESAMPLES
+    estimate = float(statistic(runs))
+    resampled = statistic(runs[generator.integers(0, runs.size, (RESAMPLES, runs.size))])
+    below = (
+        np.count_nonzero(resampled < estimate) + 0.5 * np.count_nonzero(resampled == estimate)
+    ) / RESAMPLES
     bias = special.ndtri(np.clip(below, 0.5 / RESAMPLES, 1 - 0.5 / RESAMPLES))
     z = special.ndtri(np.array([(1 - LEVEL) / 2, (1 + LEVEL) / 2]))
     shares = special.ndtr(bias + (bias + z) / (1 - _acceleration(runs, statistic) * (bias + z)))
-    low, high = np.quantile(drawn, shares)
+    low, high = np.quantile(resampled, shares)
     if low == high:  # mostly equal runs: an interval without width would claim too much
         return no_interval()
     return Interval(float(low), float(high), "BCa bootstrap")
@@ -242,8 +244,8 @@ def bootstrap_interval(
 
 def _acceleration(runs: np.ndarray, statistic: Callable[[ArrayLike], np.ndarray]) -> float:
     """Return BCa's acceleration: the skew of the statistic with each run left out once."""
-    left = statistic(np.array([np.delete(runs, place) for place in range(runs.size)]))
-    skew = left.mean() - left
+    without_one = statistic(np.array([np.delete(runs, omitted) for omitted in range(runs.size)]))
+    skew = without_one.mean() - without_one
     squares = (skew**2).sum()
     return float((skew**3).sum() / (6 * squares**1.5)) if squares > 0 else 0.0
 
@@ -273,8 +275,8 @@ def shown(value: float, places: int) -> str:
 
 def shown_with_interval(value: float, low: float, high: float) -> str:
     """Return a number and its interval as text, with the digits that the interval supports."""
-    places = decimals(value, low, high)
-    ends = shown(low, places), shown(high, places)
+    digits = decimals(value, low, high)
+    ends = shown(low, digits), shown(high, digits)
     if math.isnan(low) or math.isnan(high) or ends[0] == ends[1]:  # nearly equal runs: no width would show
-        return shown(value, places)
-    return f"{shown(value, places)} [{' to '.join(ends)}]"
+        return shown(value, digits)
+    return f"{shown(value, digits)} [{' to '.join(ends)}]"

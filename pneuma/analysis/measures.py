@@ -118,12 +118,12 @@ def share_area(run: Row) -> float:
     return mean_height(*run.known_evaluations("share_killed"), run.budget)
 
 
-def steps_to(run: Row, least: float, column: str) -> float:
+def steps_to(run: Row, threshold: float, column: str) -> float:
     """Return the step of the first evaluation that reaches a value; infinite if none does."""
     steps, values = run.known_evaluations(column)
     if not len(values):
         return NAN
-    reached = steps[values >= least]
+    reached = steps[values >= threshold]
     return float(reached[0]) if len(reached) else np.inf
 
 

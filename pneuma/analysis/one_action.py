@@ -56,7 +56,7 @@ def time_in_one_action(data: StudyData, condition: str) -> Curve:
     shares: list[list[float]] = []
     for run in data.of_condition(condition):
         steps, actions = run.known_evaluations(COLUMN)
-        part = np.ceil(PARTS * steps / run.budget).clip(1, PARTS)
-        by_part = pd.Series(actions > ONE_ACTION).groupby(part).mean()
+        fifth = np.ceil(PARTS * steps / run.budget).clip(1, PARTS)
+        by_part = pd.Series(actions > ONE_ACTION).groupby(fifth).mean()
         shares.append(by_part.reindex(range(1, PARTS + 1)).tolist())
     return Curve(condition, pd.DataFrame(np.transpose(shares), range(1, PARTS + 1)))

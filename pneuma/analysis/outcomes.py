@@ -113,14 +113,14 @@ def find_outcome(name: str) -> Outcome:
         column = "share_killed"
     if not threshold:
         raise unknown_name("outcome", name, (*OUTCOMES, "steps-to:X", "steps-to-return:X"))
-    least = float(threshold[1])
+    threshold_value = float(threshold[1])
     reached = f"an evaluation returns {threshold[1]}"
     if column == "share_killed":
-        reached = f"{100 * least:g}% of the monsters are killed"
+        reached = f"{100 * threshold_value:g}% of the monsters are killed"
     return Outcome(
         words=f"steps until {reached} (inf: never)",
         source="evaluations",
-        measure=partial(measures.steps_to, least=least, column=column),
+        measure=partial(measures.steps_to, threshold=threshold_value, column=column),
         unit="steps",
         better="lower",
         bounds=BOUNDS["positive"],
@@ -132,7 +132,9 @@ def check_outcome(name: str, environments: Collection[str]) -> None:
     """Refuse an outcome that is unknown, or that runs in none of some environments can have."""
     if any(map(find_outcome(name).is_recorded_in, environments)):
         return
-    recorded = [other for other in OUTCOMES if any(map(OUTCOMES[other].is_recorded_in, environments))]
+    recorded = [
+        candidate for candidate in OUTCOMES if any(map(OUTCOMES[candidate].is_recorded_in, environments))
+    ]
     where = ", ".join(sorted(environments))
     raise unknown_name(f"outcome of {where}", name, (*recorded, "steps-to-return:X"))
 
@@ -213,12 +215,12 @@ def have_one_return(data: StudyData) -> bool:
 
 def kinds_of_return(data: StudyData, conditions: Iterable[str] | None = None) -> set[str]:
     """Return the rewards and numbers of players of conditions (default: all), in which returns differ."""
-    kinds = set()
+    units = set()
     for condition in data.conditions if conditions is None else conditions:
         runs = data.of_condition(condition)
         if runs and runs[0].averaged_over is None:  # logs do not contain their reward
-            kinds.add(unit_of_return(runs[0]))
-    return kinds
+            units.add(unit_of_return(runs[0]))
+    return units
 
 
 def unit_of_return(run: Row) -> str:

@@ -94,12 +94,12 @@ def power_of_shares(share_a: float, share_b: float, seeds: int) -> float:
     return float(chances_a @ leaves_out_0 @ chances_b)
 
 
-def _fewest(power_of: Callable[[int], float], power: float, most: int) -> int | None:
+def _fewest(power_of: Callable[[int], float], power: float, most_runs: int) -> int | None:
     """Return the fewest seeds with a power, found by doubling and halving."""
     low, high = 1, 2
     while power_of(high) < power:
         low, high = high, 2 * high
-        if low >= most:
+        if low >= most_runs:
             return None
     while high - low > 1:
         middle = (low + high) // 2

@@ -190,15 +190,15 @@ def _runs_of_older_versions(
     """Return finished runs that have the fields of cells, but were trained by other versions."""
     finished = stored[stored["status"].isin(FINISHED)]
     candidates = missing[["condition", "seed", "steps"]].merge(finished, on=["seed", "steps"])
-    alike = []
+    same_fields = []
     for (condition, _), runs in candidates.groupby(["condition", "config_id"], sort=False):
         stored_fields = index.document("fields", str(runs["run_id"].iloc[0]))
         if have_same_fields(as_fields(configurations[str(condition)]), stored_fields):
             origins = [index.document("provenance", run_id) for run_id in runs["run_id"]]
-            alike.append(runs.assign(started=[str(origin.get("started", "")) for origin in origins]))
-    if not alike:
+            same_fields.append(runs.assign(started=[str(origin.get("started", "")) for origin in origins]))
+    if not same_fields:
         return candidates.iloc[:0]
-    newest_first = pd.concat(alike).sort_values("started", ascending=False, kind="stable")
+    newest_first = pd.concat(same_fields).sort_values("started", ascending=False, kind="stable")
     return newest_first.drop_duplicates(["condition", "seed"]).drop(columns="started")
 
 

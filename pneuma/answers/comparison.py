@@ -171,8 +171,8 @@ def _notes_on_pair(a: Group, b: Group) -> list[str]:
         notes.append(f"Note: these runs were trained by different engines ({' and '.join(engines)}).")
     shared = a.run_ids & b.run_ids
     if shared:
-        both = counted(len(shared), "run")
-        notes.append(f"Note: {a.name} and {b.name} have the same settings and share {both}.")
+        shared_runs = counted(len(shared), "run")
+        notes.append(f"Note: {a.name} and {b.name} have the same settings and share {shared_runs}.")
     return notes
 
 

@@ -96,8 +96,8 @@ def verify(
 def _origin(index: RunIndex, verdicts: Sequence[Verdict]) -> str:
     """Return how many of the runs that were read are the user's own, which count before published ones."""
     run_ids = {run_id for verdict in verdicts for run_id in verdict.run_ids}
-    own = int((index.frame.loc[list(run_ids), "where"] == "").sum())
-    return f"Read {own:,} runs from {index.store.root} and {len(run_ids) - own:,} published runs."
+    own_runs = int((index.frame.loc[list(run_ids), "where"] == "").sum())
+    return f"Read {own_runs:,} runs from {index.store.root} and {len(run_ids) - own_runs:,} published runs."
 
 
 def _list_row(claims: ClaimList) -> dict[str, Any]:

@@ -40,8 +40,8 @@ class _Commands(Mapping[str, Any]):
     """The commands by name, each imported when it is asked for."""
 
     def __getitem__(self, name: str) -> Any:
-        found = get_command(import_module(f"pneuma.cli.{COMMANDS[name][0]}").app)
-        return getattr(found, "commands", {}).get(name, found)
+        group = get_command(import_module(f"pneuma.cli.{COMMANDS[name][0]}").app)
+        return getattr(group, "commands", {}).get(name, group)
 
     def __iter__(self) -> Iterator[str]:
         return iter(COMMANDS)
@@ -53,8 +53,8 @@ class _Commands(Mapping[str, Any]):
 class _Root(TyperGroup):
     """The group of all commands, whose help imports none."""
 
-    def __init__(self, **given: Any) -> None:
-        super().__init__(**{**given, "commands": _Commands()})
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**{**options, "commands": _Commands()})
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find a command; of one that is in a group, such as `plot`, name the group."""

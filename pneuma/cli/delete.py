@@ -31,9 +31,9 @@ def delete_study(name: opt.Study, selection: opt.RunFilter, yes: Yes = False) ->
     study, store = data.study, index.store
     stored = set(data.runs["run_id"][data.runs["where"] == ""])
     shared: dict[str, str] = {}
-    for held in studies_here(index):
-        if (held.study.name, held.study.world) != (study.name, study.world):
-            shared |= dict.fromkeys(stored.intersection(held.runs["run_id"]), held.where)
+    for holder in studies_here(index):
+        if (holder.study.name, holder.study.world) != (study.name, study.world):
+            shared |= dict.fromkeys(stored.intersection(holder.runs["run_id"]), holder.where)
     notes = []
     if shared:
         notes.append(f"Note: kept, as {shared[min(shared)]} has them too: {counted(len(shared), 'run')}.")

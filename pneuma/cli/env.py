@@ -167,10 +167,12 @@ def _run_id(player: str, env: str, results: Path) -> str:
         return player
     worlds = [name for name, world in WORLDS.items() if world.env == env]
     data = opt.RunFilter(world=next(iter(worlds), None), results=results).open(player.removeprefix(BEST))
-    parts = by_environment(data)
-    if env not in parts:
-        raise UserError(f"--player {player}: was trained in {' and '.join(parts)}, not in {env}")
-    _, ranked = ranked_runs(parts[env])
+    data_by_environment = by_environment(data)
+    if env not in data_by_environment:
+        raise UserError(
+            f"--player {player}: was trained in {' and '.join(data_by_environment)}, not in {env}"
+        )
+    _, ranked = ranked_runs(data_by_environment[env])
     return str(ranked["run_id"].iloc[0])
 
 

@@ -213,16 +213,16 @@ class Place:
 class Commands(typer.Typer):
     """A group of commands."""
 
-    def __init__(self, name: str, help_text: str, **more: Any) -> None:
+    def __init__(self, name: str, help_text: str, **options: Any) -> None:
         """Make a group without commands."""
         super().__init__(
             name=name,
             help=help_text,
-            **{"no_args_is_help": True, "rich_markup_mode": None, "add_completion": False, **more},
+            **{"no_args_is_help": True, "rich_markup_mode": None, "add_completion": False, **options},
         )
 
-    def command(self, name: str | None = None, **more: Any) -> Any:
-        add = super().command(name, **more)
+    def command(self, name: str | None = None, **options: Any) -> Any:
+        add = super().command(name, **options)
         return lambda function: add(_printing(function))
 
 

@@ -110,14 +110,14 @@ class Result:
 
 def answer_result(answer: Answer) -> Result:
     """Return an answer as a command prints it."""
-    shown: list[str | Table] = []
+    texts: list[str | Table] = []
     for cells in answer.cells:
-        if shown or answer.title:
-            shown.append("")
-        shown.append(frame_table(cells))
+        if texts or answer.title:
+            texts.append("")
+        texts.append(frame_table(cells))
     if answer.legend:
-        shown += [""] + list(answer.legend)
-    return Result(answer.document, shown, answer.title, answer.notes, answer.cells[0], answer.table)
+        texts += [""] + list(answer.legend)
+    return Result(answer.document, texts, answer.title, answer.notes, answer.cells[0], answer.table)
 
 
 def rows_result(name: str, rows: Sequence[Mapping[str, Any]]) -> Result:
@@ -213,7 +213,10 @@ def _column_widths(lines: Sequence[Sequence[str]], room: float) -> list[int]:
         words = " ".join(column).split(" ")
         least_widths.append(max(map(cell_len, words)))
     while sum(widths) > room:
-        spare = [width if width > least else 0 for width, least in zip(widths, least_widths, strict=True)]
+        spare = [
+            width if width > least_width else 0
+            for width, least_width in zip(widths, least_widths, strict=True)
+        ]
         if not any(spare):
             break
         widths[spare.index(max(spare))] -= 1

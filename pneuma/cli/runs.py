@@ -56,16 +56,16 @@ def list_(
     from pneuma.store.index import RunIndex
 
     index = RunIndex(Store(results))
-    labels, here = _labels(index), index.frame[index.frame["where"] == ""]
-    here = here.rename(columns={"end": "step"})[["run_id", "status", "step", "seed"]]
-    runs = [{**run, "studies": labels.get(run["run_id"], [])} for run in rows_of(here)]
+    labels, own_runs = _labels(index), index.frame[index.frame["where"] == ""]
+    own_runs = own_runs.rename(columns={"end": "step"})[["run_id", "status", "step", "seed"]]
+    runs = [{**run, "studies": labels.get(run["run_id"], [])} for run in rows_of(own_runs)]
     lines = []
     for run in runs:
         studies = ", ".join(f"{label['study']}/{_condition(label)}" for label in run["studies"])
         amount = f"{run['step']:>12,} steps", f"seed {run['seed']}"
         lines.append((run["run_id"], run["status"], *amount, studies or "of no study"))
-    shown = Table([""] * 5, lines) if lines else f"No run is stored in {results} yet."
-    return Result({"runs": runs}, [shown])
+    table = Table([""] * 5, lines) if lines else f"No run is stored in {results} yet."
+    return Result({"runs": runs}, [table])
 
 
 def _labels(index: RunIndex) -> dict[str, list[dict[str, Any]]]:

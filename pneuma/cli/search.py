@@ -96,8 +96,8 @@ def _status(record: Record, name: str, location: Location) -> Iterator[str | Tab
     from pneuma.search.spec import shown_params
 
     budget, best = record.budget, record.best
-    kind = "Published, without its runs" if record.published else "Optuna's log"
-    yield f"{kind}: {record.path}"
+    source = "Published, without its runs" if record.published else "Optuna's log"
+    yield f"{source}: {record.path}"
     amount = f"{counted(len(budget.seeds), 'seed')} each, {budget.steps:,} steps a run"
     yield f"{len(record.ended)} of {counted(budget.trials, 'trial')}, {amount}"
     for objective in record.search.objectives.values():

@@ -79,14 +79,14 @@ class Reach(Table):
 
     def places(self) -> list[tuple[float, ...]]:
         """Return x and y relative to the player, by facing."""
-        places = []
+        positions = []
         for facing, (x, y) in DIRECTIONS.items():
             reach = getattr(self, facing)
             if isinstance(reach, tuple):
-                places.append(reach)
+                positions.append(reach)
             else:
-                places.append((reach * x, reach * y))
-        return places
+                positions.append((reach * x, reach * y))
+        return positions
 
 
 class Weapon(Table):

@@ -208,7 +208,7 @@ def visible_ground(level: Level) -> np.ndarray:
 def land_and_shore(levels: Sequence[Level]) -> Rectangle:
     """Return the box of the land of all levels and the water around, in art pixels."""
     land = np.any([level.terrain != rules.COAST for level in levels], axis=0)
-    places = np.argwhere(land)
-    top, left = np.maximum(places.min(axis=0) - SHORE_TILES, 0).tolist()
-    bottom, right = np.minimum(places.max(axis=0) + 1 + SHORE_TILES, land.shape).tolist()
+    tiles = np.argwhere(land)
+    top, left = np.maximum(tiles.min(axis=0) - SHORE_TILES, 0).tolist()
+    bottom, right = np.minimum(tiles.max(axis=0) + 1 + SHORE_TILES, land.shape).tolist()
     return Rectangle(left * TILE, top * TILE, right * TILE, bottom * TILE)

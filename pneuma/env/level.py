@@ -189,10 +189,10 @@ def first_cut_off(level: Level, free: np.ndarray, side: float, monsters: int) ->
     """
     abreast = math.ceil(side / level.tile)
     regions = walkable_regions(free, abreast)
-    places = level.starts.tolist()
+    positions = level.starts.tolist()
     for monster in level.monsters[:monsters]:
-        places.append((monster.x, monster.y))
-    regions_by_place = [_regions_at(regions, abreast, level, x, y) for x, y in places]
+        positions.append((monster.x, monster.y))
+    regions_by_place = [_regions_at(regions, abreast, level, x, y) for x, y in positions]
     places_by_region = Counter(region for place_regions in regions_by_place for region in place_regions)
     sizes = np.bincount(regions.ravel())
     home = max(places_by_region, key=lambda region: (places_by_region[region], sizes[region]), default=0)

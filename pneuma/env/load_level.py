@@ -168,7 +168,9 @@ def _read_table(table_path: Path, row_types: TypeAdapter[Any], header: str = "")
         mistake = error.errors()[0]
         numbers = np.add(mistake["loc"], 1)  # of row and column, as far as it is in one
         numbers[:1] += header_rows
-        place = "".join(
+        location = "".join(
             f"{name} {number}: " for name, number in zip(("row", "column"), numbers, strict=False)
         )
-        raise UserError(f"{table_path}: {place}{mistake['msg']}, not {str(mistake['input'])[:40]}") from None
+        raise UserError(
+            f"{table_path}: {location}{mistake['msg']}, not {str(mistake['input'])[:40]}"
+        ) from None

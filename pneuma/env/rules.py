@@ -79,9 +79,9 @@ def begin_episode(state: State, world_index: int, start_index: int) -> None:
         state.players[world_index, player_index] = state.first_players[player_index]
         if state.settings[0].keep_xp:
             player.xp = kept_xp
-        place = state.starts[episode.level, (episode.start + player_index) % starts]
-        player.x = place[0]
-        player.y = place[1]
+        start = state.starts[episode.level, (episode.start + player_index) % starts]
+        player.x = start[0]
+        player.y = start[1]
         slot = state.slots[world_index, player_index]
         slot.returns = 0.0
         slot.lengths = 0
@@ -176,10 +176,10 @@ def _list_neighbours(world: World, body_index: int) -> None:
     neighbours = world.near[body_index]
     neighbours[0] = 0
     for other_index in range(len(world.boxes)):
-        other = world.boxes[other_index]
-        near_x = abs(other.place[0] - mover.place[0]) < reach
-        near_y = abs(other.place[1] - mover.place[1]) < reach
-        if other_index != body_index and near_x and near_y and other.alive:
+        other_box = world.boxes[other_index]
+        near_x = abs(other_box.place[0] - mover.place[0]) < reach
+        near_y = abs(other_box.place[1] - mover.place[1]) < reach
+        if other_index != body_index and near_x and near_y and other_box.alive:
             neighbours[0] += 1
             neighbours[neighbours[0]] = other_index
 
@@ -591,12 +591,12 @@ def move(
 
     `stops` has a bit for each code of terrain that stops it.
     """
-    place = world.boxes[body_index].place
+    box_place = world.boxes[body_index].place
     if step_x != 0.0:
-        place[0] = _moved_along(world, body_index, 0, step_x, stops, among_bodies)
+        box_place[0] = _moved_along(world, body_index, 0, step_x, stops, among_bodies)
     if step_y != 0.0:
-        place[1] = _moved_along(world, body_index, 1, step_y, stops, among_bodies)
-    return place[0], place[1]
+        box_place[1] = _moved_along(world, body_index, 1, step_y, stops, among_bodies)
+    return box_place[0], box_place[1]
 
 
 @inlined

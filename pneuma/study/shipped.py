@@ -81,14 +81,14 @@ def find_file(
             return folder / path  # such as examples/cartpole.toml, from any folder
     else:
         file = f"{name}.toml"
-        places = [Path(file), Path("examples", file), folder / "examples" / file]
+        candidates = [Path(file), Path("examples", file), folder / "examples" / file]
         if copies:
-            places.append(copies / file)
-        existing = [path for path in places if os.path.isfile(path)]
+            candidates.append(copies / file)
+        existing = [path for path in candidates if os.path.isfile(path)]
         if not existing:
             return _by_figure(what, name, folder, shipped + list(other_names))
         path = existing[0]
-        if path not in places[:2]:
+        if path not in candidates[:2]:
             return path
     refuse_taken_name(path, folder / path.name, what)
     return path

@@ -194,8 +194,10 @@ class Claim(Table):
             registered = self.margin_of(world, outcome)
         return registered
 
-    def _margin(self, own: ByOutcome, of_list: Mapping[str, Any], world: str, outcome: str) -> float | None:
-        margin = pick(own, outcome, world)
+    def _margin(
+        self, margins: ByOutcome, of_list: Mapping[str, Any], world: str, outcome: str
+    ) -> float | None:
+        margin = pick(margins, outcome, world)
         if margin is None and self.is_incidence:
             outcome = "incidence"
         if margin is None:
@@ -364,10 +366,10 @@ def _read_claim(file: TomlFile, name: str, contents: ClaimsFile, studies: dict[s
         return file.mistake(("claims", name), f"{key}: {message}", key)
 
     keys = claim_keys(file.data, name)
-    other = str(keys.get("like") or name)
-    if other not in contents.claims or (other != name and "like" in contents.claims[other]):
+    referred = str(keys.get("like") or name)
+    if referred not in contents.claims or (referred != name and "like" in contents.claims[referred]):
         candidates = [key for key, table in contents.claims.items() if "like" not in table]
-        raise mistake("like", unknown_name("claim", other, candidates))
+        raise mistake("like", unknown_name("claim", referred, candidates))
     study_name = str(keys.get("study", ""))
     file_or_name = study_name
     if study_name.endswith(".toml"):

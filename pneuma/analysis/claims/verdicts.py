@@ -185,8 +185,8 @@ def _label(claims: ClaimList, claim: Claim, changed: Iterable[str]) -> str:
 
 def _reason(verdict: str, rows: Sequence[ClaimContrast]) -> str:
     if verdict == UNTESTABLE:  # each part of the reasons once, the command that trains what is missing last
-        parts = dict.fromkeys("; ".join(row.contrast.reason for row in rows).split("; "))
-        return "; ".join(sorted(filter(None, parts), key=lambda part: part.startswith(TRAIN_WITH)))
+        reasons = dict.fromkeys("; ".join(row.contrast.reason for row in rows).split("; "))
+        return "; ".join(sorted(filter(None, reasons), key=lambda reason: reason.startswith(TRAIN_WITH)))
     if verdict != REFUTED:
         return ""
     for row in rows:
@@ -229,9 +229,9 @@ def _judge_contrast(runs: ClaimRuns, outcome: str, pair: Pair, alpha: float) -> 
     second = {condition: arms[condition] for condition in b}
     constant = value or 0.0
     if isinstance(constant, str):  # of each run its own other outcome is taken away, their mean added again
-        others = runs.values(constant, a[0])
-        constant = float(others.mean())
-        first[a[0]] = first[a[0]] - others + constant
+        other_values = runs.values(constant, a[0])
+        constant = float(other_values.mean())
+        first[a[0]] = first[a[0]] - other_values + constant
     contrast = compare_arms(claim.kind, first, second, 1 - alpha, constant)
     none_learned = _have_none_learned(runs, outcome, conditions)
 

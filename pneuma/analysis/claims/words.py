@@ -202,12 +202,12 @@ def details(verdict: Verdict) -> list[str]:
         return texts + [verdict.reason]
     for row in verdict.contrasts:
         runs = " and ".join(map(str, filter(None, row.contrast.seeds)))
-        parts = [f"{' against '.join(row.names)}, {runs} runs:"]
+        phrases = [f"{' against '.join(row.names)}, {runs} runs:"]
         if row.has_effect:
-            parts.append(effect(row))
+            phrases.append(effect(row))
         if row.contrast.reason:
-            parts.append(f"({row.contrast.reason})")
-        texts.append(" ".join(parts))
+            phrases.append(f"({row.contrast.reason})")
+        texts.append(" ".join(phrases))
     return texts
 
 
