@@ -14,8 +14,8 @@ import numpy as np
 from pneuma.analysis.collapse import diagnose
 from pneuma.config import is_gymnasium_id
 from pneuma.env.fields import ACTION_NAMES
-from pneuma.store.rows import STUCK, Row
-from pneuma.store.series import EXTREMES, NO_ENTROPY, mean_height
+from pneuma.store.rows import PEAK, STUCK, Row
+from pneuma.store.series import NO_ENTROPY, mean_height
 
 Measure = Callable[[Row], float]
 Take = Callable[[np.ndarray], float]
@@ -142,11 +142,7 @@ def overestimation(run: Row) -> float:
 
 def peak(run: Row, name: str) -> float:
     """Return the extreme update of a quantity."""
-    exact = run.exact(name, "peak")
-    _, values = run.known_peaks(name)
-    if np.isnan(exact) and len(values):
-        return float(EXTREMES[name].reduce(values))
-    return exact
+    return run.statistic(name, PEAK)
 
 
 def log_max(run: Row, name: str) -> float:

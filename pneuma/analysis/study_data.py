@@ -313,12 +313,12 @@ class StudyData:
 
     @cached_property
     def evaluated(self) -> bool:
-        return all(run.evaluation_columns for run in self.rows)
+        return all(run.evaluations_table.num_columns for run in self.rows)
 
     @cached_property
     def evaluations(self) -> pd.DataFrame:
         """The evaluations of all runs: condition, seed, run_id, and the columns of the records."""
-        tables = [run.evaluations_table() for run in self.rows]
+        tables = [run.evaluations_table for run in self.rows]
         frame = pa.concat_tables(tables, promote_options="permissive").to_pandas(use_threads=False)
         counts = [table.num_rows for table in tables]
         for place, key in enumerate(RUN_KEY_COLUMNS):

@@ -174,7 +174,8 @@ def _missing_values(data: StudyData, table: pd.DataFrame, outcomes: Sequence[str
 
 def few_episodes(data: StudyData, outcomes: Sequence[str]) -> str:
     """Return how many runs' last returns average few episodes; empty if none do."""
-    counts = sorted(run.last_episodes for run in data.rows if 0 < run.last_episodes < FEW_EPISODES)
+    last_counts = [run.statistic("episodes", "last") for run in data.rows]
+    counts = sorted(count for count in last_counts if 0 < count < FEW_EPISODES)
     if not counts or "final-return" not in outcomes:
         return ""
     between = f"{counts[0]:.0f}"

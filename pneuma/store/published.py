@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pneuma.files import checksum, parse_json, stored_file
-from pneuma.store.rows import CURVE, Row, column_type, read_row, sound_rows
+from pneuma.store.rows import COLUMN_TYPES, CURVE, Row, read_row, sound_rows
 from pneuma.store.tables import from_parquet
 
 
@@ -30,7 +30,7 @@ def encode_published(
     """
     table = pa.concat_tables([row.table for row in rows], promote_options="permissive")
     table = _without_folders(table.combine_chunks())
-    curve_names = [name for name in table.column_names if column_type(name) == CURVE]
+    curve_names = [name for name in table.column_names if COLUMN_TYPES.get(name) == CURVE]
     if curves is not None:
         left_out = [name for name in curve_names if name.partition(" ")[0] not in curves]
         table = table.drop_columns(left_out)
@@ -76,7 +76,7 @@ _NO_CHECKSUM = b"sha256:" + b"0" * 64
 _CHECKSUM = re.compile(rb"sha256:([0-9a-f]{64})")
 
 INDEX_COLUMNS = ["run_id", "config_id", "seed", "steps", "status", "end"]
-_INDEX_SCHEMA = pa.schema([pa.field(name, column_type(name), nullable=False) for name in INDEX_COLUMNS])
+_INDEX_SCHEMA = pa.schema([pa.field(name, COLUMN_TYPES[name], nullable=False) for name in INDEX_COLUMNS])
 
 
 class Published:

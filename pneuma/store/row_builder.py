@@ -13,20 +13,21 @@ import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from pneuma.config import Run, as_fields
+from pneuma.config import Run
 from pneuma.errors import UserError
 from pneuma.files import parse_json, stored_file
 from pneuma.store import rows, series
-from pneuma.store.checkpoints import TABLES, sound_checkpoint, table_files
+from pneuma.store.checkpoints import sound_checkpoint, table_files
 from pneuma.store.quantities import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.store.rows import Row, curve_column, decode_row, encode_row
-from pneuma.store.store import ROW_FILE, SCALARS_FILE, Status, Store, run_identity
+from pneuma.store.store import ROW_FILE, SCALARS_FILE, Status, Store, run_document, run_identity
 from pneuma.store.tables import from_parquet
 
 if TYPE_CHECKING:
@@ -44,26 +45,20 @@ LEVELS = 512
 def of_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> series.Recorded:
     """Return what a run's record tables contain."""
     quantities: dict[str, series.Series] = {}
+    # from where every slot has finished an episode
+    first_step = math.inf
     for name, columns in (("episodes", EPISODE_QUANTITIES), ("metrics", UPDATE_QUANTITIES)):
-        table = tables[name]
+        table = tables[f"{name}.parquet"]
+        table = table.take(np.argsort(table["step"].to_numpy(), kind="stable"))
         steps = table["step"].to_numpy().astype(float)
-        order = np.argsort(steps, kind="stable")
         for column in columns:
             if column in table.column_names:
-                values = table[column].to_numpy().astype(float)
-                quantities[column] = steps[order], values[order]
-    return series.Recorded(
-        quantities, tables["evaluations"].to_pylist(), _first_step(fields, tables["episodes"])
-    )
-
-
-def _first_step(fields: Mapping[str, Any], episodes: pa.Table) -> float:
-    """Return the step from which every slot has finished an episode; infinite if one has none."""
-    first_steps = episodes.group_by("slot").aggregate([("step", "min")])["step_min"].to_numpy()
-    slots, players = fields.get("slots"), fields.get("players", 1)
-    if isinstance(slots, int) and isinstance(players, int) and len(first_steps) == slots * players > 0:
-        return float(first_steps.max())
-    return math.inf
+                quantities[column] = steps, table[column].to_numpy().astype(float)
+        if name == "episodes":
+            _, first_places = np.unique(table["slot"].to_numpy(), return_index=True)
+            if len(first_places) == (fields.get("slots") or 0) * fields.get("players", 1) > 0:
+                first_step = steps[first_places].max()
+    return series.Recorded(quantities, tables["evaluations.parquet"].to_pylist(), first_step)
 
 
 # --- Of stored runs ----------------------------------------------------------------------------------
@@ -74,8 +69,8 @@ def stored_row(store: Store, name: str) -> Row:
     with suppress(Exception):  # whatever is wrong with it
         return decode_row(store.read_file(name, ROW_FILE))
     with stored_file(store.run_folder(name)):
-        files = {file: store.read_file(name, file) for file in store.checksums(name) if file != ROW_FILE}
-        data = encode_row(cells_of_files(name, store.status(name, quick=True), files))
+        status = store.status(name, quick=True)
+        data = encode_row(cells_of_files(name, status, _stored_files(store, name)))
         row = decode_row(data)
     with suppress(UserError):  # a folder that cannot be written is still read
         store.save_row(name, data)
@@ -85,35 +80,39 @@ def stored_row(store: Store, name: str) -> Row:
 def row_until(store: Store, name: str, run: Run, step: int) -> Row:
     """Return the row that a run would have if it had ended at a step, from its files or latest checkpoint."""
     if store.status(name, quick=True).finished:
-        files = {table: store.read_file(name, f"{table}.parquet") for table in TABLES}
+        files = _stored_files(store, name)
     else:
         latest = sound_checkpoint(store.run_folder(name))
         if latest is None or latest.step < step:
             raise UserError(
                 f"{store.run_folder(name)}: has no valid checkpoint at step {step:,}; search again"
             )
-        files = table_files(latest.records)
-    tables = {}
-    for table_name, data in files.items():
-        table = from_parquet(data)
-        tables[table_name] = table.filter(pc.less_equal(table["step"], step))
-    status, fields = Status("done", step, identity=run_identity(run)), as_fields(replace(run, steps=step))
-    cells = row_cells(name, status, fields, recorded=of_tables(fields, tables), provenance={})
-    return decode_row(encode_row(cells))
+        files = {f"{table}.parquet": data for table, data in table_files(latest.records).items()}
+    files |= {"run.json": run_document(replace(run, steps=step), name), "provenance.json": b"{}"}
+    status = Status("done", step, identity=run_identity(run))
+    return decode_row(encode_row(cells_of_files(name, status, files, until=step)))
 
 
-def cells_of_files(name: str, status: Status, files: Mapping[str, bytes]) -> dict[str, Any]:
-    """Return the cells of a finished run's row, from the files that it leaves."""
-    fields = parse_json(files["run.json"])["run"]
+def _stored_files(store: Store, name: str) -> dict[str, bytes]:
+    return {file: store.read_file(name, file) for file in store.checksums(name) if file != ROW_FILE}
+
+
+def cells_of_files(
+    name: str, status: Status, files: Mapping[str, bytes], until: int | None = None
+) -> dict[str, Any]:
+    """Return the cells of a finished run's row, from the files that it leaves, or their rows up to a step."""
+    fields, provenance = parse_json(files["run.json"])["run"], parse_json(files["provenance.json"])
     tables = {}
     for file, data in files.items():
         if file.endswith(".parquet"):
-            tables[file.removesuffix(".parquet")] = from_parquet(data)
-    provenance = parse_json(files["provenance.json"])
-    if "scalars" in tables:
+            table = from_parquet(data)
+            if until is not None:
+                table = table.filter(pc.field("step") <= until)
+            tables[file] = table
+    if SCALARS_FILE in tables:
         from pneuma.store.points import of_log
 
-        recorded = of_log(tables["scalars"].to_pandas(use_threads=False), provenance)
+        recorded = of_log(tables[SCALARS_FILE].to_pandas(use_threads=False), provenance)
     else:
         recorded = of_tables(fields, tables)
     return row_cells(name, status, fields, recorded, provenance)
@@ -144,9 +143,11 @@ def row_cells(
 ) -> dict[str, Any]:
     """Return the cells of a finished run's row, by column; of an import, `fields` are what is known."""
     grid = series.make_grid(fields["steps"])
-    update_names = [name for name in recorded.series if name in UPDATE_QUANTITIES]
-    updates = {name: recorded.series[name][1] for name in update_names}
-    step = recorded.series[update_names[0]][0] if updates else np.empty(0)
+    update_series = {name: recorded.series[name] for name in recorded.series if name in UPDATE_QUANTITIES}
+    step = update_series.get("entropy", next(iter(update_series.values()), (np.empty(0),)))[0]
+    # of an imported log, quantities may have been logged at unlike steps
+    updates = {name: values for name, (steps, values) in update_series.items() if np.array_equal(steps, step)}
+    signs, stuck = series.update_signs(step, updates)
     cells: dict[str, Any] = {
         "run_id": run_id,
         "config_id": status.identity.config_id if status.identity else UNKNOWN,
@@ -156,52 +157,46 @@ def row_cells(
         "steps": fields["steps"],
         "fields": json.dumps(fields),
         "provenance": json.dumps(provenance),
-        "signs": series.pack_signs(series.update_signs(step, updates)),
-        rows.EVALUATIONS: list(recorded.evaluations),
+        "signs": series.pack_signs(signs),
     }
     if recorded.averaged_over:
         cells[rows.AVERAGED_OVER] = recorded.averaged_over
     if updates:
-        cells |= dict(zip(rows.STUCK, series.stuck_updates(step, updates), strict=True))
+        cells |= dict(zip(rows.STUCK, stuck, strict=True))
     with np.errstate(over="ignore"):  # of returns of 1e308 sums are infinite
         for quantity in recorded.series:
             cells |= _quantity_cells(recorded, quantity, grid, status.step)
     if "return" in recorded.series and not recorded.averaged_over:
         curve = np.array(cells[curve_column("return", WINDOWS[0])])
         cells[rows.LAST_EPISODES] = _last_episodes(recorded.series["return"][0], curve, grid)
-    return cells
+    return {**cells, rows.EVALUATIONS: list(recorded.evaluations)}
 
 
 def _last_episodes(step: np.ndarray, curve: np.ndarray, grid: np.ndarray) -> float:
     """Return how many episodes the last point of a curve of returns averages."""
-    points = np.flatnonzero(np.isfinite(curve))
-    if not len(points):
+    known_steps, _ = series.finite_points(grid, curve)
+    if not len(known_steps):
         return 0.0
-    last_step = grid[points[-1]]
     window = grid[-1] * series.WINDOW_POINTS / series.GRID_POINTS
-    return float(np.count_nonzero((step > last_step - window) & (step <= last_step)))
+    is_averaged = (step > known_steps[-1] - window) & (step <= known_steps[-1])
+    return float(is_averaged.sum())
 
 
 def _quantity_cells(recorded: series.Recorded, quantity: str, grid: np.ndarray, end: int) -> dict[str, Any]:
     """Return the cells of one quantity: its curves, rounded, and which of their numbers are kept exact."""
-    cells: dict[str, Any] = {}
     curves = _curves(recorded, quantity, grid, end)
-    for column, curve in curves.items():
-        cells[column] = _rounded(curve, quantity).tolist()
-    extreme = series.EXTREMES.get(quantity)
-    peaks = np.empty(0)
-    if extreme:
-        peaks = series.peak_curve(*recorded.series[quantity], grid, extreme)
-        cells[f"{quantity} {rows.PEAKS}"] = _rounded(peaks, quantity).tolist()
-    default_curve = next(iter(curves.values()))
-    step, values = series.finite_points(grid, default_curve)
+    step, values = series.finite_points(grid, next(iter(curves.values())))
+    numbers = {}
     if len(values):
         for name in rows.EXACT.get(quantity, ()):
-            cells[f"{quantity} {name}"] = series.STATISTICS[name](step, values, float(grid[-1]))
-    finite_peaks = peaks[np.isfinite(peaks)]
-    if extreme and len(finite_peaks):
-        cells[f"{quantity} peak"] = float(extreme.reduce(finite_peaks))
-    return cells
+            numbers[f"{quantity} {name}"] = series.STATISTICS[name](step, values, float(grid[-1]))
+    if quantity in series.EXTREMES:
+        extreme = series.EXTREMES[quantity]
+        curve = series.peak_curve(*recorded.series[quantity], grid, extreme)
+        curves[f"{quantity} {rows.PEAKS}"] = curve
+        if np.isfinite(curve).any():
+            numbers[f"{quantity} {rows.PEAK}"] = float(extreme.reduce(curve))
+    return {name: _rounded(curve, quantity).tolist() for name, curve in curves.items()} | numbers
 
 
 def _curves(recorded: series.Recorded, quantity: str, grid: np.ndarray, end: int) -> dict[str, np.ndarray]:
@@ -211,18 +206,11 @@ def _curves(recorded: series.Recorded, quantity: str, grid: np.ndarray, end: int
         return {quantity: series.update_curve(step, values, grid, end)}
     if recorded.averaged_over:
         single = values.astype(np.float32).astype(float)
-        return {curve_column(quantity, "trailing-100"): series.held_curve(step, single, grid, end)}
-    windows = WINDOWS if quantity in ("return", "length") else WINDOWS[:1]  # as Stable-Baselines3 logs
-    curves = {}
-    for window in windows:
-        curves[curve_column(quantity, window)] = series.episode_curve(
-            step,
-            values,
-            grid,
-            trailing=window != WINDOWS[0],
-            from_step=recorded.first_step,
-            end=end,
-        )
+        return {curve_column(quantity, WINDOWS[1]): series.held_curve(step, single, grid, end)}
+    mean = partial(series.episode_curve, step, values, grid, from_step=recorded.first_step, end=end)
+    curves = {curve_column(quantity, WINDOWS[0]): mean(trailing=False)}
+    if quantity in ("return", "length"):  # as Stable-Baselines3 logs
+        curves[curve_column(quantity, WINDOWS[1])] = mean(trailing=True)
     return curves
 
 

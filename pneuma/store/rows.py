@@ -3,14 +3,13 @@
     a run's files → `row_builder.py` → cells → `encode_row` → row.arrow in its folder
     row.arrow → `decode_row` → Row
 
-Curves are on 200 points of the run's *own* budget and are rounded when the row is written, so that a run and
-its published row cannot differ. Numbers that need more digits are kept exact. Updates and episodes themselves
-are only exported.
+`COLUMN_TYPES` declares the columns. Curves are on 200 points of the run's *own* budget and are rounded when
+the row is written, so that a run and its published row cannot differ. Numbers that need more digits are kept
+exact. Updates and episodes themselves are only exported.
 """
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import re
@@ -38,26 +37,28 @@ from pneuma.store.series import (
 )
 from pneuma.store.tables import from_ipc
 
+# --- The columns ------------------------------------------------------------------------------------
+
 TEXT_CELLS = ("run_id", "config_id", "status", "fields", "provenance", "signs")
 INTEGER_CELLS = ("seed", "steps", "end")
-EVALUATIONS, PEAKS = "evaluations", "extreme"
+EVALUATIONS = "evaluations"
+"""The column with a list of structs: of each evaluation its step, and other numbers."""
 REQUIRED_CELLS = (*TEXT_CELLS, *INTEGER_CELLS, EVALUATIONS)
 AVERAGED_OVER, LAST_EPISODES = "averaged over", "episodes last"
 STUCK = ("stuck updates", "updates", "stuck spells")
 """Counts of updates without entropy and with one action, of all updates, and of spells of the former."""
-CURVE = pa.list_(pa.float32())
+PEAK, PEAKS = "peak", "extreme"
+"""A quantity's extreme update, and its curve: the extreme since each previous point."""
+CURVE, NUMBER = pa.list_(pa.float32()), pa.float64()
 
-_LAST_ONLY = ("length", "hp", "entropy", "dead_units", *ACTION_QUANTITIES)
 EXACT: dict[str, tuple[str, ...]] = {
     "return": ("last", "best", "height"),
-    **dict.fromkeys(_LAST_ONLY, ("last",)),
+    **dict.fromkeys(("length", "hp", "entropy", "dead_units", *ACTION_QUANTITIES), ("last",)),
     "grad_norm": ("median",),
     "approx_kl": ("average",),
     "explained_variance": ("early",),
 }
 """The statistics of curves at a run's end that are kept with all digits."""
-
-# --- The files --------------------------------------------------------------------------------------
 
 
 def curve_column(quantity: str, window: str) -> str:
@@ -65,35 +66,40 @@ def curve_column(quantity: str, window: str) -> str:
     return quantity if quantity in UPDATE_QUANTITIES else f"{quantity} {window}"
 
 
-def column_type(name: str) -> pa.DataType | None:
-    """Return the type of a column; None for those that are not read, and for the evaluations."""
-    if name in TEXT_CELLS:
-        return pa.string()
-    if name in (*INTEGER_CELLS, AVERAGED_OVER, *STUCK):
-        return pa.int64()
-    quantity, _, suffix = name.partition(" ")
-    if quantity in TRAINING_QUANTITIES and suffix in ("", *WINDOWS, PEAKS):
-        return CURVE
-    if name == LAST_EPISODES or quantity in EXACT or quantity in EXTREMES:
-        return pa.float64()
-    return None
+def _column_types() -> dict[str, pa.DataType]:
+    types = dict.fromkeys(TEXT_CELLS, pa.string())
+    types |= dict.fromkeys(INTEGER_CELLS + STUCK + (AVERAGED_OVER,), pa.int64())
+    types[LAST_EPISODES] = NUMBER
+    for quantity in TRAINING_QUANTITIES:
+        for window in WINDOWS:
+            types[curve_column(quantity, window)] = CURVE
+        for statistic in EXACT.get(quantity, ()):
+            types[f"{quantity} {statistic}"] = NUMBER
+    for quantity in EXTREMES:
+        types |= {f"{quantity} {PEAKS}": CURVE, f"{quantity} {PEAK}": NUMBER}
+    return types
+
+
+COLUMN_TYPES = _column_types()
+"""The types of all columns that are read, apart from the evaluations."""
+
+# --- The files --------------------------------------------------------------------------------------
 
 
 def encode_row(cells: Mapping[str, Any]) -> bytes:
     """Return one row as a file in Arrow's own format, which is read 25 times as fast as Parquet."""
-    columns = {name: pa.array([cell], column_type(name)) for name, cell in cells.items()}
-    columns[EVALUATIONS] = columns.pop(EVALUATIONS)  # the last
-    table, sink = pa.table(columns), io.BytesIO()
+    table = pa.table({name: pa.array([cell], COLUMN_TYPES.get(name)) for name, cell in cells.items()})
+    sink = pa.BufferOutputStream()
     with pa.ipc.new_file(sink, table.schema) as writer:
         writer.write_table(table)
-    return sink.getvalue()
+    return sink.getvalue().to_pybytes()
 
 
 def decode_row(data: bytes) -> Row:
     """Return the row in a run's folder.
 
     Raises:
-        ValueError: for anything else.
+        ValueError: for anything else; it may be any error.
     """
     table = sound_rows(from_ipc(data))
     if table.num_rows != 1:
@@ -113,15 +119,15 @@ def sound_rows(table: pa.Table) -> pa.Table:
     """Return the columns of rows that are read; refuse a table that could not have been written here.
 
     Raises:
-        ValueError: naming what is wrong.
+        ValueError: naming what is wrong; KeyError for a column that is missing.
     """
     schema = table.schema.remove_metadata()
     table = table.select(_columns_to_read(schema.serialize().to_pybytes()))
     for name in REQUIRED_CELLS:
-        if table[name].null_count:
-            raise ValueError(f"column {name} is invalid")
-    for name, pattern in _PATTERNS.items():
-        if not all(re.fullmatch(pattern, str(cell)) for cell in table[name].to_pylist()):
+        is_sound = not table[name].null_count
+        if name in _PATTERNS:
+            is_sound = all(re.fullmatch(_PATTERNS[name], str(cell)) for cell in table[name].to_pylist())
+        if not is_sound:
             raise ValueError(f"column {name} is invalid")
     evaluations = pc.list_flatten(table[EVALUATIONS])
     if pa.types.is_struct(evaluations.type):
@@ -134,19 +140,13 @@ def sound_rows(table: pa.Table) -> pa.Table:
 @lru_cache
 def _columns_to_read(serialized_schema: bytes) -> list[str]:
     """Return which columns of a schema are read, and check their types; most runs have the same schema."""
-    schema = pa.ipc.read_schema(pa.py_buffer(serialized_schema))
-    missing = set(REQUIRED_CELLS) - set(schema.names)
-    if missing:
-        raise ValueError(f"column {min(missing)} is missing")
     names = []
-    for column in schema:
-        expected = column_type(column.name)
+    for column in pa.ipc.read_schema(pa.py_buffer(serialized_schema)):
+        is_sound = column.type == COLUMN_TYPES.get(column.name)
         if column.name == EVALUATIONS:
             is_sound = _are_evaluations(column.type)
-        elif expected is None:
+        elif column.name not in COLUMN_TYPES:
             continue
-        else:
-            is_sound = column.type == expected
         if not is_sound:
             raise ValueError(f"column {column.name} is invalid")
         names.append(column.name)
@@ -155,45 +155,40 @@ def _columns_to_read(serialized_schema: bytes) -> list[str]:
 
 def _are_evaluations(column_type: pa.DataType) -> bool:
     """Return whether a type is a list of structs of numbers, with their step; or a list of nothing."""
-    if not pa.types.is_list(column_type):
-        return False
-    if not pa.types.is_struct(column_type.value_type):
-        return bool(pa.types.is_null(column_type.value_type))
+    if not (pa.types.is_list(column_type) and pa.types.is_struct(column_type.value_type)):
+        return bool(column_type == pa.list_(pa.null()))
     types = {column.name: column.type for column in column_type.value_type}
-    if len(types) < column_type.value_type.num_fields:
-        return False  # two columns have one name
-    numbers = {pa.int64(), pa.float64()}
-    return types.get("step") in numbers and set(types.values()) <= {*numbers, pa.null()}
+    numbers = {pa.int64(), NUMBER}
+    has_unique_names = len(types) == column_type.value_type.num_fields
+    return has_unique_names and types.get("step") in numbers and set(types.values()) <= {*numbers, pa.null()}
 
 
 # --- Reading ----------------------------------------------------------------------------------------
 
 FORK_TYPES: dict[str, tuple[type, ...]] = {"parent": (str,), "fork_step": (int,)}
 """Fields that published runs may have which an earlier version forked from others: no run has them now."""
-SIMPLE_TYPES = (str, int, float)
+_TYPES_BY_DEFAULT = {str: (str,), list: (list,), type(None): (int, float, list)}
+
+
+@cache
+def _field_types() -> dict[str, tuple[type, ...]]:
+    """Return the types that the value of a field may have, by those of its default."""
+    types = dict(FORK_TYPES)
+    for name, default in as_fields(Run()).items():
+        types[name] = _TYPES_BY_DEFAULT.get(type(default), (int, float))
+    return types
 
 
 def _read_fields(text: str) -> dict[str, Any]:
     """Read a configuration, with each field of a type that it may have."""
     fields, types_by_field = parse_json(text), _field_types()
     for name, value in fields.items():
-        types = types_by_field.get(name, (*SIMPLE_TYPES, list))
-        is_sound = value is None or isinstance(value, types)
-        if isinstance(value, list):
-            is_sound = is_sound and not any(isinstance(item, list | dict) for item in value)
+        is_sound = value is None or isinstance(value, types_by_field.get(name, (str, int, float, list)))
+        if isinstance(value, list) and any(isinstance(item, list | dict) for item in value):
+            is_sound = False
         if not is_sound:
             raise ValueError(f"{name} = {json.dumps(value)[:40]}")
     return fields
-
-
-@cache
-def _field_types() -> dict[str, tuple[type, ...]]:
-    """Return the types that the value of a field may have, by those of its default."""
-    types_by_default = {str: (str,), list: (list,), type(None): (int, float, list)}
-    types = {}
-    for name, default in as_fields(Run()).items():
-        types[name] = types_by_default.get(type(default), (int, float))
-    return {**types, **FORK_TYPES}
 
 
 _DOCUMENTS = {"fields": _read_fields, "provenance": parse_json, "signs": unpack_signs}
@@ -206,7 +201,7 @@ def read_row(table: pa.Table, index: int = 0, published: bool = False) -> Row:
         ValueError: naming a column that is invalid.
     """
     row = table.slice(index, 1).replace_schema_metadata(None)
-    cells = {name: row[name][0].as_py() for name in (*TEXT_CELLS, *INTEGER_CELLS)}
+    cells = {name: row[name][0].as_py() for name in TEXT_CELLS + INTEGER_CELLS}
     for name, read in _DOCUMENTS.items():
         try:
             cells[name] = read(cells[name])
@@ -261,17 +256,27 @@ class Row:
         """Where it is, for messages."""
         if self.averaged_over:
             return "a study of imported logs"
-        if self.published:
-            return "the published table"
-        return "the results folder"
+        return "the published table" if self.published else "the results folder"
 
     @property
     def update_steps(self) -> int | None:
         """Agent steps of one update; None if its fields do not say."""
-        counts = (self.fields.get("horizon"), self.fields.get("slots"), self.fields.get("players", 1))
-        if not all(isinstance(count, int) for count in counts):
-            return None
-        return math.prod(counts) or None
+        fields = {"horizon": None, "slots": None, "players": 1, **self.fields}
+        counts = [fields[name] for name in ("horizon", "slots", "players")]
+        return None if None in counts else math.prod(counts) or None
+
+    @property
+    def wall_seconds(self) -> float | None:
+        """Seconds of training, without loading and compiling if these were timed; None if unknown."""
+        seconds = self.provenance.get("training_seconds", self.provenance.get("wall_seconds"))
+        return float(seconds) if isinstance(seconds, int | float) and seconds > 0 else None
+
+    @cached_property
+    def _columns(self) -> frozenset[str]:
+        """The names of its cells that have a value."""
+        return frozenset(name for name in self.table.column_names if self.table[name][0].is_valid)
+
+    # --- Curves and their statistics ---------------------------------------------------------------
 
     @cached_property
     def grid(self) -> np.ndarray:
@@ -290,22 +295,10 @@ class Row:
     def windows(self) -> tuple[str, ...]:
         return self.windows_of("return") or WINDOWS[:1]
 
-    @cached_property
-    def _columns(self) -> frozenset[str]:
-        """The names of its cells that have a value."""
-        columns = zip(self.table.column_names, self.table.columns, strict=True)
-        return frozenset(name for name, column in columns if column[0].is_valid)
-
     def curve(self, quantity: str, window: str = "") -> np.ndarray:
         """Return a curve on the row's own grid, (points,); NaN where it has no value."""
-        windows = self.windows_of(quantity)
-        if windows and not window:
-            window = windows[0]
-        return self._points(curve_column(quantity, window))
-
-    def peaks(self, quantity: str) -> np.ndarray:
-        """Return the extreme update of one of `EXTREMES` since each previous point, (points,)."""
-        return self._points(f"{quantity} {PEAKS}")
+        windows = [window] if window else self.windows_of(quantity)
+        return self._points(curve_column(quantity, windows[0]) if windows else "")
 
     def _points(self, column: str) -> np.ndarray:
         if column in self._columns:
@@ -318,75 +311,41 @@ class Row:
         """Return the points of a curve that have a value; empty if there is no such curve."""
         return finite_points(self.grid, self.curve(quantity))
 
-    def known_peaks(self, quantity: str) -> Series:
-        return finite_points(self.grid, self.peaks(quantity))
-
     def statistic(self, quantity: str, name: str) -> float:
-        """Return one of `STATISTICS` of a curve, exact where that is kept; NaN if it has no value."""
-        exact = self.exact(quantity, name)
-        if not math.isnan(exact):
-            return exact
+        """Return one of `STATISTICS` of a curve or its `PEAK`, NaN if it has no value.
+
+        It is exact where that is kept. Older tables lack some: then it is that of the rounded curve.
+        """
+        exact = self.cell(f"{quantity} {name}")
+        if exact is not None and not math.isnan(exact):
+            return float(exact)
+        if name == PEAK:
+            return float(EXTREMES[quantity].reduce(self._points(f"{quantity} {PEAKS}")))
         step, values = self.known_curve(quantity)
-        if not len(values):
-            return math.nan
-        return STATISTICS[name](step, values, self.budget)
+        return STATISTICS[name](step, values, self.budget) if len(values) else math.nan
 
-    def exact(self, quantity: str, statistic: str) -> float:
-        """Return a statistic of a curve at the run's end, with all digits; NaN if it is not kept."""
-        return self._number(f"{quantity} {statistic}", math.nan)
-
-    @property
-    def last_episodes(self) -> float:
-        """The number of episodes that the last point of its return averages; infinite if it is not known."""
-        return self._number(LAST_EPISODES, math.inf)
-
-    def _number(self, column: str, default: float) -> float:
-        value = self.cell(column)
-        return default if value is None else float(value)
+    # --- Evaluations -------------------------------------------------------------------------------
 
     @cached_property
-    def _evaluations(self) -> dict[str, np.ndarray]:
-        """The columns of its evaluations that have a value, by name."""
+    def evaluations_table(self) -> pa.Table:
+        """The columns of its evaluations that have a value."""
         evaluations = self.table[EVALUATIONS][0].values
-        if evaluations is None or pa.types.is_null(evaluations.type):
-            return {}
-        columns = {}
-        for field_type in evaluations.type:
-            column = evaluations.field(field_type.name)
-            if column.null_count < len(column):
-                columns[field_type.name] = column.to_numpy(zero_copy_only=False)
-        return columns
-
-    @property
-    def evaluation_columns(self) -> tuple[str, ...]:
-        return tuple(self._evaluations)
+        if not pa.types.is_struct(evaluations.type):
+            return pa.table({})
+        table = pa.Table.from_struct_array(evaluations)
+        names = [name for name in table.column_names if table[name].null_count < len(table)]
+        return table.select(names)
 
     def evaluations(self, column: str) -> np.ndarray:
         """Return a column of its evaluations, in their order; empty if it has no such column."""
-        return self._evaluations.get(column, np.empty(0)).astype(float)
+        if column not in self.evaluations_table.column_names:
+            return np.empty(0)
+        return self.evaluations_table[column].to_numpy().astype(float)
 
     def known_evaluations(self, column: str) -> Series:
         """Return a column's finite values with their steps; empty if it has no such column."""
-        if column not in self._evaluations:
-            return np.empty(0), np.empty(0)
-        return finite_points(self.evaluations("step"), self.evaluations(column))
-
-    def evaluations_table(self) -> pa.Table:
-        return pa.table(dict(self._evaluations))
-
-    @property
-    def wall_seconds(self) -> float | None:
-        """Seconds of training, without loading and compiling if these were timed; None if unknown."""
-        seconds = self.provenance.get("training_seconds", self.provenance.get("wall_seconds"))
-        if not isinstance(seconds, int | float) or seconds <= 0:
-            return None
-        return float(seconds)
-
-    @property
-    def processor_share(self) -> float | None:
-        """Share of a core that the training had; 1 if nothing else ran, None if unknown."""
-        share = self.provenance.get("processor_share")
-        return float(share) if isinstance(share, int | float) else None
+        values = self.evaluations(column)
+        return finite_points(self.evaluations("step")[: len(values)], values)
 
     def same_numbers(self, other: Row) -> bool:
         """Return whether two rows of one run agree in every single number and evaluation that both have.
@@ -394,11 +353,11 @@ class Row:
         Curves are not compared: tables published earlier keep more of their digits.
         """
         for name in self._columns & other._columns:
-            values = [self.cell(name), other.cell(name)]
-            are_numbers = all(isinstance(value, float) and not math.isnan(value) for value in values)
-            if are_numbers and values[0] != values[1]:
+            # of a number that one of them lacks, the difference is NaN
+            if COLUMN_TYPES.get(name) == NUMBER and abs(self.cell(name) - other.cell(name)) > 0:
                 return False
-        for name in self._evaluations.keys() & other._evaluations.keys():
+        names = set(self.evaluations_table.column_names) & set(other.evaluations_table.column_names)
+        for name in names:
             if name.endswith("score"):  # it is scaled by the random player, who has been measured again
                 continue
             if not np.array_equal(self.evaluations(name), other.evaluations(name), equal_nan=True):

@@ -192,62 +192,47 @@ MOST_OF_ONE = 0.95
 MOST_DEAD = 0.5
 """Share of hidden units, actor and critic together, that are dead over a rollout."""
 
+STUCK_SHARE = 0.99
+"""An update without entropy is stuck if one action is more than this share of its rollout."""
+
 Stretch = tuple[float, float]
 """Step of the first and of the last update over which a sign holds."""
 
 
-def update_signs(step: np.ndarray, columns: Mapping[str, np.ndarray]) -> dict[str, list[Stretch]]:
-    """Return where the signs hold that can be seen in the columns.
+def update_signs(
+    step: np.ndarray, columns: Mapping[str, np.ndarray]
+) -> tuple[dict[str, list[Stretch]], tuple[int, int, int]]:
+    """Return where the signs hold that can be seen in the columns, and how many updates are stuck.
 
     Args:
         step: (updates,) increasing.
         columns: (updates,) each: entropy, dead_units, `ACTION_QUANTITIES`. NaN is no sign. A column of NaN
             only, such as the entropy of learners of action values, is ignored.
+
+    Returns:
+        The stretches of each sign; and the number of stuck updates, of all updates, and of unbroken spells of
+        stuck ones: (0, 0, 0) if entropy or actions were not recorded, or there is a single action.
     """
     recorded = {name: values for name, values in columns.items() if not np.isnan(values).all()}
-    has_continuous_actions = "action_0" in columns and "action_0" not in recorded
-    signs = {}
+    signs: dict[str, list[Stretch]] = {}
+    stuck = 0, 0, 0
+    # where there is a single action, the entropy is always 0
+    has_choice = "entropy" in recorded and np.nanmax(recorded["entropy"]) > 0
+    is_low = recorded.get("entropy", np.zeros(0)) < LEAST_ENTROPY
     # the entropy of continuous actions may have any size
-    if "entropy" in recorded and _has_choice(columns) and not has_continuous_actions:
-        signs[NO_ENTROPY] = stretches(step, recorded["entropy"] < LEAST_ENTROPY)
+    if has_choice and ("action_0" in recorded or "action_0" not in columns):
+        signs[NO_ENTROPY] = stretches(step, is_low)
     if recorded.keys() >= set(ACTION_QUANTITIES):
-        signs[ONE_ACTION] = stretches(step, _most_used(recorded) >= MOST_OF_ONE)
+        shares = np.array([recorded[name] for name in ACTION_QUANTITIES])  # (actions, updates)
+        # the spells, without columns, count as one action
+        most_used = np.maximum(shares.max(axis=0), 1 - shares.sum(axis=0))
+        signs[ONE_ACTION] = stretches(step, most_used >= MOST_OF_ONE)
+        if has_choice:
+            is_stuck = is_low & (most_used > STUCK_SHARE)
+            stuck = int(is_stuck.sum()), len(step), len(stretches(step, is_stuck))
     if "dead_units" in recorded:
         signs[DEAD_UNITS] = stretches(step, recorded["dead_units"] >= MOST_DEAD)
-    return signs
-
-
-def _has_choice(columns: Mapping[str, np.ndarray]) -> bool:
-    """Return whether a policy ever had any entropy, which it never has where there is a single action."""
-    return bool(np.nanmax(columns.get("entropy", 0.0), initial=0.0) > 0)
-
-
-def _most_used(columns: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return the share of each update's most used action; the spells, without columns, count as one."""
-    shares = np.array([columns[name] for name in ACTION_QUANTITIES])  # (actions, updates)
-    return np.maximum(shares.max(axis=0), 1 - shares.sum(axis=0))
-
-
-STUCK_SHARE = 0.99
-"""An update without entropy is stuck if one action is more than this share of its rollout."""
-
-
-def stuck_updates(step: np.ndarray, columns: Mapping[str, np.ndarray]) -> tuple[int, int, int]:
-    """Return the number of stuck updates, of all updates, and of unbroken spells of stuck ones.
-
-    (0, 0, 0) if entropy or actions were not recorded, or there is a single action.
-
-    Args:
-        step: (updates,) increasing.
-        columns: (updates,) each: entropy and `ACTION_QUANTITIES`. NaN is not stuck.
-    """
-    for name in ("entropy", *ACTION_QUANTITIES):
-        if name not in columns or np.isnan(columns[name]).all():
-            return 0, 0, 0
-    if not _has_choice(columns):
-        return 0, 0, 0
-    is_stuck = (columns["entropy"] < LEAST_ENTROPY) & (_most_used(columns) > STUCK_SHARE)
-    return int(is_stuck.sum()), len(step), len(stretches(step, is_stuck))
+    return signs, stuck
 
 
 def stretches(step: np.ndarray, holds: np.ndarray) -> list[Stretch]:
@@ -260,8 +245,8 @@ def stretches(step: np.ndarray, holds: np.ndarray) -> list[Stretch]:
 
 def pack_signs(signs: Mapping[str, list[Stretch]]) -> str:
     """Return where signs hold as JSON: a unit of steps, and for each sign gaps and lengths in turn."""
-    ends = {sign: np.array(sign_stretches, int).ravel() for sign, sign_stretches in signs.items()}
-    unit = math.gcd(*np.concatenate([[0], *ends.values()]).tolist()) or 1
+    ends = {sign: np.array(periods, int).ravel() for sign, periods in signs.items()}
+    unit = math.gcd(*np.hstack([0, *ends.values()]).tolist()) or 1
     packed = {sign: np.diff(sign_ends // unit, prepend=0).tolist() for sign, sign_ends in ends.items()}
     return json.dumps({"unit": unit, "signs": packed}, separators=(",", ":"))
 

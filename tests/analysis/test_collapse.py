@@ -211,7 +211,8 @@ def test_stretches_by_hand() -> None:
 def test_a_policy_that_only_casts_spells_has_one_action(shares: list[float], held: bool) -> None:
     step = np.array([100.0, 200.0, 300.0])
     columns = {f"action_{i}": np.full(3, own) for i, own in enumerate(shares)}
-    assert series.update_signs(step, columns)[series.ONE_ACTION] == ([(100.0, 300.0)] if held else [])
+    signs, _ = series.update_signs(step, columns)
+    assert signs[series.ONE_ACTION] == ([(100.0, 300.0)] if held else [])
 
 
 def test_stuck_updates_have_no_entropy_and_one_action() -> None:
@@ -220,8 +221,8 @@ def test_stuck_updates_have_no_entropy_and_one_action() -> None:
     entropy = np.array([0.05, 0.05, 0.5, 0.05, 0.0, np.nan])
     most = np.array([1.0, 0.995, 1.0, 0.97, 1.0, 1.0])
     columns = {**{f"action_{i}": np.zeros(6) for i in range(5)}, "action_2": most, "action_3": 1 - most}
-    assert series.stuck_updates(step, {**columns, "entropy": entropy}) == (3, 6, 2)
+    assert series.update_signs(step, {**columns, "entropy": entropy})[1] == (3, 6, 2)
     spells = {f"action_{i}": np.zeros(6) for i in range(5)}  # all actions are of the two without a column
-    assert series.stuck_updates(step, {**spells, "entropy": entropy}) == (4, 6, 2)
-    assert series.stuck_updates(step, columns) == (0, 0, 0)
-    assert series.stuck_updates(step, {**columns, "entropy": np.full(6, np.nan)}) == (0, 0, 0)
+    assert series.update_signs(step, {**spells, "entropy": entropy})[1] == (4, 6, 2)
+    assert series.update_signs(step, columns)[1] == (0, 0, 0)
+    assert series.update_signs(step, {**columns, "entropy": np.full(6, np.nan)})[1] == (0, 0, 0)

@@ -182,8 +182,8 @@ def test_rows_of_other_columns_join_in_one_table(store: Store, tmp_path: Path) -
     again = republished(data := hand_made.study_of(store, CELLS), tmp_path)
     assert outcomes_of(again) == outcomes_of(data)
     assert all(run.same_numbers(own) for run, own in zip(again.rows, data.rows, strict=True))
-    assert "q_estimate" in again.rows[1].evaluation_columns
-    assert "q_estimate" not in again.rows[0].evaluation_columns
+    assert "q_estimate" in again.rows[1].evaluations_table.column_names
+    assert "q_estimate" not in again.rows[0].evaluations_table.column_names
 
 
 def test_one_flipped_bit_anywhere_or_a_cut_is_noticed(store: Store) -> None:

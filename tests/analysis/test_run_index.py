@@ -101,6 +101,7 @@ def test_a_published_table_is_read_as_what_it_was_made_from(
 def test_logs_give_what_was_logged(store: Store, tmp_path: Path) -> None:
     points = [("rollout/ep_rew_mean", 100 * k, float("nan") if k == 2 else k / 4) for k in range(1, 11)]
     points += [("train/entropy_loss", 100, -0.125), ("charts/SPS", 150, 9.0), ("own", 1000, 2.0)]
+    points += [("train/entropy_loss", 200, -0.0625), ("train/approx_kl", 100, 0.5)]  # at unlike steps
     write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
     import_tensorboard([tmp_path / "logs"], store)
     data = open_study(RunIndex(store), Query(study="logs"))
@@ -109,9 +110,9 @@ def test_logs_give_what_was_logged(store: Store, tmp_path: Path) -> None:
     curve = data.curve(a, "return")
     places = [at[95], at[100], at[195], at[200], at[300]]
     np.testing.assert_array_equal(curve[places], [np.nan, 0.25, 0.25, np.nan, 0.75])
-    assert data.curve(a, "entropy")[at[100]] == 0.125
+    assert data.curve(a, "entropy")[at[100]] == 0.125 and a.signs == {"no entropy": [(200, 200)]}
     table = exported_table(data, "metrics", store)
-    assert list(table.columns)[3:] == ["step", "return_mean_100", "entropy", "logged/own"]
+    assert list(table.columns)[3:] == ["step", "return_mean_100", "entropy", "approx_kl", "logged/own"]
     np.testing.assert_array_equal(table["return_mean_100"], [0.25, np.nan, *(k / 4 for k in range(3, 11))])
 
 

@@ -139,7 +139,7 @@ def test_tags_of_evaluations_are_evaluations_the_last_written_of_a_step(tmp_path
     write_events(tmp_path / "logs" / "a_1" / FILE, points)
     (run,), _ = _import(tmp_path)
     row = stored_row(Store(tmp_path / "results"), run.run_id)
-    assert {name: row.evaluations(name).tolist() for name in row.evaluation_columns} == {
+    assert {name: row.evaluations(name).tolist() for name in row.evaluations_table.column_names} == {
         "step": [8, 16], "return": [1, 4], "share_killed": [1, 4], "success": [1, 4],
     }  # fmt: skip
 

@@ -52,7 +52,7 @@ def test_a_log_has_the_tags_of_sb3_and_cleanrl_and_the_runs_the_same_bits(tmp_pa
         entropy = [-value for _, value in points["train/entropy_loss"]]
         assert entropy == pytest.approx(list(tables["metrics"]["entropy"]))
         row = stored_row(store, own)
-        for name in row.evaluation_columns:
+        for name in row.evaluations_table.column_names:
             np.testing.assert_allclose(back.evaluations(name), row.evaluations(name), rtol=1e-6)
         assert back.end == 256
         assert again.curve(back, "return")[-1] == pytest.approx(returns[-100:].mean(), rel=0.01)
