@@ -44,15 +44,11 @@ def copy(tmp_path: Path) -> Path:
 def output_of(code: str, copy: Path) -> str:
     """Return what code prints that imports the copy; it keeps its programs beside it."""
     env = {**os.environ, "NUMBA_CACHE_DIR": str(copy / "numba")}
-    command = [sys.executable, "-c", code]
-    return subprocess.run(
-        command, cwd=copy, env=env, capture_output=True, text=True, check=True
-    ).stdout.strip()
+    return subprocess.check_output([sys.executable, "-c", code], cwd=copy, env=env, text=True).strip()
 
 
 def change(path: Path, old: str, new: str) -> None:
-    text = path.read_text(encoding="utf-8")
-    assert old in text
+    assert old in (text := path.read_text(encoding="utf-8"))
     path.write_text(text.replace(old, new), encoding="utf-8")
 
 

@@ -184,12 +184,8 @@ def test_a_door_must_let_a_body_of_48_px_through(tmp_path: Path, tile: int, door
 
 
 def digest(level: Level) -> str:
-    arrays = (
-        level.ground,
-        level.terrain,
-        level.starts,
-        np.array([monster[1:] for monster in level.monsters]),
-    )
+    homes = np.array([monster[1:] for monster in level.monsters])
+    arrays = (level.ground, level.terrain, level.starts, homes)
     return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
 
 

@@ -60,10 +60,7 @@ def test_a_scale_holds_for_every_number(
 ZOO: list[Place] = [(0.0, 90.0), (-110.0, 0.0), (180.0, 0.0), (0.0, -300.0)]  # bamboo, spirit, raccoon, squid
 
 
-@pytest.mark.parametrize(
-    ("perceive", "distances"),
-    [("nearest:1", [90]), ("nearest:3", [90, 110, 180])],
-)
+@pytest.mark.parametrize(("perceive", "distances"), [("nearest:1", [90]), ("nearest:3", [90, 110, 180])])
 def test_some_monsters_alone_may_be_perceived(zoo: str, perceive: str, distances: list[float]) -> None:
     for order in ("nearest", "fixed"):  # they stand in this order
         worlds = stage(zoo, *ZOO, perceive=perceive, scale="raw", order=order).worlds
@@ -84,9 +81,8 @@ def test_rays_show_what_they_meet_first_and_how_far_off_it_is(zoo: str) -> None:
     assert np.array_equal(rays[:, 1:], np.eye(6)[met])
     stats, corner = pair.worlds.monster_stats[0, 1], 576 * np.sqrt(2)
     spirit_ends = float(stats["body_y"] + stats["half_height"])
-    assert rays[:, 0] == pytest.approx(
-        [88, corner, 576, 178 * np.sqrt(2), 576, corner, 500 - spirit_ends, corner]
-    )
+    far = [88, corner, 576, 178 * np.sqrt(2), 576, corner, 500 - spirit_ends, corner]
+    assert rays[:, 0] == pytest.approx(far)
 
 
 @pytest.mark.parametrize(("scale", "unit"), [("unit", 300), ("map", 1280), ("raw", 1)])

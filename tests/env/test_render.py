@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from io import BytesIO
-from itertools import combinations
 from pathlib import Path
 from textwrap import dedent
 from types import ModuleType
@@ -66,11 +65,8 @@ def test_following_camera_is_the_map_around_the_player(
     """Law: every art pixel is the map's, four times as large; the window never leaves the map."""
     pair = stage(arena)
     pair.put(x=x, y=y)
-    expected = (
-        bare(pair.worlds)[first_row : first_row + 176, first_column : first_column + 240]
-        .repeat(4, 0)
-        .repeat(4, 1)
-    )
+    expected = bare(pair.worlds)[first_row : first_row + 176, first_column : first_column + 240]
+    expected = expected.repeat(4, 0).repeat(4, 1)
     np.testing.assert_array_equal(Renderer(pair.worlds, "follow", panel=False).frame(), expected)
 
 
@@ -100,13 +96,12 @@ def test_an_arc_covers_the_box_that_strikes(arena: str, facing: int) -> None:
 
 def test_a_badge_tells_the_three_worlds_apart(arena: str) -> None:
     """At the beginning of an episode the rest of their strips is alike."""
-    strips = []
+    strips = set()
     for name in ENVIRONMENTS:
         env: Any = gymnasium.make(name, render_mode="rgb_array", level=arena)
         env.reset(seed=0)
-        strips.append(env.render()[: MARGIN + PITCH])
-    for first, second in combinations(strips, 2):
-        assert (first != second).any()
+        strips.add(env.render()[: MARGIN + PITCH].tobytes())
+    assert len(strips) == 3
 
 
 @pytest.mark.parametrize("player", range(3))
@@ -194,9 +189,7 @@ def test_gif_has_every_frame_pixel_by_pixel() -> None:
     frames[..., 0] = np.arange(64)[:, None] // 8 * 20
     for number in range(30):
         column = number // 2 * 3
-        frames[number, column : column + 8, column : column + 8] = (
-            255  # a square that moves with every other frame
-        )
+        frames[number, column : column + 8, column : column + 8] = 255  # moves with every other frame
     pictures, milliseconds = [], []
     with Image.open(BytesIO(watch.encode_gif(frames, 30))) as image:
         for picture in ImageSequence.Iterator(image):

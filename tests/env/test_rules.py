@@ -27,11 +27,7 @@ def test_a_blow_knocks_back_60_px_away_from_the_hilt(arena: str) -> None:
     # The monster at (84, -26) is (30, -40) = 50 x (0.6, -0.8) from the hilt. 2 px a tick for 30 ticks:
     # 60 x (0.6, -0.8) = (36, -48), so it lands at (120, -74).
     pair = stage(arena, (84.0, -26.0), ticks=1)
-    for ticks, position in (
-        (1, (85.2, -27.6)),
-        (29, (120.0, -74.0)),
-        (1, (117.5, -71.5)),
-    ):  # then it comes back
+    for ticks, position in ((1, (85.2, -27.6)), (29, (120.0, -74.0)), (1, (117.5, -71.5))):  # it comes back
         pair.play(*[ATTACK] * ticks)
         assert pair.monster("x", "y") == pytest.approx(position)
 
@@ -166,8 +162,4 @@ def test_clearing_the_level_costs_1_xp(arena: str) -> None:
     pair.put(xp=4)
     pair.put(monsters=True, hp=[20, 0, 0, 0], bite=[[30] * 8])
     pair.play(ATTACK)
-    assert (pair.player("xp"), pair.player("reward"), pair.worlds.ending(0)) == (
-        [4],
-        [4],
-        "cleared",
-    )  # 4 + 1 - 1
+    assert pair.player("xp") == pair.player("reward") == [4 + 1 - 1] and pair.worlds.ending(0) == "cleared"
