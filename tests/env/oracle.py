@@ -21,7 +21,6 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import NamedTuple
 
-from pneuma.env.fields import EnvConfig
 from pneuma.env.rules import CLEARED, DOWN, KILLED, LEFT, RIGHT, RUNNING, TIME_LIMIT, UP
 
 Pair = tuple[float, float]
@@ -130,23 +129,6 @@ def _stops_at_bodies(body: Box, axis: int, step: float, obstacles: Sequence[Box]
 # --- Players and monsters --------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Rulebook:
-    """Everything that does not change while a world is played; the last four go by level."""
-
-    config: EnvConfig
-    actions: tuple[str, ...]
-    rewards: tuple[str, ...]  # of each player
-    closed_to_players: frozenset[int]  # the codes of tiles that stop them
-    closed_to_monsters: frozenset[int]
-    settings: Row  # ticks, and scales of observations
-    stats: list[Row]
-    monster_stats: list[list[Row]]
-    grounds: list[Ground]
-    starts: list[list[Pair]]
-    homes: list[list[Pair]]  # of the monsters
-
-
 @dataclass
 class Events:
     """What one step did to a player."""
@@ -164,35 +146,22 @@ class Events:
     present: int = 0
 
 
-@dataclass
-class Gain:
-    """What one tick brings a player, until it is settled at the end of the tick."""
+class Body:
+    """A player or a monster."""
 
-    kill_heal: float = 0.0
-    bitten: float = 0.0
-    xp: float = 0.0
-    hits: int = 0
-    kills: int = 0
-    notices: int = 0
-    contacts: int = 0
-    paying_deaths: int = 0  # of monsters
+    x: float
+    y: float
+    hp: float
+    stats: Row
 
-
-class Blow(NamedTuple):
-    """What a player strikes with in one tick."""
-
-    number: int
-    strike: Row
-    box: Box
-    hilt: Pair  # what it knocks away from
-
-
-def box_of(body: Player | Monster, stats: Row) -> Box:
-    return Box((body.x + stats.body_x, body.y + stats.body_y), (stats.half_width, stats.half_height))
+    @property
+    def box(self) -> Box:
+        stats = self.stats
+        return Box((self.x + stats.body_x, self.y + stats.body_y), (stats.half_width, stats.half_height))
 
 
 @dataclass
-class Player:
+class Player(Body):
     """A player; dead without HP."""
 
     stats: Row
@@ -210,10 +179,6 @@ class Player:
     kills: int = 0
     events: Events = field(default_factory=Events)
 
-    @property
-    def box(self) -> Box:
-        return box_of(self, self.stats)
-
     def gap_squared(self, x: float, y: float) -> float:
         """Return the squared distance from a point to the body."""
         body = self.box
@@ -225,13 +190,13 @@ class Player:
         self.events.hp_gained += hp - self.hp
         self.hp = hp
 
-    def blow(self, strike: Row) -> Blow:
+    def blow(self, strike: Row) -> Row:
         """Return what a sword or flame does in this tick; a swing bears its attack's number."""
         facing = self.facing
         half = (strike.half_width[facing], strike.half_height[facing])
         box = Box((self.x + strike.x[facing], self.y + strike.y[facing]), half)
         hilt = (self.x + strike.hilt_x[facing], self.y + strike.hilt_y[facing])
-        return Blow(self.attack, strike, box, hilt)
+        return Row(number=self.attack, strike=strike, box=box, hilt=hilt)
 
     def formula(self) -> float:
         """Return the reward for a step."""
@@ -252,7 +217,7 @@ class Player:
 
 
 @dataclass
-class Monster:
+class Monster(Body):
     """A monster; lists and sets go by player."""
 
     stats: Row
@@ -268,11 +233,7 @@ class Monster:
     safe: int = 0
     inside: set[int] = field(default_factory=set)  # whose strikes met it in the last tick
 
-    @property
-    def box(self) -> Box:
-        return box_of(self, self.stats)
-
-    def knock_back(self, blow: Blow) -> None:
+    def knock_back(self, blow: Row) -> None:
         """Fly from the hilt, unless it flies already; one that is right there stays there."""
         if blow.strike.knock_ticks < 0 or self.knocked > 0:
             return
@@ -297,7 +258,8 @@ class Monster:
 class Oracle:
     """One world."""
 
-    def __init__(self, book: Rulebook, key: int) -> None:
+    def __init__(self, book: Row, key: int) -> None:
+        """Make a world by what does not change; see `read_rulebook`."""
         self.book = book
         self.key = key
         self.draws = self.steps = self.level = self.start = 0
@@ -396,8 +358,8 @@ class Oracle:
             player.events.reward = player.xp
 
     def _tick(self, actions: list[int]) -> None:
-        gains = [Gain() for _ in self.players]
-        blows: dict[int, Blow] = {}
+        gains = [Row(heal=0.0, bitten=0.0, xp=0.0, kills=0, signs=0, is_paid=False) for _ in self.players]
+        blows: dict[int, Row] = {}
         for index, player in enumerate(self.players):
             if player.hp > 0.0:
                 blow = self._act(player, actions[index])
@@ -412,7 +374,7 @@ class Oracle:
 
     # --- A tick: players act ---------------------------------------------------------------------
 
-    def _act(self, player: Player, action: int) -> Blow | None:
+    def _act(self, player: Player, action: int) -> Row | None:
         """Let a player act, unless an attack or spell still lasts; return what strikes in this tick."""
         stats, name = player.stats, self.book.actions[action]
         blow = None
@@ -450,14 +412,14 @@ class Oracle:
         closed = self.book.closed_to_players
         return move((player.x, player.y), offset, player.box.half, steps, self.ground, closed, obstacles)
 
-    def _others(self, mover: Player | Monster) -> list[Box]:
+    def _others(self, mover: Body) -> list[Box]:
         """Return the bodies that stop one: of all others who live."""
-        bodies: list[Player | Monster] = [*self.players, *self.monsters]
+        bodies: list[Body] = [*self.players, *self.monsters]
         return [body.box for body in bodies if body is not mover and body.hp > 0.0]
 
     # --- A tick: monsters live -------------------------------------------------------------------
 
-    def _live(self, monster: Monster, present: list[int], blows: dict[int, Blow], gains: list[Gain]) -> None:
+    def _live(self, monster: Monster, present: list[int], blows: dict[int, Row], gains: list[Row]) -> None:
         """Let a monster live one tick among the players who are present."""
         monster.safe = max(monster.safe - 1, 0)
         for index in range(len(self.players)):
@@ -491,30 +453,28 @@ class Oracle:
         monster.x, monster.y = move(position, offset, monster.box.half, steps, self.ground, closed, obstacles)
 
     def _strike(
-        self, monster: Monster, striker: int, blow: Blow, present: list[int], gains: list[Gain]
+        self, monster: Monster, striker: int, blow: Row, present: list[int], gains: list[Row]
     ) -> None:
         """Strike a living monster that a blow meets for the first time."""
         stats = monster.stats
         monster.struck_by[striker] = blow.number
         monster.safe = stats.safe
         monster.hp = max(monster.hp - blow.strike.damage, 0.0)
-        gains[striker].hits += 1
+        self.players[striker].events.hits += 1
         if monster.hp > 0.0:
             monster.knock_back(blow)
             return
         gains[striker].kills += 1
         for index in present:
             earns = index == striker
-            if (
-                self.book.config.kill_credit == "near"
-            ):  # within the attack circle when it last looked, a tick ago
+            if self.book.config.kill_credit == "near":  # by the attack circle as it was a tick ago
                 earns = monster.bite[index] > 0
             if earns:
-                gains[index].paying_deaths += 1
+                gains[index].is_paid = True
                 gains[index].xp += stats.xp
-                gains[index].kill_heal += stats.heal
+                gains[index].heal += stats.heal
 
-    def _sense(self, monster: Monster, present: list[int], gains: list[Gain]) -> Player | None:
+    def _sense(self, monster: Monster, present: list[int], gains: list[Row]) -> Player | None:
         """Let a monster look for all players, and bite; return the nearest that it notices.
 
         In flight it does not bite: what is due then comes when it has landed.
@@ -527,7 +487,9 @@ class Oracle:
             if gap > stats.notice_squared:
                 monster.noticed.discard(index)
             else:
-                gain.notices += index not in monster.noticed
+                if index not in monster.noticed:
+                    player.events.notices += 1
+                    gain.signs += 1
                 monster.noticed.add(index)
                 if gap < nearest:
                     target, nearest = player, gap
@@ -537,7 +499,9 @@ class Oracle:
             elif monster.bite[index] > 1:
                 monster.bite[index] -= 1
             else:
-                gain.contacts += monster.bite[index] == 0
+                if monster.bite[index] == 0:
+                    player.events.contacts += 1
+                    gain.signs += 1
                 monster.bite[index] = 1 if flies else stats.bite_ticks
                 # A player who is safe after a bite gets one a tick.
                 if not flies and (player.stats.safe == 0 or gain.bitten == 0.0):
@@ -546,20 +510,19 @@ class Oracle:
 
     # --- A tick: what it brought -----------------------------------------------------------------
 
-    def _settle(self, player: Player, gain: Gain) -> None:
+    def _settle(self, player: Player, gain: Row) -> None:
         """Give a player what a tick brought: XP, what kills heal, then the bites."""
         events = player.events
         events.present += 1
         player.xp += gain.xp
         player.kills += gain.kills
         events.xp_gained += gain.xp
-        for name in ("hits", "kills", "notices", "contacts"):
-            setattr(events, name, getattr(events, name) + getattr(gain, name))
-        if gain.paying_deaths:
+        events.kills += gain.kills
+        if gain.is_paid:
             events.reward = player.xp
-        events.reward += gain.notices + gain.contacts
+        events.reward += gain.signs
         player.safe = max(player.safe - 1, 0)
-        player.heal(player.hp + gain.kill_heal)
+        player.heal(player.hp + gain.heal)
         if gain.bitten > 0.0 and player.safe == 0:
             hp = max(player.hp - gain.bitten, 0.0)
             events.hp_lost += player.hp - hp

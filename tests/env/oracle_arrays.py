@@ -14,15 +14,17 @@ import numpy as np
 from pneuma.env.rules import COAST, SOLID
 from pneuma.env.worlds import Worlds
 
-from .oracle import Events, Ground, Oracle, Row, Rulebook
+from .oracle import Events, Ground, Oracle, Row
 from .oracle_view import mask, observe
 
 SETS = ("noticed", "inside")
 """Sets of players, which the kernel keeps as bits."""
 
 
-def read_rulebook(worlds: Worlds) -> Rulebook:
+def read_rulebook(worlds: Worlds) -> Row:
     """Read what does not change: the configuration, and numbers from the arrays that `Worlds` made.
+
+    Rewards and stats are of each player; codes of tiles stop players and monsters; the last four go by level.
 
     The kernel's switches and shortcuts, which `Worlds` makes of the configuration, are not read.
     """
@@ -37,7 +39,7 @@ def read_rulebook(worlds: Worlds) -> Rulebook:
     if len(rewards) == 1:
         rewards *= config.players
     left, top = settings.corner
-    return Rulebook(
+    return Row(
         config=config,
         actions=worlds.action_names,
         rewards=rewards,

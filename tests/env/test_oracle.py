@@ -21,7 +21,7 @@ from pneuma.env.rules import ATTACK, CLEARED, KILLED, RIGHT, RUNNING, TIME_LIMIT
 from pneuma.env.worlds import Worlds
 
 from .arena import FIELD, GODOT, characters_file, stage
-from .oracle import CONTACT_EPS, Box, Monster, Oracle, Player
+from .oracle import CONTACT_EPS, Body, Box, Monster, Oracle, Player
 from .oracle_arrays import Pair
 from .oracle_cases import MOOD_STEPS, Case, cases, choose_actions, hunt, make_worlds
 
@@ -82,11 +82,8 @@ def overlaps(world: Oracle) -> set[tuple[int, ...]]:
 
     Nobody gets there. Players who begin at one place are inside each other; they may part, and not come back.
     """
-    living: list[tuple[int, Player | Monster]] = []
-    bodies: list[Player | Monster] = [*world.players, *world.monsters]
-    for number, body in enumerate(bodies):
-        if body.hp > 0.0:
-            living.append((number, body))
+    bodies: list[Body] = [*world.players, *world.monsters]
+    living = [(number, body) for number, body in enumerate(bodies) if body.hp > 0.0]
     inside: set[tuple[int, ...]] = set()
     for number, body in living:
         closed = world.book.closed_to_players
@@ -102,7 +99,7 @@ def overlaps(world: Oracle) -> set[tuple[int, ...]]:
     return inside
 
 
-def shrunk(body: Player | Monster, hair: float) -> Box:
+def shrunk(body: Body, hair: float) -> Box:
     return Box(body.box.centre, (body.box.half[0] - hair, body.box.half[1] - hair))
 
 
