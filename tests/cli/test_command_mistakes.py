@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import subprocess
 from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
 
+from pneuma.cli import study_run
+from pneuma.store.provenance import uncommitted
 from pneuma.training.executors import local
 
 from .calls import call, described, refused
@@ -21,6 +24,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         assert not list(groups), "training was started"
 
     monkeypatch.setattr(local, "train_runs", refuse)
+    monkeypatch.setattr(study_run, "uncommitted", lambda: ["pneuma/engines/ppo.py", "studies/early.toml"])
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("PNEUMA_RESULTS", raising=False)
     return tmp_path
@@ -39,6 +43,13 @@ MISTAKES = {
     "study run collapse --set scale=raw": "--set scale: conditions of study collapse differ in it",
     f"{RUN} --address a:1": "--address requires --executor ray",
     f"{RUN} --seeds 0": "--seeds 0: must be a count",
+    f"{RUN} --preset claims": "pneuma/engines/ppo.py is not as committed (2 files",
+    "study summary activation@papper": "unknown preset of study activation 'papper' (did you mean paper?)",
+    "study summary activation@last": "activation@last: was not run in",
+    "study summary activation --condition relo": "unknown condition of study activation 'relo'",
+    "study summary activation --world mars": "--world mars: must be one of",
+    "study summary own-game --world text": "study own-game cannot run in the world text",
+    "study summary activation@quick --preset paper": "names the preset quick; leave out paper",
     "study run nowhere.toml": "nowhere.toml: cannot be read: No such file",
     "study export activation --out x.csv": "Missing option '--table'",
     "study compare": "Missing argument 'NAME[@PRESET]'",
@@ -68,12 +79,6 @@ def test_a_study_is_found_by_its_figure_and_a_folder_without_results_is_noted(he
     assert called.out.startswith("Optimizer") and "Note: nowhere has no results." in called.err
 
 
-@pytest.mark.parametrize("threads", ["x", "0", "-1", "1.5"])
-def test_a_variable_that_numba_cannot_read_is_one_line(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
-    assert f"NUMBA_NUM_THREADS = {threads} is not allowed" in refused("--version")
-
-
 def test_a_file_in_the_place_of_a_folder_is_told(here: Path) -> None:
     (here / "afile").touch()
     for out in ("afile/a.csv", "afile/b/a.csv"):
@@ -88,3 +93,22 @@ def test_counts_and_seeds_are_read_as_they_look(here: Path) -> None:
     assert [row["seed"] for row in rows] == [1, 2, 3, 7]
     again = described(*plan, "--seeds", "1,2,3,7", "--steps", "10_000")["runs"]
     assert [row["run_id"] for row in again] == [row["run_id"] for row in rows]
+
+
+def test_only_changes_of_code_and_studies_keep_claims_from_being_trained(tmp_path: Path) -> None:
+    def git(*words: str) -> None:
+        own = ["-c", "user.name=a", "-c", "user.email=a@b"]
+        subprocess.run(["git", "-C", str(tmp_path), *own, *words], check=True, capture_output=True)
+
+    (tmp_path / "pneuma").mkdir()
+    (tmp_path / "pneuma" / "code.py").write_text("1")
+    assert uncommitted(tmp_path) == []  # an installed copy has no tree
+    git("init")
+    git("add", ".")
+    git("commit", "-m", "first")
+    (tmp_path / "notes.md").write_text("mine")
+    assert uncommitted(tmp_path) == []
+    (tmp_path / "studies").mkdir()
+    (tmp_path / "studies" / "new.toml").write_text("")
+    (tmp_path / "pneuma" / "code.py").write_text("2")
+    assert uncommitted(tmp_path) == ["pneuma/code.py", "studies/"]

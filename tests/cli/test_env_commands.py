@@ -47,20 +47,12 @@ def frames(path: str | Path) -> int:
         return int(getattr(image, "n_frames", 1))
 
 
-# --- Pictures and GIFs ---------------------------------------------------------------------------
-
-
-def test_a_gif_has_two_frames_a_step_and_ends_two_seconds_after_the_last_kill(here: Path, arena: str) -> None:
+def test_a_gif_ends_two_seconds_after_the_last_kill_or_when_so_many_are_over(here: Path, arena: str) -> None:
     assert "0 of 14 monsters killed, 3 steps, time limit" in render("a.gif", "--set", "episode_steps=3")
     assert 1 < frames("a.gif") <= 3 * 2 + 1  # those that are alike are one
     told = render("b.gif", "--player", "hunter", "--set", f"level={arena}")
-    steps = int(told.split("killed, ")[1].split()[0])
     assert "1 of 1 monsters killed" in told and "it ends 2 s after the last kill" in told
-    assert frames("b.gif") <= 1 + 2 * steps and steps < 100
-
-
-def test_a_gif_shows_so_many_seconds(here: Path, arena: str) -> None:
-    told = render("a.gif", "--seconds", "2", "--set", f"level={arena}")  # 15 steps of 8/60 s
+    told = render("c.gif", "--seconds", "2", "--set", f"level={arena}")  # 15 steps of 8/60 s
     assert "0 of 1 monsters killed, 15 steps; the episode goes on: --seconds shows more" in told
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from ..hand_made import write_events, write_table
+from ..hand_made import write_events
 from .calls import SETTINGS, call, described, printed, refused
 
 FILE = "events.out.tfevents.1700000000.host"
@@ -48,41 +48,21 @@ def test_an_import_is_drawn_and_published_and_drawn_again(
 
 
 @pytest.mark.usefixtures("unshipped")
-def test_a_study_is_compared_with_logs(trained: Path, logs: Path, tmp_path: Path) -> None:
-    """In the conditions that both have; the reward behind a log is not known, and its return is compared."""
-    at = ("--results", shutil.copytree(trained, tmp_path / "results"))
-    printed("import", "tensorboard", logs, *at)
-    words = ("study", "compare", "activation", "--with", "old", *SETTINGS)
-    told = printed(*words, "--outcome", "final-return", *at)
-    rows = [line.split("  ") for line in told.splitlines() if line.startswith(("tanh", "relu"))]
-    found = {row[0]: row[-2].strip() or row[-3] for row in rows}
-    assert {name: runs.strip() for name, runs in found.items()} == {"tanh": "2 and 2", "relu": "2 and 1"}
-    assert "Activation function in the arena" in told or "Activation function, and old" in told
-    only = ("--condition", "leaky-relu")
-    assert "leaky-relu alone, seeds 0..1, " in refused(*words, *only, *at)
-
-
-@pytest.mark.usefixtures("unshipped")
-def test_of_logs_beside_a_study_the_conditions_that_are_asked_for_are_drawn(
+def test_logs_are_compared_and_drawn_beside_a_study_in_what_both_have(
     trained: Path, logs: Path, tmp_path: Path
 ) -> None:
+    """The conditions of both; the reward behind a log is not known, and its return is compared."""
     at = ("--results", shutil.copytree(trained, tmp_path / "results"))
     printed("import", "tensorboard", logs, *at)
-    out = tmp_path / "beside.png"
-    printed(
-        "study", "plot", "activation", *SETTINGS, "--condition", "tanh", "--beside", "old", "--out", out, *at
-    )
-    with Image.open(out) as image:
+    words = ("study", "compare", "activation", "--with", "old", *SETTINGS, *at)
+    told = described(*words, "--outcome", "final-return", "--json")["comparisons"]
+    runs = {row["a"]: (row["seeds_a"], row["seeds_b"]) for row in told}
+    assert runs == {"tanh, activation": (2, 2), "relu, activation": (2, 1)}
+    outcomes = {row["outcome"] for row in described(*words, "--json")["comparisons"]}
+    assert outcomes == {"final-return", "auc-return"}
+    assert "leaky-relu alone, seeds 0..1, " in refused(*words, "--condition", "leaky-relu")
+    plot = ("study", "plot", "activation", *SETTINGS, "--condition", "tanh", "--beside", "old")
+    printed(*plot, "--out", tmp_path / "beside.png", *at)
+    with Image.open(tmp_path / "beside.png") as image:
         _, *lines = image.info["Description"].splitlines()
     assert [line.partition(", seeds")[0] for line in lines] == ["activation, tanh", "old, tanh"]
-
-
-def test_a_table_of_runs_is_compared_with_a_study_in_what_both_have(tmp_path: Path) -> None:
-    at = ("--results", tmp_path / "results")
-    curves = {(name, seed): {10: 1.0, 20: seed} for name in ("tanh", "relu") for seed in (0, 1)}
-    table = write_table(tmp_path / "runs.csv", curves)
-    columns = ("--step", "step", "--value", "return", "--condition", "condition", "--seed", "seed")
-    printed("import", "csv", table, *columns, *at)
-    told = described("study", "compare", "activation", "--with", "runs", "--json", *at)
-    assert {row["outcome"] for row in told["comparisons"]} == {"final-return", "auc-return"}
-    assert {row["seeds_b"] for row in told["comparisons"]} == {2}

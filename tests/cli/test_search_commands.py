@@ -155,12 +155,3 @@ def test_an_outcome_that_the_environment_cannot_have_is_refused_before_training(
     study.write_text(f"{head}[conditions.one]\n[presets.quick]\nseeds = 2\nsteps = 128\n")
     assert told in refused("study", "run", study, *at)
     assert not (tmp_path / "results").exists()
-
-
-def test_steps_that_are_rounded_up_are_told_as_in_a_study(
-    searched: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By hand: whole updates of 64 steps, of which 100 need two; the runs of 128 steps are stored."""
-    shutil.copytree(searched[1] / "runs", tmp_path / "runs")
-    words = ("search", "run", searched[0], "--trials", 2, "--steps", 100, "--results", tmp_path)
-    assert call(*words).err.count("100 steps are rounded up to 128 for all trials and the base") == 1

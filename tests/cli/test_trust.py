@@ -1,4 +1,4 @@
-"""A stranger's results folder: what a record names is used with `--trust` alone, in every command."""
+"""A stranger's results folder: what a record names needs `--trust`; nothing is written through a link."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from gymnasium.envs.classic_control import CartPoleEnv
 from pneuma.config import make_run
 from pneuma.store.store import Store
 
-from .calls import call, policy_of, refused, save_policy
+from .calls import call, policy_of, printed, refused, save_policy
 
 RUN = "0123456789abcdef"
 INSTALLED = "RunsAProgram-v0"
+OWN = 'title = "Own"\n[conditions.one]\n[presets.quick]\nseeds = 1\nsteps = 128\n'
 COMMANDS = {
     "export": ("run", "export", "{}", "--out", "x.zip"),
     "render": ("env", "render", "pneuma/Pneuma-v0", "--player", "{}", "--out", "x.gif"),
@@ -43,6 +44,7 @@ def mark(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             super().__init__(**kwargs)
 
     (tmp_path / "marking.py").write_text(f"open({str(mark)!r}, 'w')\n")
+    (tmp_path / "own.toml").write_text(OWN)
     monkeypatch.chdir(tmp_path)
     gymnasium.register(INSTALLED, Runs)
     yield mark
@@ -69,3 +71,43 @@ def test_a_record_that_is_trusted_is_used(mark: Path) -> None:
     save_run(RECORDS["arguments"])
     assert call("run", "export", RUN, "--out", "x.zip", "--trust", "--results", "results").code == 0
     assert mark.exists() and Path("x.zip").exists()
+
+
+# --- What commands write ---------------------------------------------------------------------------
+
+OUTPUTS = {"export": (("run", "export", RUN), "out.zip"), "report": (("report", "own.toml"), "out.html")}
+
+
+@pytest.mark.parametrize("link", ["itself", "theirs", "nothing"])
+@pytest.mark.parametrize("output", OUTPUTS)
+def test_untrusted_nothing_is_written_through_a_link(mark: Path, output: str, link: str) -> None:
+    save_run({"env": "CartPole-v1"})
+    words, name = OUTPUTS[output]
+    Path("theirs").write_text("precious")
+    Path(name).symlink_to(name if link == "itself" else link)
+    for force in ((), ("--force",)):
+        told = refused(*words, "--out", name, *force, "--results", "results")
+        assert told == f"--out {name}: is a link; name the file itself"
+    assert Path("theirs").read_text() == "precious" and not Path("nothing").exists()
+
+
+@pytest.mark.parametrize("output", OUTPUTS)
+def test_untrusted_a_file_of_anothers_is_replaced_by_force_alone(mark: Path, output: str) -> None:
+    save_run({"env": "CartPole-v1"})
+    words, name = OUTPUTS[output]
+    out = Path(name)
+    out.write_text("precious")
+    at = (*words, "--out", out, "--results", "results")
+    assert "--force replaces it" in call(*at).err and out.read_text() == "precious"
+    printed(*at, "--force")
+    whole = out.read_bytes()
+    printed(*at)
+    assert out.read_bytes()[:8] == whole[:8] != b"precious"
+
+
+def test_untrusted_a_folder_that_is_a_link_to_itself_is_one_line(mark: Path) -> None:
+    Path("loop").symlink_to("loop")
+    for words in (("study", "plot", "activation"), ("search", "plot", "ppo")):
+        code, _, err = call(*words, "--out", "loop", "--results", "results")
+        told = [line for line in err.splitlines() if line.startswith("pneuma: ")]
+        assert code == 2 and len(told) == 1 and "Traceback" not in err, err
