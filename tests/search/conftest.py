@@ -9,7 +9,10 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
 
+import optuna
 import pytest
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial
 
 from pneuma.search import trials, values
@@ -46,6 +49,14 @@ trials = 8
 seeds = 2
 steps = 2048
 """
+
+
+MEDIAN = '[pruner]\nname = "median"\nn_startup_trials = 2\n'
+
+
+def open_log(path: Path) -> optuna.Study:
+    """Return the log of the search `formula` as Optuna opens it."""
+    return optuna.load_study(study_name="formula", storage=JournalStorage(JournalFileBackend(str(path))))
 
 
 def height(cell: Cell) -> float:

@@ -25,11 +25,8 @@ def _settings() -> dict[str, object]:
 def test_the_tables_values_are_marked_and_importances_are_of_enough_trials(
     make_task: MakeTask, tmp_path: Path, trials: int
 ) -> None:
-    task = make_task(
-        trials,
-        more=f"{MORE}[sampler]\nname = 'random'",
-        start='start = ["table-6-2", { learning_rate = 1e-3 }]',
-    )
+    start = 'start = ["table-6-2", { learning_rate = 1e-3 }]'
+    task = make_task(trials, more=f"{MORE}[sampler]\nname = 'random'", start=start)
     before = _settings()
     texts = {path.stem: path.read_text() for path in draw_search(task.record(), tmp_path, ("svg",))}
     pictures = {"history", "values", "importances"} if trials > 10 else {"history", "values"}

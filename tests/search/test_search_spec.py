@@ -68,9 +68,7 @@ def write(tmp_path: Path) -> Load:
 def test_a_search_is_read_whole(write: Load) -> None:
     search = write(GOOD)
     assert search.presets["quick"].seeds == (1000, 1001)
-    assert [*search.space] == [
-        "learning_rate", "epochs", "optimizer", "momentum", "actor",
-    ]  # fmt: skip
+    assert [*search.space] == ["learning_rate", "epochs", "optimizer", "momentum", "actor"]
     assert [search.params_of(start) for start in search.start] == [
         {"learning_rate": 3e-4, "epochs": 10, "optimizer": "adam", "actor": "[128]"},
         {"learning_rate": 3e-4, "optimizer": "adam", "actor": "[128]"},  # 15 epochs are outside
@@ -81,14 +79,12 @@ def test_a_search_is_read_whole(write: Load) -> None:
 
 
 def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
-    search = write(GOOD)
     for optimizer in ("adam", "sgd"):
 
         def suggest(parameter: Parameter, chosen: str = optimizer) -> object:
             return chosen if parameter.name == "optimizer" else parameter.extremes[0]
 
-        asked = search.suggest(suggest)
-        assert ("momentum" in asked) == (optimizer == "sgd")
+        assert ("momentum" in write(GOOD).suggest(suggest)) == (optimizer == "sgd")
 
 
 @pytest.mark.parametrize(
@@ -96,7 +92,6 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
     [  # what is changed, into what, and what is said of it
         ("[space.epochs]", "[space.epoch]", "[space] epoch: unknown parameter 'epoch' (did you"),
         ("[space.epochs]\n", "[space.epochs]\nstep = 2\n", "It will be replaced with [1, 9]"),
-        ("log = true", "log = true\nstep = 1e-5", "`step` is not supported when `log` is true"),
         ("[space.epochs]\n", "[space.epochs]\nstep = 0.5\n", "step = 0.5 is not allowed: a whole number"),
         ('"table-6-1"]', '{ epochs = 11 }]', 'start: {"epochs": 11} is not in the space'),
         ('"table-6-1"]', '"table-6-3"]', "(did you mean table-6-2?): must be"),
@@ -112,18 +107,13 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ("[run]", '[sampler]\nname = "tpe"\nstartup = 1\n[run]', "unexpected keyword argument 'startup'"),
         ("[run]", '[sampler]\nname = "gp"\n[run]', "any other is named as module:Class"),
         ("[run]", '[sampler]\nname = "optuna:Study"\n[run]', "not a class of Optuna's BaseSampler"),
-        (
-            "[run]", '[sampler]\nname = "optuna.samplers:GPSampler"\nsigma = 1\n[run]',
-            "unexpected keyword argument 'sigma'",
-        ),
         ("[run]", '[sampler]\nname = "optuna.samplers:CmaEsSampler"\n[run]', "state as a pickle"),
         (
             "[run]", '[pruner]\nname = "optuna.pruners:PercentilePruner"\npercentile = 101\n[run]',
             "Percentile must be between",
         ),
         (
-            "[run]",
-            '[pruner]\nname = "median"\n[objectives.more]\noutcome = "final-return"\n[run]',
+            "[run]", '[pruner]\nname = "median"\n[objectives.more]\noutcome = "final-return"\n[run]',
             "median requires a single objective",
         ),
         ("[space.epochs]\nlow = 1\n", "[space.noise]\nlow = 1\n", "noise does nothing"),

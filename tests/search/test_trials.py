@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 import json
+import math
 import random
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import optuna
 import pytest
-from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 
 from pneuma.engines import loop
 from pneuma.engines.loop import evaluation_updates
-from pneuma.search import trials
+from pneuma.search import trials, values
 from pneuma.search.log import read_record
-from pneuma.store.store import Store
+from pneuma.search.spec import OVER_SEEDS, Objective
+from pneuma.search.values import combine, read_rows, trial_value
+from pneuma.store.store import Status, Store
 from pneuma.study.plan import Cell, Plan
 from pneuma.training.execute import CellResult
 
-from .conftest import Formula, FormulaRow, MakeTask, Task, height
+from .conftest import MEDIAN, Formula, FormulaRow, MakeTask, Task, height, open_log
 
-MEDIAN = '[pruner]\nname = "median"\nn_startup_trials = 2\n'
 RANGE = "[space.gamma]\nlow = 0.8\nhigh = 1.0\n[run]\nhorizon = 64\n"
 
 
@@ -32,26 +34,6 @@ RANGE = "[space.gamma]\nlow = 0.8\nhigh = 1.0\n[run]\nhorizon = 64\n"
 def twenty_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
     """Evaluate these short runs as often as long ones."""
     monkeypatch.setattr(loop, "SHORT_STEPS", 0)
-
-
-@pytest.mark.parametrize(
-    "sampler",
-    [
-        'name = "tpe"',
-        'name = "random"',
-        'name = "nsga-ii"\npopulation_size = 4',
-        'name = "optuna.samplers:GPSampler"',
-        'name = "optuna.samplers:QMCSampler"\nqmc_type = "halton"',
-    ],
-)
-@pytest.mark.filterwarnings("error")
-def test_a_search_is_the_same_however_often_it_is_begun(make_task: MakeTask, sampler: str) -> None:
-    more = f"[space.gamma]\nlow = 0.8\nhigh = 1.0\n[sampler]\n{sampler}"
-    first, second = make_task(12, more).solve(), make_task(12, more).solve()
-    assert first == second
-    assert [trial["number"] for trial in first] == list(range(12))
-    assert len({trial["params"]["learning_rate"] for trial in first}) > 6  # a population of 4 repeats some
-    assert make_task(5, more).solve() == first[:5]  # fewer trials are the first of more
 
 
 class Killed(Exception):
@@ -63,17 +45,23 @@ class Killed(Exception):
     [
         MEDIAN,
         '[pruner]\nname = "optuna.pruners:HyperbandPruner"\nmax_resource = 20',
+        '[sampler]\nname = "random"',
         '[sampler]\nname = "nsga-ii"\npopulation_size = 4',
-        '[sampler]\nname = "optuna.samplers:QMCSampler"',
+        '[sampler]\nname = "optuna.samplers:GPSampler"',
+        '[sampler]\nname = "optuna.samplers:QMCSampler"\nqmc_type = "halton"',
     ],
 )
-def test_a_search_is_the_same_however_often_it_is_killed(
+@pytest.mark.filterwarnings("error")
+def test_a_search_is_the_same_however_often_it_is_begun_or_killed(
     make_task: MakeTask, store: Store, formula: Formula, more: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is killed while it writes a line, of which a part is left in the log."""
     formula.status = "diverged" if "QMC" in more else "done"  # such trials have notes
     task = make_task(12, more=RANGE + more)
     alone = task.solve()
+    assert [trial["number"] for trial in alone] == list(range(12))
+    assert len({trial["params"]["learning_rate"] for trial in alone}) > 6  # a population of 4 repeats some
+    assert make_task(5, more=RANGE + more).solve() == alone[:5]  # fewer trials are the first of more
     append = JournalFileBackend.append_logs
     generator = random.Random(1)
     left = 0
@@ -89,23 +77,21 @@ def test_a_search_is_the_same_however_often_it_is_killed(
         append(self, logs)
 
     monkeypatch.setattr(JournalFileBackend, "append_logs", append_or_die)
-    kills = 0
-    while True:
+    kills, found = 0, None
+    while found is None:
         left = generator.randrange(1, 60)
         try:
-            trials_found = task.solve(store)
-            break
+            found = task.solve(store)
         except Killed:
             kills += 1
-    assert kills > 2
-    assert trials_found == alone
+    assert kills > 2 and found == alone
 
 
 def test_a_published_search_is_found_again(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its outcomes are those in its log, by which TPE and the median pruner went when it was run."""
     published = read_record(store, "tune-adam", "arena")
 
-    def read_rows(store: Store, cells: Sequence[Cell], step: int | None = None) -> list[FormulaRow]:
+    def read_published(store: Store, cells: Sequence[Cell], step: int | None = None) -> list[FormulaRow]:
         return [FormulaRow(cell, step or cell.run.steps, "done") for cell in cells]
 
     def outcome(row: FormulaRow, name: str) -> float:
@@ -113,8 +99,8 @@ def test_a_published_search_is_found_again(store: Store, monkeypatch: pytest.Mon
         evaluations = {step: number for number, step in loop.evaluation_steps(row.cell.run).items()}
         return trial.intermediate_values[evaluations[row.step]]
 
-    monkeypatch.setattr(trials, "read_rows", read_rows)
-    monkeypatch.setattr("pneuma.search.values.outcome", outcome)
+    monkeypatch.setattr(trials, "read_rows", read_published)
+    monkeypatch.setattr(values, "outcome", outcome)
     found = Task(published.search, published.budget).record(store).ended
     assert [trial.state for trial in found] == [trial.state for trial in published.ended]
     for trial, old in zip(found, published.ended, strict=True):
@@ -134,8 +120,7 @@ def test_the_first_trials_are_those_that_it_starts_with(make_task: MakeTask) -> 
 
 def test_what_optuna_enqueues_is_the_next_trial(make_task: MakeTask, store: Store) -> None:
     """With the other parameters suggested; values outside of the space fail, and say so."""
-    path = make_task(4).record(store).path
-    study = optuna.load_study(study_name="formula", storage=JournalStorage(JournalFileBackend(str(path))))
+    study = open_log(make_task(4).record(store).path)
     study.enqueue_trial({"learning_rate": 2e-3})
     study.enqueue_trial({"learning_rate": 9.0})
     study.enqueue_trial({"activation": "sine"})
@@ -147,14 +132,18 @@ def test_what_optuna_enqueues_is_the_next_trial(make_task: MakeTask, store: Stor
 
 
 def test_a_trial_that_another_program_asks_for_is_left_to_it(make_task: MakeTask, store: Store) -> None:
-    path = make_task(4).record(store).path
-    study = optuna.load_study(study_name="formula", storage=JournalStorage(JournalFileBackend(str(path))))
-    assert study.ask().number == 4
+    assert open_log(make_task(4).record(store).path).ask().number == 4
     found = make_task(12).solve(store)
     assert [trial["number"] for trial in found] == [0, 1, 2, 3, *range(5, 12)]
 
 
 # --- Pruning ---------------------------------------------------------------------------------------
+
+
+def told_to_stop(task: Task) -> set[int]:
+    """Return the trials that notes tell were stopped early."""
+    notes = " ".join(note for note in task.notes if note.startswith("Stopped early"))
+    return {int(number) for number in re.findall(r"\d+", notes)}
 
 
 @pytest.mark.parametrize(
@@ -188,11 +177,10 @@ def test_a_median_stops_what_is_below_it(make_task: MakeTask) -> None:
         best = max(trial["reports"][step] for step in range(1, 11))
         assert (trial["state"] == "pruned") == bool(best < median)
         if trial["state"] == "pruned":
-            stopped.add(str(trial["number"]))
+            stopped.add(trial["number"])
             assert [*trial["reports"]] == [*range(1, 11)]
             assert trial["values"] == (trial["reports"][10],)
-    lines = [note for note in task.notes if note.startswith("Stopped early")]
-    assert set(", ".join(lines).replace("Stopped early: trial ", "").replace(".", "").split(", ")) == stopped
+    assert told_to_stop(task) == stopped
 
 
 @pytest.mark.parametrize(
@@ -245,22 +233,19 @@ def test_what_another_process_ends_meanwhile_is_neither_told_again_nor_said_to_s
 ) -> None:
     """While this one reads the values of a trial, another ends the whole search."""
     task = make_task(8, more=MEDIAN)
-    usual = formula.read_rows
+    default = formula.read_rows
     others: list[Any] = []
 
-    def read_rows(*args: Any) -> Any:
+    def read_meanwhile(*args: Any) -> Any:
         if not others:
             others.append(None)
             others[0] = make_task(8, more=MEDIAN).solve(store)
-        return usual(*args)
+        return default(*args)
 
-    monkeypatch.setattr(formula, "read_rows", read_rows)
+    monkeypatch.setattr(formula, "read_rows", read_meanwhile)
     found = task.solve(store)
     assert found == others[0]
-    pruned = [str(trial["number"]) for trial in found if trial["state"] == "pruned"]
-    for note in task.notes:
-        if note.startswith("Stopped early"):
-            assert all(number in pruned for number in note.strip(".").split("trial ")[1].split(", "))
+    assert told_to_stop(task) <= {trial["number"] for trial in found if trial["state"] == "pruned"}
 
 
 # --- Values ----------------------------------------------------------------------------------------
@@ -272,3 +257,48 @@ def test_a_run_without_a_number_fails_its_trial_alone(make_task: MakeTask, formu
         failed = trial["params"]["activation"] == "relu"
         assert trial["state"] == ("failed" if failed else "complete")
         assert ("final-share-killed" in trial["note"]) == failed
+
+
+@dataclass(frozen=True)
+class _Row:
+    """What a search reads of a row."""
+
+    value: float = 0.0
+    status: str = "done"
+
+
+def test_over_seeds_by_hand() -> None:
+    found = {name: combine(name, np.array([1.0, 2, 3, 8])) for name in OVER_SEEDS}
+    assert found == pytest.approx({"mean": 3.5, "median": 2.5, "iqm": 2.5, "deviation": math.sqrt(29 / 3)})
+
+
+@pytest.mark.parametrize(
+    ("outcome", "over_seeds", "direction", "value"),
+    [  # by hand, of 0.5 and of 0.7 that diverged; a share lies between 0 and 1, a return has no bounds
+        ("final-share-killed", "mean", "maximize", 0.25),
+        ("final-share-killed", "mean", "minimize", 0.75),
+        ("final-share-killed", "deviation", "minimize", math.sqrt(0.5)),  # of 0 and 1
+        ("final-return", "mean", "maximize", 0.6),
+        ("final-return", "deviation", "minimize", math.sqrt(0.02)),
+    ],
+)
+def test_a_diverged_run_counts_with_the_worst_that_can_be(
+    monkeypatch: pytest.MonkeyPatch, outcome: str, over_seeds: str, direction: str, value: float
+) -> None:
+    monkeypatch.setattr(values, "outcome", lambda row, name: row.value)
+    objective = Objective(outcome=outcome, over_seeds=over_seeds, direction=direction)
+    rows = [_Row(0.5), _Row(0.7, "diverged")]
+    assert trial_value(objective, rows) == pytest.approx(value)  # type: ignore[arg-type]
+
+
+def test_a_run_that_diverges_after_a_pause_has_its_values_from_before(
+    make_task: MakeTask, store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that what a pruner decided at the pause is decided again once the run's end is known."""
+    run = make_task().search.make_run({"learning_rate": 1e-3, "activation": "tanh"}, steps=2048)
+    cell = Cell("trial-000", 1000, run)
+    monkeypatch.setattr(Store, "status", lambda *_: Status("diverged", 250))
+    monkeypatch.setattr(values, "stored_row", lambda *_: "end")
+    monkeypatch.setattr(values, "row_until", lambda *args: args[-1])
+    rows = [read_rows(store, [cell], step)[0] for step in (100, 200, 250, 300, None)]
+    assert rows == [100, 200, "end", "end", "end"]
