@@ -11,7 +11,7 @@ import pytest
 from pneuma.store.row_builder import record_frame, stored_row
 from pneuma.store.store import Store
 
-from ..cli.calls import call, described, printed, refused
+from ..cli.calls import described, printed, refused
 from ..hand_made import write_table
 
 PAPER = Path(__file__).parents[2] / "docs" / "paper.md"
@@ -68,9 +68,9 @@ def test_without_options_condition_and_seed_are_in_the_files_names() -> None:
 def test_what_selects_data_is_part_of_the_id() -> None:
     """`--value b` after `--value a` once kept the data of a: '0 imported now'."""
     write("runs.csv", "step,other,a,b\n10,20,1,5\n20,40,1,5\n")
-    ids, selected = set(), (("a",), ("b",), ("b=length",), ("b", "--averaged-over", "1"))
-    for value in selected:
-        told = described("import", "csv", "runs.csv", "--step", "step", "--value", *value, "--json")
+    ids = set()
+    for value in ("a", "b", "b=length", "b --averaged-over 1"):
+        told = described("import", "csv", "runs.csv", "--step", "step", "--value", *value.split(), "--json")
         assert told["runs"][0]["imported"]
         ids.add(told["runs"][0]["run_id"])
     assert curves("runs")["runs", 0] == {10: 5, 20: 5}
@@ -99,10 +99,8 @@ def test_returns_are_averaged_over_a_hundred_episodes_where_it_is_known_what_the
 
 def test_several_columns_are_several_quantities() -> None:
     write("runs.csv", "step,train,test\n10,1,\n20,,7\n30,3,9\n")
-    told = described(
-        "import", "csv", "runs.csv", "--step", "step", "--value", "train", "--value", "test=evaluated_return",
-        "--json",
-    )  # fmt: skip
+    values = ("--value", "train", "--value", "test=evaluated_return")
+    told = described("import", "csv", "runs.csv", "--step", "step", *values, "--json")
     run = "runs.csv, runs with seed 0: 1 of 3 rows have no finite"
     assert told["notes"] == [f"{run} train and are left out", f"{run} test and are left out"]
     row = stored_row(Store("results"), told["runs"][0]["run_id"])
@@ -122,31 +120,16 @@ def test_without_columns_they_are_listed_with_a_command_to_copy() -> None:
 @pytest.mark.parametrize(
     ("rows", "options", "told"),
     [
-        (
-            "1.024,5",
-            "",
-            "row 2: '1.024' in column step must be a whole number as 1024, without thousands separators",
-        ),
-        ("1.000,5", "", "'1.000' in column step must be a whole number"),
-        (
-            '"1,024",5',
-            "",
-            "'1,024' in column step must be a plain number as 1024 or 0.5, without thousands separators",
-        ),
+        ("1.024,5", "", "row 2: '1.024' in column step must be a whole number as 1024, without thousands"),
+        ('"1,024",5', "", "'1,024' in column step must be a plain number as 1024 or 0.5, without thousands"),
         ('8,"1,5"', "", "'1,5' in column return must be a plain number"),
         ("1,024,5", "", "Expected 2 fields in line 2, saw 3"),
-        ("8,many", "", "'many' in column return must be a plain number"),
         ("-8,5", "", "'-8' in column step must be a whole number"),
         (",5", "", "'' in column step must be a whole number"),
-        (
-            "8,5\n8,6",
-            "",
-            "row 3: step 8 of runs with seed 0 is not after the one before: distinguish the runs",
-        ),
+        ("8,5\n8,6", "", "row 3: step 8 of runs with seed 0 is not after the one before: distinguish"),
         ("8,5\n16,6\n8,5", "", "row 4: step 8 of runs with seed 0 is not after the one before"),
         ("8,", "", "has no values at agent steps"),
         ("8,5", "--step steps", "unknown column in --step 'steps' (did you mean step?)"),
-        ("8,5", "--seed seed", "unknown column in --seed 'seed'"),
         ("8,5", f"--seed {'9' * 5000}", "unknown column in --seed '999"),
         ("8,5", "--value return=reward", "unknown quantity in --value return=reward: 'reward'"),
         ("8,5", "--value step --value return", "two columns are given for one quantity"),
@@ -156,9 +139,9 @@ def test_without_columns_they_are_listed_with_a_command_to_copy() -> None:
 def test_what_could_be_read_in_two_ways_or_none_is_refused(rows: str, options: str, told: str) -> None:
     write("runs.csv", f"step,return\n{rows}\n")
     words = options.split()
-    for needed in ("--step step", "--value return"):
-        if needed.split()[0] not in words:
-            words += needed.split()
+    for option, column in (("--step", "step"), ("--value", "return")):
+        if option not in words:
+            words += [option, column]
     assert told in refused("import", "csv", "runs.csv", *words)
     assert not Path("results").exists()
 
@@ -180,9 +163,8 @@ def test_another_selection_of_a_studys_runs_needs_its_name() -> None:
     runs = {("a", 0): {8: 1.0}, ("b", 0): {8: 2.0}}
     printed("import", "csv", str(write_table(Path("runs.csv"), runs)), *TIDY)
     write_table(Path("runs.csv"), {("c", 0): {8: 3.0}})
-    assert "study runs has other runs; give --name runs to add to them" in refused(
-        "import", "csv", "runs.csv", *TIDY
-    )
+    told = refused("import", "csv", "runs.csv", *TIDY)
+    assert "study runs has other runs; give --name runs to add to them" in told
     printed("import", "csv", "runs.csv", *TIDY, "--name", "runs")
     assert curves("runs", "return") == {**runs, ("c", 0): {8: 3.0}}
 
@@ -279,7 +261,4 @@ def test_a_monitor_that_cannot_be_read_whole_is_refused(
 
 def test_a_file_that_is_no_text_is_refused() -> None:
     Path("runs.csv").write_bytes(b"step,return\n8,\xff\n")
-    assert (
-        call("import", "csv", "runs.csv", *TIDY).err
-        == "pneuma: runs.csv: is not UTF-8 text; save it as UTF-8\n"
-    )
+    assert refused("import", "csv", "runs.csv", *TIDY) == "runs.csv: is not UTF-8 text; save it as UTF-8"

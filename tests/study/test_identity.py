@@ -37,9 +37,7 @@ def test_the_shipped_studys_runs_keep_their_names() -> None:
 
 def test_a_configuration_is_a_run_without_its_seed_and_steps() -> None:
     run = make_run({})
-    assert {config_id(replace(run, seed=seed, steps=steps)) for seed in (0, 1) for steps in (512, 1024)} == {
-        config_id(run)
-    }
+    assert config_id(replace(run, seed=1, steps=1024)) == config_id(run)
     assert config_id(replace(run, horizon=512)) != config_id(run) != run_id(run)
 
 
@@ -75,26 +73,21 @@ def _name(level: Path | str) -> str:
     return run_id(make_run({"level": str(level)}))
 
 
-@pytest.mark.parametrize("file", ["level.toml", "ground.csv", "obstacles.csv", "objects.csv"])
-def test_the_contents_of_a_level_folder_change_the_name(level: Path, file: str) -> None:
+def test_the_contents_of_a_level_folder_change_the_name(level: Path) -> None:
     before = _name(level)
-    assert _name(level) == before
-    original = (level / file).read_bytes()
-    assert len(original) > 100
-    for changed in (original + b"\n", original[:-1] + b"?"):  # of another length, and in its last byte alone
-        (level / file).write_bytes(changed)
-        assert _name(level) != before
-    (level / file).write_bytes(original)
-    assert _name(level) == before
-
-
-def test_contents_cannot_be_shifted_from_one_file_to_the_next(level: Path) -> None:
-    (level / "ground.csv").write_bytes(b"ab")
-    (level / "obstacles.csv").write_bytes(b"c")
-    before = _name(level)
-    (level / "ground.csv").write_bytes(b"a")
-    (level / "obstacles.csv").write_bytes(b"bc")
-    assert _name(level) != before
+    for file in ("level.toml", "ground.csv", "obstacles.csv", "objects.csv"):
+        original = (level / file).read_bytes()
+        for changed in (original + b"\n", original[:-1] + b"?"):  # longer, and in its last byte alone
+            (level / file).write_bytes(changed)
+            assert _name(level) != before, file
+        (level / file).write_bytes(original)
+        assert _name(level) == before
+    names = set()
+    for ground, obstacles in ((b"ab", b"c"), (b"a", b"bc")):  # shifted from one file to the next
+        (level / "ground.csv").write_bytes(ground)
+        (level / "obstacles.csv").write_bytes(obstacles)
+        names.add(_name(level))
+    assert len(names) == 2
 
 
 def test_a_shipped_level_is_not_mistaken_for_a_folder_of_its_name(
@@ -179,6 +172,5 @@ def test_a_reward_is_named_alike_by_its_module_and_by_that_ones_path(
     for name in ("named_alike", "package_alike.inside"):
         path = tmp_path / f"{name.replace('.', '/')}.py"
         path.write_text("def reward(events, players, stats):\n    return 1\n")
-        assert run_id(make_run({"reward": f"{path}:reward"})) == run_id(
-            make_run({"reward": f"{name}:reward"})
-        )
+        by_path, by_name = make_run({"reward": f"{path}:reward"}), make_run({"reward": f"{name}:reward"})
+        assert run_id(by_path) == run_id(by_name)

@@ -86,9 +86,7 @@ def test_what_has_no_field_is_refused_by_the_name_in_the_file(tmp_path: Path, li
 
 
 def test_mistakes_are_told_at_once_each_with_its_line(tmp_path: Path) -> None:
-    told = (
-        r"line 4: \[run\] seed is not allowed .*; line 5: \[run\] n_steps: horizon .*; line 6: .*unknown key"
-    )
+    told = r"line 4: \[run\] seed is not allowed .*; line 5: \[run\] n_steps: hor.*; line 6: .*unknown key"
     with pytest.raises(UserError, match=told):
         load_study(str(study(tmp_path / "zoo.toml", "seed = 1\nn_steps = 1\nx = 2\n")))
 
@@ -96,15 +94,9 @@ def test_mistakes_are_told_at_once_each_with_its_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lines", "told"),
     [
-        (
-            "train_freq = 256",
-            "line 5: .*unknown key 'train_freq' .*; put a learner's arguments in algorithm_kw",
-        ),
+        ("train_freq = 256", "line 5: .*unknown key 'train_freq' .*; put a learner's arguments in algorithm"),
         ("ent_coef = 'auto'", 'ent_coef: entropy_coefficient = "auto" is not allowed'),
-        (
-            "gamma = 0.9",
-            "gamma does nothing: .* Pendulum-v1, sac as they are set; an argument of sac stands in al",
-        ),
+        ("gamma = 0.9", "gamma does nothing: .* Pendulum-v1, sac as they are set; an argument of sac stands"),
     ],
 )
 def test_an_argument_of_another_learner_is_refused_with_its_place(
