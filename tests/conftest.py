@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -55,19 +55,17 @@ class Element:
     text: str = ""
 
 
-@dataclass
 class Page(HTMLParser):
     """A page as its elements, in their order; refuses tags that do not nest."""
 
-    source: str
-    elements: list[Element] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
+    def __init__(self, source: str) -> None:
         super().__init__(convert_charrefs=True)
+        self.elements: list[Element] = []
         self._open: list[Element] = []
-        self.feed(self.source)
+        self.feed(source)
         self.close()
         assert self._open == []
+        self.anchors = [each.attributes["id"] for each in self.elements if "id" in each.attributes]
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         element = Element(tag, {key: value or "" for key, value in attrs})
@@ -77,25 +75,18 @@ class Page(HTMLParser):
             self._open.append(element)
 
     def handle_endtag(self, tag: str) -> None:
-        assert self._open[-1].tag == tag
-        self._open.pop()
+        assert self._open.pop().tag == tag
 
     def handle_data(self, data: str) -> None:
         for element in self._open:
             element.text += data
 
-    def all(self, tag: str, of_class: str = "") -> list[Element]:
+    def all(self, tag: str, css_class: str = "") -> list[Element]:
         """Return the elements of a kind, of a class if one is given."""
+        found = [each for each in self.elements if each.tag == tag]
         return [
-            each
-            for each in self.elements
-            if each.tag == tag and (not of_class or of_class in each.attributes.get("class", "").split())
+            each for each in found if not css_class or css_class in each.attributes.get("class", "").split()
         ]
-
-    @property
-    def anchors(self) -> list[str]:
-        """Every id of the page."""
-        return [each.attributes["id"] for each in self.elements if "id" in each.attributes]
 
 
 @pytest.fixture

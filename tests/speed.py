@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -25,7 +23,6 @@ import torch
 from stable_baselines3 import PPO
 
 from pneuma.config import Run, make_run
-from pneuma.engines import mlp
 from pneuma.engines.batched.training import BatchedTrainer
 from pneuma.engines.loop import Progress, train_run
 from pneuma.env.sb3 import PneumaVecEnv
@@ -37,58 +34,53 @@ from pneuma.training.executors.local import XLA_FLAGS, worker_environment
 ARENA, TEXT = "pneuma/PneumaArena-v0", "pneuma/Pneuma-v0"
 ROUNDS = 5
 KERNEL_STEPS, STEPS, SB3_STEPS = 12_800, 50_000, 2_048
-SEEDS, ENVIRONMENTS = (10, 30), (1, 4)
 SETTINGS: dict[str, Any] = {**BASES["table-6-2"], "env": TEXT, "betas": (0.9, 0.9), "steps": STEPS}
 """Of the study `optimizer`, condition `non-stationary`, at its quick preset."""
 FIRST_EVALUATION = f"""
 from pneuma.config import make_run
 from pneuma.engines.loop import train_run
-train_run(make_run({SETTINGS | {"slots": 4}}), lambda told: not told.records.evaluations)
+train_run(make_run({SETTINGS | {"slots": 4}}), lambda progress: not progress.records.evaluations)
 """
 FIRST_STEP = (
     "import gymnasium, pneuma; env = gymnasium.make('pneuma/Pneuma-v0'); env.reset(seed=0); env.step(0)"
 )
-Row = dict[str, object]
+Row = tuple[str, float, str]
+"""What was measured, a number, and its unit."""
 
 
 def main() -> None:
     """Measure all cases and print them as a table, or as JSON."""
     torch.set_num_threads(1)
-    cores = Path("/proc/cpuinfo")
-    wide = cores.exists() and "avx512f" in cores.read_text()
-    processor = f"{machine()['cpu']}, with{'' if wide else 'out'} AVX-512"
     rows = [*rules(), *training(), *update(), *starts()]
-    lines = [processor, *(f"{row['case']:58} {row['value']:12,.2f} {row['unit']}" for row in rows)]
-    print(
-        json.dumps({"processor": processor, "rows": rows}, indent=2)
-        if "--json" in sys.argv
-        else "\n".join(lines)
-    )
+    if "--json" in sys.argv:
+        print(json.dumps({"processor": machine()["cpu"], "rows": rows}, indent=2))
+        return
+    print(machine()["cpu"])
+    for case, value, unit in rows:
+        print(f"{case:58} {value:12,.2f} {unit}")
 
 
 def alternated(*works: Callable[[], object]) -> list[list[float]]:
     """Return the processor seconds of each work in each round; a round before compiles and fills caches."""
-    for work in works:
-        work()
-    rounds = [[_seconds(work) for work in works] for _ in range(ROUNDS)]
-    return [list(each) for each in zip(*rounds, strict=True)]
-
-
-def _seconds(work: Callable[[], object]) -> float:
-    begun = time.process_time()
-    work()
-    return time.process_time() - begun
+    seconds: list[list[float]] = [[] for _ in works]
+    for _ in range(ROUNDS + 1):
+        for work, own in zip(works, seconds, strict=True):
+            begun = time.process_time()
+            work()
+            own.append(time.process_time() - begun)
+    return [own[1:] for own in seconds]
 
 
 # --- Rules and Gymnasium ---------------------------------------------------------------------------
 
 
 def rules() -> Iterator[Row]:
-    names = ("rules, one world", "rules, 64 worlds", "Gymnasium, one world", "Gymnasium, CartPole-v1")
-    for name, seconds in zip(
-        names, alternated(kernel(1), kernel(64), single(ARENA), single("CartPole-v1")), strict=True
-    ):
-        yield {"case": name, "value": KERNEL_STEPS / median(seconds), "unit": "agent steps a second"}
+    works = {
+        "rules, one world": kernel(1), "rules, 64 worlds": kernel(64),
+        "Gymnasium, one world": single(ARENA), "Gymnasium, CartPole-v1": single("CartPole-v1"),
+    }  # fmt: skip
+    for name, seconds in zip(works, alternated(*works.values()), strict=True):
+        yield name, KERNEL_STEPS / median(seconds), "agent steps a second"
 
 
 def kernel(count: int) -> Callable[[], None]:
@@ -127,39 +119,32 @@ def single(name: str) -> Callable[[], None]:
 
 def training() -> Iterator[Row]:
     """Compare whole runs, with their evaluations and a worker's start, with `learn` alone."""
-    loaded = median(cold_seconds(FIRST_EVALUATION, Path(tempfile.gettempdir()) / "pneuma-speed", 3)[1:])
-    yield {"case": "start of a worker up to the first evaluation", "value": loaded, "unit": "seconds"}
-    for slots in ENVIRONMENTS:
+    start = median(cold_seconds(FIRST_EVALUATION, Path(tempfile.gettempdir()) / "pneuma-speed", 3)[1:])
+    yield "start of a worker up to the first evaluation", start, "seconds"
+    for slots, where in ((1, "one environment"), (4, "four environments")):
         shares: list[float] = []
         run = make_run({**SETTINGS, "slots": slots})
-        own, plain = alternated(partial(whole_run, run, shares), stable_baselines3(run))
-        pace = [seconds * STEPS / SB3_STEPS for seconds in plain]
-        where = f"{slots} environment{'s' * (slots > 1)}"
-        yield {"case": f"run of {STEPS:,} steps, {where}", "value": median(own), "unit": "seconds"}
-        yield {"case": f"its evaluations, {where}", "value": 100 * median(shares), "unit": "% of it"}
-        yield {
-            "case": f"Stable-Baselines3, {where}",
-            "value": 1e6 * median(plain) / SB3_STEPS,
-            "unit": "us a step",
-        }
-        for seeds in SEEDS:
-            ratios = [
-                seeds * theirs / (seeds * ours + loaded) for ours, theirs in zip(own, pace, strict=True)
-            ]
-            case = f"batched against Stable-Baselines3, {where}, {seeds} seeds"
-            yield {"case": case, "value": median(ratios), "unit": "times"}
+        own, plain = alternated(lambda run=run, shares=shares: whole_run(run, shares), stable_baselines3(run))
+        yield f"run of {STEPS:,} steps, {where}", median(own), "seconds"
+        yield f"its evaluations, {where}", 100 * median(shares), "% of it"
+        yield f"Stable-Baselines3, {where}", 1e6 * median(plain) / SB3_STEPS, "us a step"
+        for seeds in (10, 30):
+            ratios = []
+            for ours, theirs in zip(own, plain, strict=True):
+                ratios.append(seeds * theirs * STEPS / SB3_STEPS / (seeds * ours + start))
+            yield f"batched against Stable-Baselines3, {where}, {seeds} seeds", median(ratios), "times"
 
 
 def whole_run(run: Run, shares: list[float]) -> None:
-    begun, told = time.perf_counter(), 0.0
+    """Train a run, and note which share of its time its evaluations took."""
+    begun, evaluating = time.perf_counter(), [0.0]
 
     def note(progress: Progress) -> bool:
-        nonlocal told
-        told = progress.evaluation_seconds
+        evaluating.append(progress.evaluation_seconds)
         return True
 
     train_run(run, note)
-    shares.append(told / (time.perf_counter() - begun))
+    shares.append(evaluating[-1] / (time.perf_counter() - begun))
 
 
 def stable_baselines3(run: Run) -> Callable[[], object]:
@@ -172,57 +157,13 @@ def stable_baselines3(run: Run) -> Callable[[], object]:
     return lambda: learner.learn(SB3_STEPS)
 
 
-# --- An update and its floor -----------------------------------------------------------------------
-
-
 def update() -> Iterator[Row]:
-    """Compare an update with its products, tanh and Adam alone, done on the same core by NumPy and `mlp`."""
-    run = make_run({**SETTINGS, "slots": 4})
-    trainer = BatchedTrainer(run)
-    actor, learner = trainer.policy().actor, trainer.learners[0]
+    trainer = BatchedTrainer(make_run({**SETTINGS, "slots": 4}))
+    actor, learner, size = trainer.policy().actor, trainer.learners[0], trainer.run.steps_per_update
     rollout = trainer.collector.collect(actor)
-    whole, floor = alternated(lambda: learner.learn_from(rollout), bare_update(run, trainer))
-    plays, _ = alternated(lambda: trainer.collector.collect(actor), lambda: trainer.evaluate(0))
-    size = run.steps_per_update
-    yield {"case": f"rollout of {size:,} steps", "value": 1e3 * median(plays), "unit": "ms"}
-    yield {"case": f"update of {size:,} steps", "value": 1e3 * median(whole), "unit": "ms"}
-    yield {"case": "its products, tanh and Adam alone", "value": 1e3 * median(floor), "unit": "ms"}
-    ratios = [ours / least for ours, least in zip(whole, floor, strict=True)]
-    yield {"case": "update against this floor", "value": median(ratios), "unit": "times"}
-
-
-def bare_update(run: Run, trainer: BatchedTrainer) -> Callable[[], None]:
-    rows, policy = run.minibatch, trainer.policy()
-    generator = np.random.default_rng(0)
-
-    def some(*shape: int) -> np.ndarray:
-        return generator.standard_normal(shape, np.float32)
-
-    layers = [
-        (some(rows, weight.shape[0]), weight, some(rows, weight.shape[1]), place > 0)
-        for network in (policy.actor, policy.critic)
-        for place, (weight, _) in enumerate(network)
-    ]
-    hidden = [some(rows * size) for size in (*run.actor, *run.critic)]
-    count = sum(weight.size for _, weight, *_ in layers)
-    moved, gradient, mean, square = some(count), some(count), some(count), some(count) ** 2
-
-    def work() -> None:
-        for _ in range(run.epochs * run.steps_per_update // rows):
-            for x, weight, y, is_deep in layers:
-                x @ weight
-                x.T @ y
-                if is_deep:
-                    y @ weight.T
-            for units in hidden:
-                mlp.activate(mlp.ACTIVATION_CODES["tanh"], units)
-            for factor in (mean, square):
-                np.multiply(gradient, factor, out=moved)
-                np.add(moved, factor, out=moved)
-            np.sqrt(square, out=moved)
-            np.divide(mean, moved, out=moved)
-
-    return work
+    updates, plays = alternated(lambda: learner.learn_from(rollout), lambda: trainer.collector.collect(actor))
+    yield f"rollout of {size:,} steps", 1e3 * median(plays), "ms"
+    yield f"update of {size:,} steps", 1e3 * median(updates), "ms"
 
 
 # --- Starting --------------------------------------------------------------------------------------
@@ -232,10 +173,10 @@ def starts() -> Iterator[Row]:
     for case, code in (("first step of an environment", FIRST_STEP), ("first evaluation", FIRST_EVALUATION)):
         with tempfile.TemporaryDirectory() as caches:
             (cold,) = cold_seconds(code, Path(caches), 1)
-        yield {"case": f"empty caches: {case}", "value": cold, "unit": "seconds"}
-    for words in ("-c pass", "-c 'import pneuma'", "-m pneuma --help", "-m pneuma study list"):
-        seconds = [child_seconds([sys.executable, *shlex.split(words)], {}) for _ in range(ROUNDS)]
-        yield {"case": f"python {words}", "value": median(seconds), "unit": "seconds"}
+        yield f"empty caches: {case}", cold, "seconds"
+    for words in (["-c", "import pneuma"], ["-m", "pneuma", "--help"], ["-m", "pneuma", "study", "list"]):
+        seconds = [child_seconds([sys.executable, *words], {}) for _ in range(ROUNDS)]
+        yield " ".join(["python", *words]), median(seconds), "seconds"
 
 
 def cold_seconds(code: str, caches: Path, times: int) -> list[float]:

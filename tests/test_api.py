@@ -15,15 +15,15 @@ import numpy as np
 import pytest
 
 from pneuma.api import _store, evaluate, load_policy, run_study
-from pneuma.config import as_fields, make_run, stream_seed
+from pneuma.config import make_run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, VALUE_COLUMNS
 from pneuma.errors import UserError
-from pneuma.store.store import Status, Store
+from pneuma.store.store import Store
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 
-from .cli.calls import save_finished
+from .cli.calls import save_finished, save_policy
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -51,12 +51,8 @@ def run_page(page: str, folder: Path, last: str = "") -> str:
 
 
 @pytest.mark.slow
-def test_the_python_of_the_page_on_environments_runs(tmp_path: Path) -> None:
-    run_page("environment.md", tmp_path)
-
-
-@pytest.mark.slow
 def test_the_pages_python_runs(tmp_path: Path) -> None:
+    run_page("environment.md", tmp_path)
     told = run_page("python.md", tmp_path, "print(len(data.runs), int(action), env_id)")
     runs, action, env = told.splitlines()[-1].split()
     assert (runs, env) == ("4", "pneuma/PneumaArena-v0") and 0 <= int(action) < 5
@@ -106,31 +102,30 @@ for cell in json.loads(pathlib.Path("cells.json").read_text()):
 
 def _store_run(folder: Path, settings: dict[str, Any]) -> None:
     """Store a run 0123… with these settings and a policy of zeros."""
-    run = make_run(settings)
-    actor, critic = (
-        ((np.zeros((60, outputs), np.float32), np.zeros(outputs, np.float32)),) for outputs in (5, 1)
-    )
-    files = {
-        "run.json": json.dumps({"run": as_fields(run)}).encode(),
-        "policy.safetensors": Policy("tanh", actor, critic).to_bytes(),
-    }
-    Store(folder).save_run("0123456789abcdef", Status("done", run.steps), files)
+    actor, critic = ((np.zeros((60, count), np.float32), np.zeros(count, np.float32)) for count in (5, 1))
+    save_policy(Store(folder), make_run(settings), Policy("tanh", (actor,), (critic,)), "0123456789abcdef")
 
 
-def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(tmp_path: Path) -> None:
-    _store_run(tmp_path, {"level": "somebodys/isle"})
-    with pytest.raises(UserError, match="would read the level somebodys/isle: if you trust"):
+@pytest.mark.parametrize(
+    ("settings", "named", "env_id"),
+    [
+        ({"level": "somebodys/isle"}, "would read the level somebodys/isle: if you", "pneuma/Pneuma-v0"),
+        (
+            {"env": "CartPole-v1", "env_kwargs": {"sutton_barto_reward": True}},
+            "would make CartPole-v1 with .*sutton", "CartPole-v1",
+        ),
+    ],
+)  # fmt: skip
+def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(
+    tmp_path: Path, settings: dict[str, Any], named: str, env_id: str
+) -> None:
+    """With the settings of its environment, which are another environment's own arguments."""
+    _store_run(tmp_path, settings)
+    with pytest.raises(UserError, match=named):
         load_policy("0123", tmp_path)
-    policy, env, settings = load_policy("0123", tmp_path, trust=True)
+    policy, env, own = load_policy("0123", tmp_path, trust=True)
     assert isinstance(policy, Policy) and policy.best(np.zeros((1, 60), np.float32)).tolist() == [0]
-    assert (env, settings["level"]) == ("pneuma/Pneuma-v0", "somebodys/isle")
-
-
-def test_the_settings_of_another_environment_are_its_own_arguments(tmp_path: Path) -> None:
-    _store_run(tmp_path, {"env": "CartPole-v1", "env_kwargs": {"sutton_barto_reward": True}})
-    with pytest.raises(UserError, match="would make CartPole-v1 with .*sutton"):
-        load_policy("0123", tmp_path)
-    assert load_policy("0123", tmp_path, trust=True)[1:] == ("CartPole-v1", {"sutton_barto_reward": True})
+    assert env == env_id and own.items() >= settings.get("env_kwargs", settings).items()
 
 
 EXCEPTION = """\
@@ -162,18 +157,17 @@ def test_an_empty_variable_names_no_folder(monkeypatch: pytest.MonkeyPatch) -> N
     assert _store(None).root == Path("results")
 
 
-LAYER = (np.random.default_rng(1).normal(0, 0.5, (60, 5)).astype(np.float32), np.zeros(5, np.float32))
-POLICY = Policy("tanh", (LAYER,), (LAYER,))
-
-
 def test_a_function_is_evaluated_as_the_policy_that_it_asks_is() -> None:
-    told = evaluate(POLICY, seed=3, episodes=12)
+    weights = np.random.default_rng(1).normal(0, 0.5, (60, 5)).astype(np.float32)
+    layer = (weights, np.zeros(5, np.float32))
+    policy = Policy("tanh", (layer,), (layer,))
+    told = evaluate(policy, seed=3, episodes=12)
     assert {*EVALUATION_COLUMNS} < {*told} < {*EVALUATION_COLUMNS, *VALUE_COLUMNS}
     assert told["length"] > 10
     draws = np.random.default_rng(stream_seed(3, "evaluation-actions", 0))
-    asked = evaluate(lambda seen: POLICY.sample(seen, draws), best=POLICY.best, seed=3, episodes=12)
+    asked = evaluate(lambda seen: policy.sample(seen, draws), best=policy.best, seed=3, episodes=12)
     assert asked == pytest.approx(told)
-    assert evaluate(POLICY.best, seed=4, episodes=12)["random_share_killed"] != told["random_share_killed"]
+    assert evaluate(policy.best, seed=4, episodes=12)["random_share_killed"] != told["random_share_killed"]
 
 
 def test_an_agent_without_a_best_is_asked_for_all_worlds_at_every_step_and_keeps_what_it_saw() -> None:

@@ -1,4 +1,4 @@
-"""What README and docs tell people to type is there, and what they say that commands print is so."""
+"""What README, CONTRIBUTING.md and docs name is there, and what they say that commands print is so."""
 
 from __future__ import annotations
 
@@ -12,8 +12,12 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
+from pneuma.algorithms import ALGORITHMS, OPTIMIZERS
+from pneuma.analysis.outcomes import OUTCOMES
 from pneuma.cli import app
+from pneuma.config import ACTIVATIONS
 from pneuma.errors import UserError
+from pneuma.search.samplers import PRUNERS, SAMPLERS
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 from tools.pages import PAGES, ROOT, renewed, rewrite
@@ -62,6 +66,28 @@ def test_what_a_page_links_to_is_there(page: Path) -> None:
     assert [link for link in near if not (page.parent / link).exists()] == []
 
 
+def test_files_that_contributing_names_exist() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    names = {*re.findall(r"`((?:\w+/)*\w+\.(?:py|toml|md))`", text)} - {"figures/NAME.py"}
+    assert len(names) > 30
+    for name in names:
+        assert [*ROOT.glob(name), *ROOT.glob(f"pneuma/**/{name}"), *ROOT.glob(f"tests/**/{name}")], name
+
+
+@pytest.mark.parametrize(
+    ("page", "names"),
+    [
+        ("studies.md", [*OPTIMIZERS, *ACTIVATIONS]),
+        ("search.md", [*SAMPLERS, *PRUNERS]),
+        ("outcomes.md", [name for name in OUTCOMES if not name.startswith("final-action-")]),
+        ("environments.md", [*ALGORITHMS]),
+    ],
+)
+def test_pages_name_what_can_be_chosen(page: str, names: list[str]) -> None:
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    assert [name for name in names if not re.search(rf'[` "]{name}[`",]', text)] == []
+
+
 def test_pages_hold_what_their_commands_print_from_published_tables() -> None:
     """`make figures` writes them anew."""
     assert [page.name for page in renewed()] == []
@@ -78,41 +104,28 @@ def test_a_block_becomes_what_its_command_prints(tmp_path: Path) -> None:
     assert after.startswith("\nb <!-- end -->\n<!-- pneuma study show activation -->\n\nActivation function")
     assert "activation" in {study["study"] for study in json.loads(printed)["studies"]}
     assert rewrite([page]) == []
-
-
-@pytest.mark.parametrize(
-    ("command", "told"),
-    [
-        ("study run activation", "pages hold what"),
-        ("study compare activation tanh relu --out there", "pages hold what"),
-        ("study collapse activation --results there", "pages hold what"),
-        ("study show nothing", "nothing"),
-    ],
-)
-def test_a_block_that_trains_or_fails_is_refused(tmp_path: Path, command: str, told: str) -> None:
-    page = tmp_path / "page.md"
-    page.write_text(f"<!-- pneuma {command} -->\n<!-- end -->\n")
-    with pytest.raises(UserError, match=told):
-        rewrite([page])
-
-
-def test_a_block_holds_a_section_of_a_docstring(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
     page.write_text("<!-- docstring pneuma.env.gym.PneumaEnv Starting and ending -->\n<!-- end -->\n")
     rewrite([page])
     assert "\n\nAn episode starts at " in page.read_text() and "##" not in page.read_text()
-    page.write_text("<!-- docstring pneuma.env.gym.PneumaEnv Weather -->\n<!-- end -->\n")
-    with pytest.raises(UserError, match="Weather -->: there is no such heading"):
-        rewrite([page])
 
 
-def test_a_block_without_an_end_takes_nothing_with_it(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    whole = "<!-- pneuma study list --json -->\n<!-- end -->\n"
-    page.write_text(f"<!-- pneuma study list --json -->\n\nprose\n\n{whole}")
-    with pytest.raises(UserError, match="a block has no line <!-- end -->"):
+@pytest.mark.parametrize(
+    ("block", "told"),
+    [
+        ("pneuma study run activation", "pages hold what"),
+        ("pneuma study compare activation tanh relu --out there", "pages hold what"),
+        ("pneuma study collapse activation --results there", "pages hold what"),
+        ("pneuma study show nothing", "nothing"),
+        ("docstring pneuma.env.gym.PneumaEnv Weather", "Weather -->: there is no such heading"),
+        ("pneuma study list -->\n\nprose\n\n<!-- pneuma study list", "a block has no line <!-- end -->"),
+    ],
+)
+def test_a_block_that_trains_or_fails_is_refused_and_kept(tmp_path: Path, block: str, told: str) -> None:
+    page, text = tmp_path / "page.md", f"<!-- {block} -->\n<!-- end -->\n"
+    page.write_text(text)
+    with pytest.raises(UserError, match=told):
         rewrite([page])
-    assert "prose" in page.read_text()
+    assert page.read_text() == text
 
 
 @pytest.mark.parametrize(
@@ -150,10 +163,6 @@ def test_the_readme_names_the_pinned_torch() -> None:
 def test_every_picture_and_table_is_shown_by_a_page_and_no_link_to_one_is_broken() -> None:
     folder = ROOT / "paper_figures"
     made = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
-    linked = {
-        name
-        for page in PAGES
-        for name in re.findall(r"\]\((?:\.\./)?paper_figures/([^)#]+)\)", page.read_text())
-    }
-    assert linked == made
+    text = "".join(page.read_text() for page in PAGES)
+    assert {*re.findall(r"\]\((?:\.\./)?paper_figures/([^)#]+)\)", text)} == made
     assert len(made) <= 60 and sum((folder / name).stat().st_size for name in made) <= 8_000_000

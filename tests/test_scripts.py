@@ -1,0 +1,151 @@
+"""Scripts beside the studies: the parts of the reproduction, and Q-learning in tables by hand."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import runpy
+import signal
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pneuma.analysis.claims.fixed_runs import fixed_amounts, with_claims
+from pneuma.study.plan import Query, make_plan
+from pneuma.study.shipped import list_studies
+from pneuma.study.spec import Study, load_study
+
+ROOT = Path(__file__).parents[1]
+REPRODUCE = runpy.run_path(str(ROOT / "studies/reproduce.py"))
+
+
+def _trained(part: str) -> set[str]:
+    """Return the ids of the runs that a part would train."""
+    ids: set[str] = set()
+    for words in REPRODUCE["commands"](part):
+        _, _, study, *rest = words
+        options = dict(zip(rest[::2], rest[1::2], strict=True))
+        ids |= _planned(load_study(study, options["--world"]), Query(preset=options["--preset"]))
+    return ids
+
+
+def _planned(study: Study, selection: Query) -> set[str]:
+    asked = with_claims(study, selection.steps) if selection.preset == "claims" else study
+    return {cell.run_id for cell in make_plan(asked, selection).cells}
+
+
+@pytest.mark.slow
+def test_together_they_train_every_study_and_all_that_claims_fix() -> None:
+    trained = set().union(*map(_trained, REPRODUCE["PARTS"]))
+    for name in list_studies():
+        studies = [load_study(name, world) for world in load_study(name).worlds]
+        amounts = [(study, steps) for study in studies for steps in fixed_amounts(study)]
+        for study, steps in amounts:
+            assert _planned(study, Query(preset="claims", steps=steps)) <= trained, name
+        for study in () if amounts else studies:
+            assert _planned(study, Query(preset="paper")) <= trained, name
+
+
+def test_options_narrow_the_commands_of_a_part() -> None:
+    commands = REPRODUCE["commands"]
+    (one,) = commands("other-networks", "publish", ["architecture"], options=["--results", "mine"])
+    assert " ".join(one) == "study publish architecture --world arena --results mine"
+    (one,) = commands("other-networks", "plan", ["architecture"], steps=4096, options=["--preset", "quick"])
+    assert one[4:] == ["arena", "--steps", "4096", "--preset", "paper", "--preset", "quick"]
+    presets = [words[-1] for words in commands("small-networks", "run", ["hyperparameters"], ["arena"])]
+    assert presets == ["paper", "paper-300k"]  # claims on it fix runs of both
+    assert [each[4] for each in commands("causes", "status", ["collapse"], ["text"])] == ["text"]
+
+
+def test_makefile_names_every_part() -> None:
+    makefile = (ROOT / "Makefile").read_text()
+    assert {*re.findall(r"\$\(REPRODUCE\) (\S+)", makefile)} == {*REPRODUCE["PARTS"]}
+
+
+@pytest.mark.parametrize(
+    ("command", "codes", "code", "trained"),
+    [
+        ("run", [0, 0], None, 2),
+        ("run", [1, 0], 1, 2),
+        ("run", [2], 2, 1),
+        ("publish", [2, 0], 1, 2),
+        ("run", [130], 130, 1),
+    ],
+)
+def test_a_failure_stops_no_other_study(
+    monkeypatch: pytest.MonkeyPatch, command: str, codes: list[int], code: int | None, trained: int
+) -> None:
+    """Those of a crashed run, and of a study that cannot be published; a mistake and Ctrl-C stop all."""
+    called: list[list[str]] = []
+
+    def run(words: list[str]) -> subprocess.CompletedProcess[bytes]:
+        called.append(words)
+        return subprocess.CompletedProcess(words, codes[len(called) - 1])
+
+    monkeypatch.setattr(subprocess, "run", run)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    words = ["reproduce.py", "other-chapters", command, "--studies", "team", "published-logs"]
+    monkeypatch.setattr("sys.argv", words)
+    with pytest.raises(SystemExit) if code else contextlib.nullcontext() as ended:
+        REPRODUCE["main"]()
+    if ended is not None:
+        assert ended.value.code == code or (code == 1 and "Failed" in str(ended.value.code))
+    assert len(called) == trained
+
+
+# --- Q-learning in tables --------------------------------------------------------------------------
+
+TABULAR = runpy.run_path(str(ROOT / "studies/tabular.py"))
+POST_OFFICE, LETTERS, HOME = 0, 1, 2
+GO_ON, GO_HOME = 0, 1
+
+
+def test_a_day_goes_as_chosen() -> None:
+    go = TABULAR["go"]
+    assert go(POST_OFFICE, GO_ON) == (LETTERS, 0.0)
+    assert go(POST_OFFICE, GO_HOME) == (HOME, -1.0)
+    assert go(LETTERS, GO_ON) == go(LETTERS, GO_HOME) == (HOME, 1.0)
+
+
+def test_a_step_of_q_learning_by_hand() -> None:
+    # Eq. 3.2: 0.5 + 0.9 max(2, 3) - 1 = 2.2. At home nothing follows: 0.5 - 1 = -0.5.
+    table = np.array([[[1.0, 0.0], [2.0, 3.0], [9.0, 9.0]]])
+    error = TABULAR["temporal_difference"]
+    assert error(table, 0, POST_OFFICE, GO_ON, 0.5, LETTERS, 0.9) == pytest.approx(2.2)
+    assert error(table, 0, POST_OFFICE, GO_ON, 0.5, HOME, 0.9) == pytest.approx(-0.5)
+
+
+def test_a_step_of_double_q_learning_by_hand() -> None:
+    # Eq. 3.9: table 0 prefers action 1 (3 > 2), which table 1 rates 5: 0.5 + 0.9 x 5 - 1 = 4. Table 1 prefers
+    # action 0 (7 > 5), which table 0 rates 2: 0.5 + 0.9 x 2 - 4 = -1.7.
+    tables = np.array([[[1.0, 0.0], [2.0, 3.0], [0.0, 0.0]], [[4.0, 0.0], [7.0, 5.0], [0.0, 0.0]]])
+    error, estimated_value = TABULAR["temporal_difference"], TABULAR["estimated_value"]
+    assert error(tables, 0, POST_OFFICE, GO_ON, 0.5, LETTERS, 0.9) == pytest.approx(4.0)
+    assert error(tables, 1, POST_OFFICE, GO_ON, 0.5, LETTERS, 0.9) == pytest.approx(-1.7)
+    # What they hold the letters to be worth: the mean of 5 and 2; Q-learning with table 1 alone: 7.
+    assert estimated_value(tables, LETTERS) == 3.5
+    assert estimated_value(tables[1:], LETTERS) == 7.0
+
+
+@pytest.mark.parametrize(("tables", "excess"), [(1, 0.474), (2, 0.0)])
+def test_noise_is_overestimated_by_one_table_as_much_as_theory_says(tables: int, excess: float) -> None:
+    """The letters' two actions pay 1 on average; acting at random, both entries are as noisy and independent.
+
+    An entry of rate a under noise s varies by s sqrt(a / (2 - a)) = 2 sqrt(0.3 / 1.7) = 0.84, and the greater
+    of two such is too great by 0.840 / sqrt(pi) = 0.474. Two tables err independently: by nothing on average.
+    """
+    condition = TABULAR["Condition"](0.3, reward_noise=2.0, tables=tables)
+    _, overestimation = TABULAR["train"](condition, seed=0, steps=20_000, exploration=1.0)
+    # Some 200 nearly independent values that vary by 0.7 or so: a standard error of 0.05; of two tables 0.07.
+    assert overestimation == pytest.approx(excess, abs=0.2)
+
+
+def test_runs_are_those_of_the_published_table() -> None:
+    """Of seed 3, as Pneuma's engine for tables had trained it."""
+    for name, last_return in {
+        "rate-1": 0.952755905511811,
+        "noisy-double-rate-tenth": 0.6126915267749027,
+    }.items():
+        assert TABULAR["train"](TABULAR["CONDITIONS"][name], seed=3)[0] == pytest.approx(last_return)
