@@ -355,12 +355,11 @@ def round_up(run: Run, steps: int) -> int:
 
 def reads(run: Run) -> frozenset[str]:
     """Return the names of the fields that affect a run, given its other fields."""
-    policy_kwargs = json.loads(run.algorithm_kwargs or "{}").get("policy_kwargs", {})
     idle = {
         "dampening": not run.momentum,
         "clip": run.gradient_limit is None,
         "learners": run.players == 1,
-        "activation": "activation_fn" in policy_kwargs,
+        "activation": "activation_fn" in run.algorithm_kwargs,
         "policy": not run.policy,
         "algorithm_kwargs": not run.algorithm_kwargs,
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -61,7 +62,7 @@ def module_files(name: str) -> list[Path]:
     full, or the path of the module's file.
     """
     path = Path(name).resolve() if name.endswith(".py") else _find(name)
-    if path is None or not path.is_file():
+    if path is None or not os.path.isfile(path):
         return []
     return [path] if path.name != "__init__.py" else [path] + sorted(set(path.parent.rglob("*.py")) - {path})
 

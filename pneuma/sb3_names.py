@@ -97,7 +97,7 @@ def _read_policy_kwargs(key: str, value: Any) -> dict[str, Any]:
     Networks of pi and vf, and three activations, are fields; all else is passed on to the policy.
     """
     try:
-        arguments = read_arguments_text(value) if isinstance(value, str) else {**value}
+        arguments = {**(read_arguments_text(value) if isinstance(value, str) else value)}
         fields = _read_net_arch(arguments.pop("net_arch", None))
         if arguments.get("activation_fn") in _ACTIVATIONS:
             fields["activation"] = _ACTIVATIONS[arguments.pop("activation_fn")]

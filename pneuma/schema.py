@@ -30,7 +30,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from pneuma.errors import UserError, nearest_name, unknown_name
+from pneuma.errors import MOST_LISTED, UserError, nearest_name, unknown_name
 from pneuma.files import read_text
 
 Where = tuple[str, ...]
@@ -39,6 +39,7 @@ Mistake = tuple[Where, str, str]
 
 CONFIG = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 DEEPEST = 50
+LONGEST_FILE = 1_000_000
 
 
 class Table(BaseModel):
@@ -54,7 +55,7 @@ class Table(BaseModel):
         names = [name for name, field in cls.model_fields.items() if not field.exclude]
         unknown = [key for key in data if key not in names]
         if unknown:
-            raise all_wrong({key: str(unknown_name("key", key, names)) for key in unknown})
+            raise all_wrong({key: str(unknown_name("key", key, names)) for key in unknown[:MOST_LISTED]})
         return data
 
 
@@ -186,6 +187,8 @@ class TomlFile:
 def read_toml(path: Path) -> TomlFile:
     text = read_text(path)
     try:
+        if len(text) > LONGEST_FILE:
+            raise ValueError(f"more than {LONGEST_FILE:,} characters")
         return TomlFile(path, text, plain(tomllib.loads(text)))
     except (ValueError, RecursionError) as error:  # numbers of thousands of digits, endless brackets
         raise UserError(f"{path}: not TOML: {error}") from None
@@ -215,6 +218,8 @@ def read_model(
         for path, key, message in mistakes_in(data, error):
             mistakes.append((where + path, key, message))
         raise file.mistakes(mistakes) from None
+    except UserError as error:  # of a validator, which knows no file
+        raise file.mistake(where, str(error)) from None
 
 
 # --- From pydantic's errors to words ---------------------------------------------------------------
@@ -239,7 +244,7 @@ def mistakes_in(data: Mapping[str, Any], error: ValidationError, at: Where = ())
         if key not in deepest or len(details["loc"]) > len(deepest[key]["loc"]):
             deepest[key] = details
     mistakes = []
-    for details in deepest.values():
+    for details in list(deepest.values())[:MOST_LISTED]:
         mistakes += _mistakes(details, data)
     return mistakes
 

@@ -49,7 +49,7 @@ class Reads:
         def read(value: Any) -> Any:
             try:
                 return self.read(value)
-            except (ValueError, TypeError):
+            except Exception:  # whatever a value of another kind makes of it
                 context = {"allowed": self.allowed, "names": self.names}
                 raise PydanticCustomError("allowed", "{allowed}", context) from None
 

@@ -29,7 +29,9 @@ from pneuma.store.rows import encode_row
 from pneuma.store.series import Recorded
 from pneuma.store.store import Status, Store, read_checkpoint_name
 from pneuma.store.tables import to_parquet
+from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
+from pneuma.training.execute import check_environments
 
 from .cli.calls import policy_of
 from .hand_made import encode_events
@@ -49,6 +51,56 @@ def test_fuzz_endless_nesting_is_refused(tmp_path: Path, reader: str, text: str)
     (tmp_path / "mine.toml").write_text(text)
     with pytest.raises(UserError, match="mine.toml"):
         READERS[reader](str(tmp_path / "mine.toml"))
+
+
+STUDY = 'title = "Mine"\n[run]\n{}\n{}[conditions.one]\n[presets.quick]\nseeds = 1\nsteps = 256\n'
+OF_GYMNASIUM = 'env = "CartPole-v1"\n'
+SEARCH = (
+    'title = "Mine"\n[objectives.killed]\noutcome = "final-return"\n[space.learning_rate]\nlow = 1e-4\n'
+    "high = 1e-2\n{}\n[presets.quick]\ntrials = 2\nseeds = 1\nsteps = 256\n"
+)
+CLAIMS = (
+    '[claims.one]\nstudy = "activation"\na = "tanh"\noutcome = "final-return"\ndirection = "greater"\n'
+    "steps = 1000\nseeds = 5\n{}\n"
+)
+LONG = "y" * 3000
+
+
+def _plan(path: str) -> None:
+    """As `study plan` does."""
+    plan = make_plan(load_study(path), Query(path))
+    check_environments([cell.run for cell in plan.cells])
+
+
+@pytest.mark.parametrize(
+    ("read", "text"),
+    [
+        *((_plan, STUDY.format(setting, "")) for setting in (
+            f'level = "{LONG}"', f'characters = "{LONG}"', 'characters = "\\u0000"',
+            OF_GYMNASIUM + "wrappers = [nan]", 'policy_kwargs = "a.b"',
+            OF_GYMNASIUM + "algorithm_kwargs = { policy_kwargs = 1 }",
+            "\n".join(f"k{number} = 1" for number in range(20_000)), f'level = "{LONG * 400}"',
+        )),
+        (_plan, STUDY.format("", "".join(f"[conditions.c{number}]\n" for number in range(5000)))),
+        (_plan, STUDY.format("", f"[factors]\ngamma = {[0.5 + number / 1e6 for number in range(20_000)]}\n")),
+        (_plan, STUDY.replace("1\n", "10_000\n").format("", "[factors]\nepochs = [1, 2, 3, 4, 5, 6]\n")),
+        (load_search, SEARCH.format("step = 1e-320")),
+        (load_claims, CLAIMS.format('preset = "quick"\nb = { a = 1 }')),
+        (load_claims, CLAIMS.format('value = "none"')),
+    ],
+)  # fmt: skip
+def test_fuzz_what_is_no_value_or_too_much_is_refused(
+    tmp_path: Path, read: Callable[[str], Any], text: str
+) -> None:
+    (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(UserError) as refused:
+        read(str(tmp_path / "mine.toml"))
+    assert "\n" not in str(refused.value)
+
+
+def test_fuzz_seeds_of_a_claim_as_text(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(CLAIMS.format('b = "relu"').replace("= 5", '= "3..5"'))
+    assert load_claims(tmp_path / "mine.toml").claims["one"].seeds_of("tanh") == (3, 4, 5)
 
 
 # --- Damaged and made-up files ---------------------------------------------------------------------

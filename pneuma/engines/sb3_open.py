@@ -104,7 +104,7 @@ def learner_class(run: Run) -> Any:
 def _check_arguments(run: Run) -> None:
     """Refuse arguments of PPO that it has as fields."""
     arguments = _algorithm_kwargs(run)
-    policy_kwargs = arguments.get("policy_kwargs", {})
+    policy_kwargs = str(arguments.get("policy_kwargs"))  # a table, its text, or anything
     for key, field in (*IN_POLICY_KWARGS.items(), *arguments_of(run)):
         if key in arguments or (key in IN_POLICY_KWARGS and key in policy_kwargs):
             raise UserError(f"algorithm_kwargs: {key} is not allowed: ppo has the field {field}")

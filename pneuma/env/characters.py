@@ -194,7 +194,7 @@ def character_files(name: str) -> list[Path]:
     if not name or name in SHIPPED_CHARACTERS:
         return []
     path = Path(os.path.expanduser(name))
-    if not path.is_file():
+    if not os.path.isfile(path):  # a Path would refuse a long name
         hint = nearest_name(name, SHIPPED_CHARACTERS)
         shipped = ", ".join(SHIPPED_CHARACTERS)
         raise UserError(f"characters {name!r}: no such file{hint}; shipped are {shipped}")

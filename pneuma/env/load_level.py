@@ -138,7 +138,7 @@ def _level_path(level_name: str) -> Path:
 
 def _folder_files(folder: Path) -> list[Path]:
     paths = [folder / file_name for file_name in FOLDER_FILES]
-    return [path for path in paths if path.is_file()]
+    return [path for path in paths if os.path.isfile(path)]
 
 
 def _read_layer(table_path: Path) -> np.ndarray:

@@ -18,7 +18,7 @@ from pydantic import BeforeValidator
 
 from pneuma.config import Run
 from pneuma.env.fields import read_field
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import unknown_name
 from pneuma.schema import plain, wrong
 from pneuma.study.spec import PLANNED
 
@@ -113,7 +113,9 @@ def _read_space(tables: Any) -> Any:
     for name, table in tables.items():
         try:
             space[name] = _read_parameter(name, table)
-        except (UserError, ValueError, TypeError, AttributeError, UserWarning) as error:
+        except ArithmeticError:
+            raise wrong(f"{name}: step is too small for this range", name) from None
+        except Exception as error:  # of the fields, or of Optuna's checks
             raise wrong(f"{name}: {error}", name) from None
         for condition in space[name].when:
             if condition in tables and condition not in space:

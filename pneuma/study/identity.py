@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
@@ -148,11 +149,11 @@ def _beside(folder: Path, key: str, name: str) -> str:
     file, colon, class_name = name, "", ""
     if key in CLASSES:
         file, colon, class_name = name.partition(":")
-    module = file.replace(".", "/")
+    module, exists = file.replace(".", "/"), os.path.isdir if key == "level" else os.path.isfile
     for candidate in (file, f"{module}.py", f"{module}/__init__.py"):
-        path = (folder / candidate).resolve()
-        if path.is_dir() if key == "level" else path.is_file():
-            return f"{path}{colon}{class_name}"
+        path = folder / candidate
+        if exists(path):  # of `os.path`: a name may be too long, or hold a NUL
+            return f"{path.resolve()}{colon}{class_name}"
     return name
 
 

@@ -43,6 +43,7 @@ from pneuma.study.spec import (
 )
 from pneuma.values import read_value, short, split_list
 
+MOST_RUNS = 50_000
 Swept = Mapping[str, Mapping[str, Any]]
 """The values of each field to sweep, by what the user wrote."""
 
@@ -155,6 +156,9 @@ def make_plan(study: Study, query: Query, engine: Callable[[Run], str] | None = 
         runs[name] = replace(run, steps=round_up(run, query.steps or amount.steps))
         seeds_by_condition[name] = query.seeds or amount.seeds
         seeds |= dict.fromkeys(seeds_by_condition[name])
+    count = sum(map(len, seeds_by_condition.values()))
+    if count > MOST_RUNS:
+        raise UserError(f"{count:,} runs are too many for one study: at most {MOST_RUNS:,}")
     cells: list[Cell] = []
     for seed in seeds:
         for name, run in runs.items():

@@ -28,7 +28,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from pneuma.config import Run, Steps, make_run, reads
 from pneuma.env.fields import ENVIRONMENT_SLOTS, ENVIRONMENTS, read_field
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import MOST_LISTED, UserError, unknown_name
 from pneuma.presets import (
     BASES,
     NO_BASE,
@@ -72,8 +72,8 @@ def _named_values(factors: Any) -> Any:
         if factor == CONDITION:
             raise wrong(f"{factor} is what [conditions] are; name it otherwise", factor)
         refusal = f"{factor} = {shown(values)} is not allowed: a list of"
-        if not isinstance(values, tuple | Mapping) or len(values) < 2:
-            raise wrong(f"{refusal} two values or more, or a table of named ones", factor)
+        if not isinstance(values, tuple | Mapping) or not 2 <= len(values) <= MOST_CONDITIONS:
+            raise wrong(f"{refusal} 2 to {MOST_CONDITIONS:,} values, or a table of named ones", factor)
         tables[factor] = values
         if not isinstance(values, Mapping):
             tables[factor] = {f"{factor}={short(value)}": {factor: value} for value in values}
@@ -103,6 +103,8 @@ def _read_fields(table: Any) -> Any:
         except UserError as error:
             key = keys[name]
             mistakes[key] = str(error) if key in str(error) else f"{key}: {error}"
+        if len(mistakes) == MOST_LISTED:
+            break
     if mistakes:
         raise all_wrong(mistakes)
     return values
@@ -379,8 +381,6 @@ def _worlds(study: Study) -> tuple[str, ...]:
 
 def _crossed(file: TomlFile, study: Study) -> Study:
     """Cross a study's conditions with its factors, if it has some."""
-    if not study.factors:
-        return study
     factors = dict(study.factors)
     if study.conditions:
         factors[CONDITION] = study.conditions
@@ -388,6 +388,8 @@ def _crossed(file: TomlFile, study: Study) -> Study:
     if count > MOST_CONDITIONS:
         message = f"{count:,} conditions are too many: at most {MOST_CONDITIONS:,}"
         raise file.mistake((), message, "factors")
+    if not study.factors:
+        return study
     conditions: dict[str, dict[str, Any]] = {}
     levels: dict[str, dict[str, str]] = {}
     labels, colors = dict(study.labels), dict(study.colors)

@@ -42,8 +42,8 @@ RULES = 5
 
 def _count_or_seeds(value: Any) -> Any:
     """Check seeds but keep a count as it is, because the list sets the first seed."""
-    read_seeds(value)
-    return value
+    seeds = read_seeds(value)
+    return value if type(value) is int else seeds
 
 
 def _check_outcome_or_event(name: str) -> None:
@@ -386,11 +386,11 @@ def _read_claim(file: TomlFile, name: str, contents: ClaimsFile, studies: dict[s
         if preset not in study.presets:
             raise mistake("preset", unknown_name(f"preset of study {study.name}", preset, study.presets))
         compared = keys.get("a", ()) + keys.get("b", ())
-        amounts = study.presets[preset].amounts(compared, study.world)
+        amounts = study.presets[preset].amounts(study.conditions, study.world)
         keys |= {"seeds": {}, "steps": 0}
-        for condition, amount in amounts.items():
-            keys["seeds"][condition] = amount.seeds
-            keys["steps"] = max(keys["steps"], amount.steps)
+        for condition in filter(compared.__contains__, amounts):
+            keys["seeds"][condition] = amounts[condition].seeds
+            keys["steps"] = max(keys["steps"], amounts[condition].steps)
     claim = read_model(Claim, file, ("claims", name), overrides=keys)
     conditions, worlds = ("condition", study.conditions), ("world", study.worlds)
     allowed = {"a": conditions, "b": conditions, "beside": conditions, "worlds": worlds}
