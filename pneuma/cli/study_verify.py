@@ -53,7 +53,7 @@ def _show(answer: VerdictsAnswer, in_detail: bool) -> Iterator[str | Table]:
     ):
         yield f"{name} (section {section})" if section else name
         for text in heading.removeprefix(f"{name}\n").split("\n"):
-            yield from _indented(text, 2)
+            yield from _indented(text, "  ")
         for world, verdict in by_world.items():
             head = f"{worlds[world]:16}{words.word(verdict)}"
             for text in [*words.lines(verdict), words.registration(verdict)]:
@@ -61,13 +61,12 @@ def _show(answer: VerdictsAnswer, in_detail: bool) -> Iterator[str | Table]:
                 head = ""
             details = words.details(verdict) if in_detail else words.remedy(verdict)
             for text in details:
-                yield from _indented(text, 6)
+                yield from _indented(text, "      ")
         yield ""
     yield frame_table(counts)
     yield ""
     yield from answer.legend
 
 
-def _indented(text: str, spaces: int) -> list[str]:
-    indent = " " * spaces
+def _indented(text: str, indent: str) -> list[str]:
     return wrap(plain(text), WIDTH, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False)
