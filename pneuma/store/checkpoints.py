@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -199,7 +199,9 @@ def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
     arrays = load(data)
     rows = {}
     for name, columns in TABLES.items():
-        rows[name] = _rows(arrays[f"records/{name}"].tobytes(), columns)
+        table = from_parquet(arrays[f"records/{name}"].tobytes())
+        value_columns = [column for column in VALUE_COLUMNS if column in table.column_names]
+        rows[name] = table.select([*columns, *value_columns]).to_pylist()
     shaped_arrays = {name: arrays[name].reshape(shape) for name, shape in about["shapes"].items()}
     return Checkpoint(about["step"], shaped_arrays, dict(about["numbers"]), Records(**rows)), about
 
@@ -220,11 +222,3 @@ def table_files(records: Records, without: Collection[str] = ()) -> dict[str, by
             written = [column for column in written if column not in without]
         files[name] = to_parquet(rows, written)
     return files
-
-
-def _rows(data: bytes, columns: Sequence[str]) -> list[Row]:
-    """Return a table's rows with the columns of the contract first, then any others."""
-    table = from_parquet(data)
-    value_columns = [name for name in VALUE_COLUMNS if name in table.column_names]
-    rows: list[Row] = table.select([*columns, *value_columns]).to_pylist()
-    return rows

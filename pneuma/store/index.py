@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
@@ -91,21 +91,15 @@ class RunIndex:
 
     def listing(self, name: str) -> dict[str, Any] | None:
         """Return the record of a study without a file, from here or from its published table."""
-        listing = None
-        if self._stored:
-            listing = self.store.listing(name)
+        listing = self.store.listing(name) if self._stored else None
         if listing is None and name in self.tables:
             listing = checked_listing(self.tables[name].about.get("listing"), name)
         return listing
 
     def listings(self) -> list[str]:
         """Return the names of studies without a file that are recorded here or published."""
-        names = set()
-        if self._stored:
-            names.update(self.store.listings())
-        for name, table in self.tables.items():
-            if table.about.get("listing") and self.listing(name):
-                names.add(name)
+        names = set(self.store.listings()) if self._stored else set()
+        names.update(name for name in self.tables if self.listing(name))
         return sorted(names - set(list_studies()))
 
     def document(self, column: str, run_id: str) -> Mapping[str, Any]:
@@ -132,27 +126,27 @@ class RunIndex:
         return runs
 
     def _read_row(self, run_id: str) -> Row | None:
-        where = self._where[run_id]
-        if where:
-            return next((row for _, row in self._published(run_id, where)), None)
-        try:
-            row = stored_row(self.store, run_id)
-        except UserError as error:
-            self.problems.append(str(error))
-            return next((row for _, row in self._published(run_id)), None)
-        for path, published in self._published(run_id):
-            if not published.same_numbers(row):
-                self.problems.append(f"{path}: its run {run_id} has other numbers here; those here are used")
-        return row
-
-    def _published(self, run_id: str, where: str = "") -> Iterator[tuple[Path, Row]]:
-        """Yield the rows of a run in published tables, or in one of them."""
+        where, row = self._where[run_id], None
+        if not where:
+            try:
+                row = stored_row(self.store, run_id)
+            except UserError as error:
+                self.problems.append(str(error))
         for table in self.tables.values():
-            if run_id in table.places and where in ("", str(table.path)):
-                try:
-                    yield table.path, table.row(run_id)
-                except UserError as error:
-                    self.problems.append(str(error))
+            if run_id not in table.places or where not in ("", str(table.path)):
+                continue
+            try:
+                published = table.row(run_id)
+            except UserError as error:
+                self.problems.append(str(error))
+                continue
+            if row is None:
+                return published
+            if not published.same_numbers(row):
+                self.problems.append(
+                    f"{table.path}: its run {run_id} has other numbers here; those here are used"
+                )
+        return row
 
 
 def _read_table(path: Path) -> Published:

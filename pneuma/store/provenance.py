@@ -9,12 +9,12 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from pneuma.config import Run, as_fields
 from pneuma.study.identity import own_names
@@ -30,7 +30,6 @@ SOURCE = Path(__file__).parents[2]
 """The folder of this code, from which child processes import it even if it is not installed."""
 QUOTA = Path("/sys/fs/cgroup/cpu.max")
 """Linux's (cgroups v2) limit of a container's CPU time per period: '150000 100000' or 'max 100000'."""
-ARM = ("CPU implementer", "CPU part", "CPU variant", "CPU revision")
 THREADS = 1
 
 
@@ -42,58 +41,45 @@ class Attempt:
         self._start_clock = time.perf_counter()
         self._start = start
         self._evaluation_seconds = 0.0
-        self._first_update: _Moment | None = None
+        self._first_update: tuple[int, float] | None = None
 
     def update(self, step: int, evaluation_seconds: float = 0.0) -> None:
         """Note the time of the first update, before which programs are compiled, and that of evaluations."""
         self._evaluation_seconds = evaluation_seconds
         if self._first_update is None:
-            self._first_update = _Moment(step, time.perf_counter(), time.process_time())
+            self._first_update = step, time.perf_counter()
 
     def so_far(self, step: int) -> dict[str, Any]:
         """Return the record of this attempt up to a step.
 
         `training_seconds` is the time without start-up: the number of updates times the pace of all updates
-        after the first. `processor_share` is the share of a core that these had; None on a GPU.
+        after the first.
         """
         clock = time.perf_counter()
-        wall_seconds = clock - self._start_clock
-        training_seconds, processor_share = wall_seconds, None
-        first = self._first_update
-        if first and step > first.step:
-            seconds = clock - first.clock
-            training_seconds = seconds * (step - self._start) / (step - first.step)
-            if _device() == "cpu" and seconds > 0:
-                processor_share = round((time.process_time() - first.processor_clock) / seconds, 3)
+        training_seconds = wall_seconds = clock - self._start_clock
+        first_step, first_clock = self._first_update or (step, clock)
+        if step > first_step:
+            training_seconds = (clock - first_clock) * (step - self._start) / (step - first_step)
         return {
             "started": self._started,
             "wall_seconds": round(wall_seconds, 3),
             "training_seconds": round(training_seconds, 3),
             "evaluation_seconds": round(self._evaluation_seconds, 3),
-            "processor_share": processor_share,
             "step": step,
             "machine": machine(),
         }
 
 
-class _Moment(NamedTuple):
-    step: int
-    clock: float
-    processor_clock: float
-
-
 def finished_provenance(attempts: list[dict[str, Any]]) -> dict[str, Any]:
     """Describe how a run was trained: the machine of the last attempt, and all attempts."""
-    wall_seconds = sum(attempt["wall_seconds"] for attempt in attempts)
-    training_seconds = sum(attempt["training_seconds"] for attempt in attempts)
-    evaluation_seconds = sum(attempt.get("evaluation_seconds", 0.0) for attempt in attempts)
-    shares = [attempt["processor_share"] for attempt in attempts]
+    totals = {}
+    for name in ("wall_seconds", "training_seconds", "evaluation_seconds"):
+        totals[name] = round(sum(attempt[name] for attempt in attempts), 3)
+    evaluation_share = totals.pop("evaluation_seconds") / max(totals["wall_seconds"], 1e-9)
     return {
         "started": attempts[0]["started"],
-        "wall_seconds": round(wall_seconds, 3),
-        "training_seconds": round(training_seconds, 3),
-        "evaluation_share": round(evaluation_seconds / max(wall_seconds, 1e-9), 3),
-        "processor_share": None if None in shares else min(shares),
+        **totals,
+        "evaluation_share": round(evaluation_share, 3),
         **attempts[-1]["machine"],
         "attempts": attempts,
     }
@@ -174,20 +160,20 @@ def file_at(path: Path, commit: str, line: str) -> str | None:
 
     None without a checkout that has the commit, or where no such file was there.
     """
-    if not re.fullmatch("[0-9a-f]{40}", commit):
-        return None
-    names = _git(path.parent, "grep", "--full-name", "-lFe", line, commit, "--", f":/*{path.suffix}")
-    if not names:
-        return None
-    return _git(path.parent, "show", names.splitlines()[0])
+    names = _grep_at(path, commit, line, f"*{path.suffix}", "--full-name", "-l")
+    return _git(path.parent, "show", names[0]) if names else None
 
 
 def line_at(path: Path, commit: str, beginning: str, folder: str) -> str:
     """Return the first line with a text in a folder of the checkout of a file, at a commit; may be empty."""
+    return "".join(_grep_at(path, commit, beginning, folder, "-h")[:1])
+
+
+def _grep_at(path: Path, commit: str, text: str, files: str, *options: str) -> list[str]:
+    """Return what `git grep` finds in files of the checkout of a file, at a commit."""
     if not re.fullmatch("[0-9a-f]{40}", commit):
-        return ""
-    lines = _git(path.parent, "grep", "-hF", beginning, commit, "--", f":/{folder}")
-    return lines.partition("\n")[0]
+        return []
+    return _git(path.parent, "grep", *options, "-Fe", text, commit, "--", f":/{files}").splitlines()
 
 
 def project(study: Path, files: Iterable[Path] = ()) -> dict[str, str]:
@@ -198,13 +184,13 @@ def project(study: Path, files: Iterable[Path] = ()) -> dict[str, str]:
     """
     folder = study.resolve().parent
     repository, commit = _git(folder, "rev-parse", "--show-toplevel").strip(), _commit(folder)
-    if not (repository and commit):
+    if not commit:
         return {"study": study.name}
     paths = {path.resolve() for path in (study, *files)}
     paths_within = [str(path) for path in paths if path.is_relative_to(repository)]
     tracked = _git(folder, "ls-files", "--", *paths_within).splitlines()
-    if len(tracked) < len(paths_within) and not commit.endswith("-dirty"):
-        commit += "-dirty"
+    if len(tracked) < len(paths_within):
+        commit = commit.removesuffix("-dirty") + "-dirty"
     return {"study": study.name, "commit": commit}
 
 
@@ -212,21 +198,19 @@ def packages_of(run: Run) -> dict[str, str]:
     """Return the versions of the packages that a run's environment and its own modules come from."""
     from gymnasium.envs.registration import registry  # workers have it, commands need not
 
-    modules = [name for names in own_names(as_fields(run)).values() for name in names]
-    spec = registry.get(run.env)
-    if spec and isinstance(spec.entry_point, str):
-        modules.append(spec.entry_point)
-    elif spec:
-        modules.append(str(getattr(spec.entry_point, "__module__", "")))
-    modules += [name for name in SIMULATORS if name in sys.modules]
+    modules = [name for name in SIMULATORS if name in sys.modules]
+    for names in own_names(as_fields(run)).values():
+        modules += names
+    if run.env in registry:
+        entry_point = registry[run.env].entry_point
+        modules.append(str(getattr(entry_point, "__module__", entry_point)))
     packages = {re.split(r"[.:]", module)[0] for module in modules} - {"gymnasium", "pneuma"}
     versions: dict[str, str] = {}
-    if not packages:
-        return versions
-    distributions = packages_distributions()
-    for package in sorted(packages):
-        for name in distributions.get(package, ()):
-            versions[name] = version(name)
+    if packages:
+        distributions = packages_distributions()  # takes long
+        for package in sorted(packages):
+            for name in distributions.get(package, ()):
+                versions[name] = version(name)
     return versions
 
 
@@ -251,37 +235,9 @@ def _git(folder: Path, *words: str) -> str:
 
 @cache
 def _cpu() -> str:
-    """Return the processor's model name, or its ARM numbers."""
-    values: dict[str, str] = {}
+    """Return the processor's model name; of an ARM one, which has none, the numbers that name it."""
+    names = []
     if sys.platform == "linux":
         first_core = Path("/proc/cpuinfo").read_text().split("\n\n")[0]
-        values = dict(re.findall(r"^([^\t:]+)\t*: (.*)$", first_core, re.MULTILINE))
-    if values.get("model name"):
-        return values["model name"]
-    numbers = [f"{key.removeprefix('CPU ')} {values[key]}" for key in ARM if key in values]
-    if numbers:
-        return f"ARM {', '.join(numbers)}"
-    return platform.processor() or "unknown"
-
-
-# --- Of stored runs --------------------------------------------------------------------------------
-
-
-def processors(origin: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return on what a run was trained; some published rows of older versions list it themselves."""
-    listed = origin.get("processors")
-    if isinstance(listed, list) and listed:
-        return tuple(sorted({str(name) for name in listed}))
-    machines = [origin]
-    attempts = origin.get("attempts")
-    if isinstance(attempts, list):
-        for attempt in attempts:
-            if isinstance(attempt, dict) and isinstance(attempt.get("machine"), dict):
-                machines.append(attempt["machine"])
-    names = set()
-    for about in machines:
-        name = about.get("device") or "cpu"
-        if name == "cpu":
-            name = about.get("cpu")
-        names.add(str(name))
-    return tuple(sorted(names))
+        names = re.findall(r"^(?:model name|CPU \w+)\t*: (.*)$", first_core, re.MULTILINE)
+    return ", ".join(names) or platform.processor() or "unknown"

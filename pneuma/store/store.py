@@ -91,12 +91,14 @@ class Status:
         step: agent steps of the records, or of the latest checkpoint.
         detail: the file that is damaged.
         identity: what it is a run of; None if that is not stored, or damaged.
+        checksums: of its files, by name.
     """
 
     name: str
     step: int = 0
     detail: str = ""
     identity: Identity | None = field(default=None, compare=False)
+    checksums: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def finished(self) -> bool:
@@ -204,16 +206,14 @@ class Store:
 
     def status(self, run_id: str, quick: bool = False) -> Status:
         """Return a run's status, judged by the checksums of its files; with `quick`, by their existence."""
-        folder, manifest = self.run_folder(run_id), self._manifest(run_id)
-        status = Status("planned")
-        if manifest:
-            status = _manifest_status(manifest)
-            names = names_in(folder)
-            for name, expected in manifest["files"].items():
-                if name == ROW_FILE:
-                    continue  # it is made again where it is missing
-                if name not in names or not (quick or read_sound(folder, name, expected) is not None):
-                    return replace(status, name="damaged", step=0, detail=name)
+        folder, stored = self.run_folder(run_id), self._stored(run_id)
+        status = stored or Status("planned")
+        names = names_in(folder) if stored else []
+        for name, expected in status.checksums.items():
+            if name == ROW_FILE:
+                continue  # it is made again where it is missing
+            if name not in names or not (quick or read_sound(folder, name, expected) is not None):
+                return replace(status, name="damaged", step=0, detail=name)
         if status.finished:
             return status
         steps = [0, status.step]  # a crash stores no step
@@ -227,7 +227,7 @@ class Store:
         status = replace(status, step=max(steps))
         if is_held(folder):
             return replace(status, name="running")
-        if manifest is None and os.path.lexists(folder / "status.json"):
+        if stored is None and os.path.lexists(folder / "status.json"):
             return replace(status, name="damaged", detail="status.json")
         if status.name == "planned" and status.step:
             return replace(status, name="partial")
@@ -237,7 +237,7 @@ class Store:
         """Note that a run is to be trained, unless something of it is stored."""
         folder = self.run_folder(run_id)
         with self._writing(folder):
-            create_whole(folder / "status.json", _status_document(Status("planned", identity=identity), {}))
+            create_whole(folder / "status.json", _status_document(Status("planned", identity=identity)))
 
     def delete_run(self, run_id: str) -> None:
         """Remove a run with all its files, while no other process trains it.
@@ -253,11 +253,11 @@ class Store:
 
     def save_row(self, run_id: str, data: bytes) -> None:
         """Write the row of a finished run that lacks it."""
-        manifest = self._manifest(run_id)
-        if manifest and manifest["status"] in FINISHED:
-            files = {**manifest["files"], ROW_FILE: checksum(data)}
-            document = dump_checksummed({**manifest, "files": files})
-            self._write_all(self.run_folder(run_id), {ROW_FILE: data, "status.json": document})
+        stored = self._stored(run_id)
+        if stored and stored.finished:
+            status = replace(stored, checksums={**stored.checksums, ROW_FILE: checksum(data)})
+            files = {ROW_FILE: data, "status.json": _status_document(status)}
+            self._write_all(self.run_folder(run_id), files)
 
     def save_run(self, run_id: str, status: Status, files: Mapping[str, bytes]) -> None:
         """Write a run's files, then the status that lists their checksums; remove its other files.
@@ -267,9 +267,9 @@ class Store:
         folder, before = self.run_folder(run_id), self.status(run_id, quick=status.finished)
         if before.finished and not status.finished:
             return self.remove(folder / LOCK_FILE)
-        status = replace(status, identity=status.identity or before.identity)
         checksums = {name: checksum(data) for name, data in files.items()}
-        self._write_all(folder, {**files, "status.json": _status_document(status, checksums)})
+        status = replace(status, identity=status.identity or before.identity, checksums=checksums)
+        self._write_all(folder, {**files, "status.json": _status_document(status)})
         for path in folder.glob("[!.]*"):
             if path.name not in checksums and path.name != "status.json" and path.is_file():
                 self.remove(path)
@@ -303,13 +303,20 @@ class Store:
         except (UserError, ValueError):
             return {}
 
-    def checksums(self, run_id: str) -> dict[str, str]:
+    def checksums(self, run_id: str) -> Mapping[str, str]:
         """Return the checksum of each file of a run; none if nothing is stored of it."""
-        manifest = self._manifest(run_id)
-        return dict(manifest["files"]) if manifest else {}
+        stored = self._stored(run_id)
+        return stored.checksums if stored else {}
 
-    def _manifest(self, run_id: str) -> Any:
-        return _checked(load_checksummed(self.run_folder(run_id) / "status.json"), _Manifest)
+    def _stored(self, run_id: str) -> Status | None:
+        """Return the status that is stored, true or not; None if there is none, or it is damaged."""
+        manifest = _checked(load_checksummed(self.run_folder(run_id) / "status.json"), _Manifest)
+        if manifest is None:
+            return None
+        identity = None
+        if manifest.keys() >= {"config_id", "seed", "steps"}:
+            identity = Identity(manifest["config_id"], manifest["seed"], manifest["steps"])
+        return Status(manifest["status"], manifest["step"], identity=identity, checksums=manifest["files"])
 
     # --- Studies without a file, and published tables ------------------------------------------
 
@@ -433,16 +440,8 @@ def run_document(run: Run, run_id: str) -> bytes:
     return to_json({"schema": SCHEMA, "run_id": run_id, "run": fields})
 
 
-def _status_document(status: Status, checksums: Mapping[str, str]) -> bytes:
-    document = {"status": status.name, "step": status.step, "files": checksums}
+def _status_document(status: Status) -> bytes:
+    document = {"status": status.name, "step": status.step, "files": status.checksums}
     if status.identity:
         document |= asdict(status.identity)
     return dump_checksummed(document)
-
-
-def _manifest_status(manifest: Mapping[str, Any]) -> Status:
-    """Return the status in a document of `_status_document`."""
-    identity = None
-    if manifest.keys() >= {"config_id", "seed", "steps"}:
-        identity = Identity(manifest["config_id"], manifest["seed"], manifest["steps"])
-    return Status(manifest["status"], manifest["step"], identity=identity)

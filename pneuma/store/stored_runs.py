@@ -41,10 +41,11 @@ def run_files(store: Store, run_id: str) -> list[dict[str, Any]]:
     for path in folder.rglob("[!.]*"):
         if path.is_file():
             sizes[path.relative_to(folder).as_posix()] = path.stat().st_size
-    unlisted = sorted(sizes.keys() - checksums.keys() - {"status.json"})
     files = []
-    for name in [*checksums, *unlisted]:
+    for name in dict.fromkeys([*checksums, *sorted(sizes)]):
         state = "sound"
+        if name == "status.json":
+            continue
         if name not in checksums:
             state = "unlisted"
         elif name not in sizes:

@@ -14,7 +14,7 @@ from typing import Any
 
 from pneuma.config import FIELDS, Run, as_fields
 from pneuma.errors import UserError, print_aside
-from pneuma.store.provenance import machine, processors
+from pneuma.store.provenance import machine
 from pneuma.store.store import FINISHED, Store
 from pneuma.study.plan import Cell
 from pneuma.training.execute import kept_step
@@ -51,14 +51,17 @@ def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
     """Return the paces of finished runs on a processor like this one: those of a plan, and some others."""
     from pneuma.store.row_builder import stored_row  # safetensors, pyarrow: not for `--help`
 
+    here = machine()["cpu"]
     paces_by_kind: dict[str, list[float]] = {}
     for name in dict.fromkeys([*names_first, *store.runs()[:SAMPLE]]):
         try:
             row = stored_row(store, name)
             pace = (row.wall_seconds or 0) / (row.end - row.begun)
+            machines = [attempt["machine"] for attempt in row.provenance["attempts"]]
+            processors = {(machine["cpu"], machine["device"]) for machine in machines}
         except (UserError, KeyError, TypeError, ValueError, ArithmeticError):
             continue  # an imported, damaged or untrusted run
-        if pace > 0 and processors(row.provenance) == (machine()["cpu"],):
+        if pace > 0 and processors == {(here, "cpu")}:
             paces_by_kind.setdefault(_kind(row.fields), []).append(pace)
     return {kind: statistics.fmean(paces) for kind, paces in paces_by_kind.items()}
 
