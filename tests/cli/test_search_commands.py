@@ -129,7 +129,7 @@ def test_the_runs_of_a_pruned_trial_stop_where_it_was_stopped(
     monkeypatch.setattr(loop, "SHORT_STEPS", 0)  # evaluated as often as long ones
     path, results = tmp_path / "pruned.toml", tmp_path / "results"
     pruner = '[pruner]\nname = "median"\nn_startup_trials = 1\nn_warmup_steps = 10\ninterval_steps = 10\n'
-    text = SEARCH.replace("steps = 128", "steps = 1280").replace("trials = 4", "trials = 8")
+    text = SEARCH.replace("steps = 128", "steps = 1280").replace("trials = 4", "trials = 5")
     path.write_text(text.replace('direction = "minimize"', "") + pruner)
     words = ("search", "run", path, "--results", results, "--seeds", "1", "--json")
     trials = described(*words)["trials"]

@@ -1,4 +1,4 @@
-"""The study commands: over a tiny study that is really trained, where runs fail, and for one's own."""
+"""The study commands over a tiny study that is really trained and published, on a crash, and on a copy."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ import sys
 from pathlib import Path
 
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
+from pyarrow.types import is_list
 
+from pneuma.store.locks import run_lock
+from pneuma.store.quantities import TRAINING_QUANTITIES
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 
@@ -33,6 +37,7 @@ def results(trained: Path, tmp_path: Path) -> Path:
 # --- run, plan, status ---------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("trains_here")
 def test_only_what_is_missing_is_trained_and_told_as_one_document(results: Path) -> None:
     first = sorted((results / "runs").iterdir())[0]
     shutil.rmtree(first)
@@ -69,6 +74,73 @@ def test_an_exported_table_has_exactly_the_documented_columns_and_the_same_bytes
     for form in ("csv", "parquet", "tex"):
         first = _export(trained, "curves", tmp_path / f"first.{form}")
         assert first and _export(trained, "curves", tmp_path / f"second.{form}") == first
+
+
+# --- publish -------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def table(results: Path, unshipped: None) -> Path:
+    """The published table of these results, in which nothing is shipped."""
+    printed("study", "publish", "activation", *TINY[2:], "--results", results)
+    (path,) = (results / "published").iterdir()
+    return path
+
+
+def _publish(table: Path, *options: str) -> Called:
+    return call("study", "publish", "activation", *SETTINGS, *options, "--results", table.parents[1])
+
+
+def test_what_is_published_stays_in_the_table_and_the_same_runs_give_the_same_bytes(table: Path) -> None:
+    whole = table.read_bytes()
+    called = _publish(table, "--condition", "relu", "--seeds", "1,")
+    assert "1 run from here, 3 as they were published before" in called.out
+    assert "other numbers" not in called.err
+    assert table.read_bytes() == whole and table.name.startswith("activation-arena-horizon=64-slots=1-")
+    with run_lock(table.parents[1] / ".publishing" / table.stem):
+        assert "another command is writing" in (called := _publish(table)).err and called.code == 2
+    shutil.rmtree(table.parents[1] / "runs")
+    called = _publish(table)
+    assert called.code == 2 and "train some before publishing" in called.err and table.read_bytes() == whole
+
+
+@pytest.mark.parametrize(("kept", "columns"), [("none", set()), ("return,entropy", {"return", "entropy"})])
+def test_a_table_keeps_the_curves_that_are_named(table: Path, kept: str, columns: set[str]) -> None:
+    assert _publish(table, "--curves", kept).code == 0
+    curves = {column.name.split()[0] for column in pq.read_schema(table) if is_list(column.type)}
+    assert curves & {*TRAINING_QUANTITIES} == columns
+
+
+def test_a_damaged_table_is_told_and_published_anew(table: Path) -> None:
+    whole = table.read_bytes()
+    table.write_bytes(whole[:-9])
+    called = _publish(table)
+    assert called.code == 0 and f"{table}: cannot be read (damaged)" in called.err
+    assert table.read_bytes() == whole
+
+
+def test_what_pneuma_publishes_stays_in_a_table_of_the_same_name(
+    table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = Path(shutil.move(table.parent, tmp_path / "shipped"))
+    monkeypatch.setattr("pneuma.store.store.shipped_tables", lambda: shipped)
+    called = _publish(table, "--condition", "tanh", "--seeds", "0,")
+    assert "1 run from here, 3 as they were published before" in called.out
+    assert pq.read_table(table).num_rows == 4
+
+
+def test_what_is_published_is_not_trained_where_that_is_asked(table: Path) -> None:
+    shutil.rmtree(table.parents[1] / "runs")
+    rest = ["activation", *TINY, "--unpublished", "--results", table.parents[1]]
+    called = call("study", "run", *rest, "--seeds", "2", "--json")
+    assert called.code == 0 and called.document["runs"] == []
+    assert "nothing to train" in called.err and "Draw it" not in called.err
+    planned = call("study", "plan", *rest, "--seeds", "3", "--json").document["runs"]
+    states = [(run["seed"], run["state"]) for run in planned if run["condition"] == "tanh"]
+    assert states == [(0, "published"), (1, "published"), (2, "to-train")]
+    assert {run["expected_seconds"] for run in planned if run["state"] == "published"} == {None}
+    table.write_bytes(table.read_bytes()[:-9])
+    assert f"{table.name}: cannot be read (damaged)" in call("study", "plan", *rest).err
 
 
 # --- Studies whose runs end in no success ---------------------------------------------------------

@@ -129,26 +129,26 @@ def count_events(pair: Pair, counts: Counter[str]) -> None:
 
 
 def test_the_hunter_on_the_shipped_level() -> None:
-    worlds = Worlds(2, make_env_config({}, GODOT))
+    worlds = Worlds(1, make_env_config({}, GODOT))
     pair, hunter = Pair(worlds, seed=5), Hunter(worlds)
     kills = 0
     for _ in range(300):
         pair.step(hunter.act(worlds))
         kills += int(worlds.events["kills"].sum())
         pair.reset(np.flatnonzero(worlds.worlds["ending"]))
-    assert kills >= 2
+    assert kills
 
 
 def test_random_levels_are_drawn_before_starts() -> None:
     worlds = Worlds(3, make_env_config({"level": "random:train:3", "random_levels": 4, "players": 2}))
     pair, levels = Pair(worlds, seed=1), set()
-    for _ in range(12):
+    for _ in range(6):
         levels |= set(worlds.worlds["level"].tolist())
-        for _ in range(20):
+        for _ in range(6):
             pair.step(np.array([[hunt(o, player, ATTACK) for player in o.players] for o in pair.oracles]))
         pair.reset(range(3))
     assert levels == {0, 1, 2, 3}
-    assert worlds.worlds["draws"].tolist() == [26, 26, 26]  # a level and a start for each of 13 episodes
+    assert worlds.worlds["draws"].tolist() == [14, 14, 14]  # a level and a start for each of 7 episodes
 
 
 def test_eight_players_fill_every_bit(tmp_path: Path) -> None:

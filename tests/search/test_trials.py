@@ -45,7 +45,6 @@ class Killed(Exception):
     [
         MEDIAN,
         '[pruner]\nname = "optuna.pruners:HyperbandPruner"\nmax_resource = 20',
-        '[sampler]\nname = "random"',
         '[sampler]\nname = "nsga-ii"\npopulation_size = 4',
         '[sampler]\nname = "optuna.samplers:GPSampler"',
         '[sampler]\nname = "optuna.samplers:QMCSampler"\nqmc_type = "halton"',
