@@ -129,7 +129,7 @@ def train_plan(
 
     Runs pause at the step `config.until`.
     """
-    todo, notes = execute.prepare(planned, store, retry_failed, config.until or None)
+    todo, notes = execute.prepare(planned, store, retry_failed, config.until)
     if own_path := planned.study.own_path:
         files = {path for cell in planned.cells for path in user_files(as_fields(cell.run))}
         config = replace(config, project=project(Path(own_path), files))

@@ -12,7 +12,7 @@ import json
 import time
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from safetensors.numpy import load, save
@@ -30,7 +30,7 @@ from pneuma.engines.records import (
 from pneuma.errors import StorageError, UserError
 from pneuma.files import SCHEMA, checksum, read_stored
 from pneuma.store.provenance import Attempt, finished_provenance
-from pneuma.store.store import CHECKPOINTS, Store, read_checkpoint_name
+from pneuma.store.store import CHECKPOINTS, CheckpointFile, Store, checkpoint_files
 from pneuma.store.tables import from_parquet, to_parquet
 
 LATEST_KEPT = 2
@@ -99,38 +99,16 @@ class RunCheckpoints:
             raise
         except UserError as error:
             self._say(f"no checkpoint at step {progress.step:,}: {error}")
-        self._keep_latest(LATEST_KEPT)
+        for file in checkpoint_files(self._folder)[LATEST_KEPT:]:
+            self._store.remove(file.path)
         write_seconds = time.monotonic() - now
         self._next = now + write_seconds + max(self._seconds, WRITE_SHARE * write_seconds)
 
     def finish(self) -> None:
-        self._keep_latest(0)
-        folder = self._folder / CHECKPOINTS
-        if folder.is_dir() and not any(folder.iterdir()):
-            self._store.remove(folder)
-
-    def _keep_latest(self, count: int) -> None:
-        for file in checkpoint_files(self._folder)[count:]:
-            self._store.remove(file.path)
+        self._store.remove(self._folder / CHECKPOINTS)
 
 
 # --- Files -----------------------------------------------------------------------------------------
-
-
-class CheckpointFile(NamedTuple):
-    step: int
-    digest: str
-    path: Path
-
-
-def checkpoint_files(folder: Path) -> list[CheckpointFile]:
-    """Return the checkpoint files in a run's folder, the latest first; they may be damaged."""
-    files = []
-    for path in (folder / CHECKPOINTS).glob("*.safetensors"):
-        step_and_digest = read_checkpoint_name(path.name)
-        if step_and_digest:
-            files.append(CheckpointFile(*step_and_digest, path))
-    return sorted(files, reverse=True)
 
 
 def sound_checkpoint(folder: Path) -> Checkpoint | None:

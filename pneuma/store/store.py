@@ -29,7 +29,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, NotRequired
+from typing import Annotated, Any, Literal, NamedTuple, NotRequired
 
 from annotated_types import MinLen
 from pydantic import Field, StringConstraints, TypeAdapter, ValidationError
@@ -216,14 +216,11 @@ class Store:
                 return replace(status, name="damaged", step=0, detail=name)
         if status.finished:
             return status
-        steps = [0, status.step]  # a crash stores no step
         try:
-            for name in names_in(folder / CHECKPOINTS):
-                checkpoint = read_checkpoint_name(name)
-                if checkpoint:
-                    steps.append(checkpoint[0])
+            files = checkpoint_files(folder)
         except UserError as error:
             return replace(status, name="damaged", step=0, detail=str(error))
+        steps = [status.step] + [file.step for file in files]  # a crash stores no step
         status = replace(status, step=max(steps))
         if is_held(folder):
             return replace(status, name="running")
@@ -420,12 +417,20 @@ def read_sound(folder: Path, name: str, expected: str | None) -> bytes | None:
     return data
 
 
-def read_checkpoint_name(name: str) -> tuple[int, str] | None:
-    """Return the step and checksum in a checkpoint's file name; None for any other file."""
-    match = _CHECKPOINT_NAME.fullmatch(name)
-    if match is None:
-        return None
-    return int(match[1]), match[2]
+class CheckpointFile(NamedTuple):
+    step: int
+    digest: str
+    path: Path
+
+
+def checkpoint_files(folder: Path) -> list[CheckpointFile]:
+    """Return the checkpoint files in a run's folder, the latest first; they may be damaged."""
+    files = []
+    for name in names_in(folder / CHECKPOINTS):
+        match = _CHECKPOINT_NAME.fullmatch(name)
+        if match:
+            files.append(CheckpointFile(int(match[1]), match[2], folder / CHECKPOINTS / name))
+    return sorted(files, reverse=True)
 
 
 def run_identity(run: Run) -> Identity:

@@ -32,55 +32,40 @@ OnProgress = Callable[[Cell, Event], None]
 
 
 def prepare(
-    plan: Plan, store: Store, retry_failed: bool = False, until: Mapping[str, int] | None = None
+    plan: Plan, store: Store, retry_failed: bool = False, until: Mapping[str, int] = {}
 ) -> tuple[dict[str, Run], list[str]]:
     """Check a plan, and note its runs as planned.
 
-    If an environment cannot be made, nothing is written.
+    If an environment cannot be made, nothing is written. A user's own study file is kept beside the results.
 
     Args:
         plan: which runs there are to be.
         store: where they are kept.
         retry_failed: whether runs that failed before are trained again.
-        until: the only runs to train, with the step that each is to reach, or 0 for its end; None for all.
+        until: the steps at which runs pause: those that have come so far are not trained; 0 is the end.
 
     Returns:
         The runs to train, by id, and notes for the user.
     """
+    from pneuma.store.checkpoints import sound_checkpoint  # safetensors, pyarrow: not for `--help`
+
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
     todo = missing(plan, statuses, retry_failed)
-    if until is not None:
-        todo = _not_yet_at(until, todo, store)
+    for name, step in until.items():
+        if step and name in todo:
+            checkpoint = sound_checkpoint(store.run_folder(name))
+            if checkpoint and checkpoint.step >= step:
+                del todo[name]
     check_environments(todo.values())
     store.check_writable()
     for name, run in todo.items():
         store.plan_run(name, run_identity(run))
     if plan.query.study:
-        _note_study(plan, store)
+        study = plan.study
+        if study.path and study.own_path:
+            store.write(store.studies / study.path.name, study.path.read_bytes())
+        note_query(store, plan)
     return todo, _notes(plan, statuses, todo)
-
-
-def _not_yet_at(until: Mapping[str, int], todo: Mapping[str, Run], store: Store) -> dict[str, Run]:
-    """Return the runs in `until` whose checkpoints are not at the step there yet."""
-    from pneuma.store.checkpoints import sound_checkpoint  # pydantic: not for `--help`
-
-    remaining = {}
-    for name, run in todo.items():
-        if name not in until:
-            continue
-        checkpoint = sound_checkpoint(store.run_folder(name))
-        reached_step = checkpoint.step if checkpoint else 0
-        if until[name] == 0 or reached_step < until[name]:
-            remaining[name] = run
-    return remaining
-
-
-def _note_study(plan: Plan, store: Store) -> None:
-    """Keep a user's own study file in the results folder, and what was last asked of the study."""
-    study = plan.study
-    if study.path and study.own_path:
-        store.write(store.studies / study.path.name, study.path.read_bytes())
-    note_query(store, plan)
 
 
 def execute(

@@ -91,27 +91,24 @@ class Worker:
                 status = store.status(name)
                 if status.finished:
                     store.remove(store.run_folder(name) / LOCK_FILE)
-                    return {**end_event(name, status), "trained": False}
+                    return end_event(name, status.name, status.step, trained=False)
                 if self._stop.is_set():
-                    return end_event(name, Status("stopped"))
+                    return end_event(name, "stopped")
                 try:
-                    return end_event(name, self._train(job, name, run))
+                    status = self._train(job, name, run)
+                    return end_event(name, status.name, status.step)
                 except Exception as error:
                     if is_storage_problem(error):
                         raise
                     is_final = job.last_try or isinstance(error, OwnCodeError)
                     if is_final:
                         store.save_failure(name, run, "crashed", traceback.format_exc())
-                    return {
-                        **end_event(name, Status("crashed")),
-                        "reason": describe(error),
-                        "final": is_final,
-                    }
+                    return end_event(name, "crashed", reason=describe(error), final=is_final)
         except Exception as error:  # it cannot be locked or stored
             if not is_storage_problem(error):
-                return {**end_event(name, Status("crashed")), "reason": describe(error)}
+                return end_event(name, "crashed", reason=describe(error))
             self._stop.set()  # those after it as well, because the disk takes nothing more
-            return {**end_event(name, Status("stopped")), "reason": describe(error), "storage": True}
+            return end_event(name, "stopped", reason=describe(error), storage=True)
 
     def _train(self, job: Job, name: str, run: Run) -> Status:
         """Train a run to its end, discarding checkpoints that its engine cannot use.

@@ -9,9 +9,9 @@ import pytest
 from pneuma.engines.loop import Progress
 from pneuma.engines.records import Checkpoint, Records
 from pneuma.store import checkpoints
-from pneuma.store.checkpoints import RunCheckpoints, checkpoint_files
+from pneuma.store.checkpoints import RunCheckpoints
 from pneuma.store.provenance import Attempt
-from pneuma.store.store import Store
+from pneuma.store.store import Store, checkpoint_files
 
 NAME = "0123456789abcdef"
 

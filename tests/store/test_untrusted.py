@@ -18,9 +18,9 @@ from pneuma.config import make_run
 from pneuma.engines.records import Checkpoint
 from pneuma.errors import UserError
 from pneuma.files import checksum, dump_checksummed
-from pneuma.store.checkpoints import checkpoint_files, encode, file_name, read_checkpoint
+from pneuma.store.checkpoints import encode, file_name, read_checkpoint
 from pneuma.store.last_queries import forget_query
-from pneuma.store.store import Identity, Status, Store
+from pneuma.store.store import Identity, Status, Store, checkpoint_files
 from pneuma.study.identity import run_id
 from pneuma.training.executors import local
 from pneuma.training.executors.base import Event, ExecutorConfig

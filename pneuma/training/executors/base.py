@@ -38,7 +38,7 @@ from types import ModuleType
 from typing import Any
 
 from pneuma.config import Run, as_fields, make_run
-from pneuma.store.store import Status, Store
+from pneuma.store.store import Store
 
 Event = Mapping[str, Any]
 OnEvent = Callable[[Event], None]
@@ -104,8 +104,9 @@ class Job:
         return cls(runs, Store(job["results"]), ExecutorConfig(**job["config"]), job["last_try"])
 
 
-def end_event(name: str, status: Status) -> Event:
-    return {"event": "end", "run_id": name, "status": status.name, "step": status.step, "trained": True}
+def end_event(name: str, status: str, step: int = 0, **about: Any) -> Event:
+    end = {"event": "end", "run_id": name, "status": status, "step": step, "trained": True}
+    return {**end, **about}
 
 
 def load_executor(config: ExecutorConfig) -> ModuleType:

@@ -36,7 +36,7 @@ from pneuma.errors import StorageError, UserError, print_aside
 from pneuma.files import parse_json
 from pneuma.store.locks import LOCK_FILE, is_held
 from pneuma.store.provenance import SOURCE, available_cores, machine
-from pneuma.store.store import Status, Store
+from pneuma.store.store import Store
 from pneuma.training.executors.base import Event, ExecutorConfig, Job, OnEvent, end_event
 
 TRIES = 2
@@ -261,7 +261,7 @@ class Supervisor:
         if crash and (is_stopping or task.tries == TRIES or crash.get("final")):
             self._on_event(crash)
         elif is_stopping:
-            self._on_event(end_event(task.name, Status("stopped")))
+            self._on_event(end_event(task.name, "stopped"))
         elif task.tries < TRIES:
             reason = f"crashed ({crash['reason']})" if crash else _reason(code)
             self._tasks.append(replace(task, tries=task.tries + 1))
@@ -283,7 +283,7 @@ class Supervisor:
             self._storage_problem = str(error)
         except UserError as error:
             self._note(task, str(error))
-        self._on_event(end_event(task.name, Status(status)))
+        self._on_event(end_event(task.name, status))
 
     def _note(self, task: _Task, text: str) -> None:
         self._on_event({"event": "note", "run_id": task.name, "text": text})

@@ -125,8 +125,8 @@ def _end_event(name: str, status: Status, pause_step: int) -> Event:
     """Return the event of the end of a run that has no task any more."""
     is_paused = 0 < pause_step <= status.step
     if status.finished or status.failed or status.name == "killed" or is_paused:
-        return {**end_event(name, status), "reason": ""}
-    return {**end_event(name, Status("killed", status.step)), "reason": "its node was lost twice"}
+        return end_event(name, status.name, status.step)
+    return end_event(name, "killed", status.step, reason="its node was lost twice")
 
 
 def _check(task: Any) -> None:
