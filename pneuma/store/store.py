@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, NotRequired
 
 from annotated_types import MinLen
-from pydantic import Field, StringConstraints, TypeAdapter, ValidationError
+from pydantic import StringConstraints, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
 from pneuma.config import OF_WORLDS, Run, as_fields, is_gymnasium_id
@@ -110,22 +110,19 @@ class Status:
         return self.name == "crashed"
 
 
-_Int64 = Annotated[int, Field(ge=-(2**63), lt=2**63)]
-
-
 class _Manifest(TypedDict):
     status: Literal["planned", "running", "partial", "done", "diverged", "crashed", "killed", "damaged"]
-    step: _Int64
+    step: int
     files: dict[str, str]
     config_id: NotRequired[str]
-    seed: NotRequired[_Int64]
-    steps: NotRequired[_Int64]
+    seed: NotRequired[int]
+    steps: NotRequired[int]
 
 
 class _Listed(TypedDict):
     run_id: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
     condition: str
-    seed: _Int64
+    seed: int
 
 
 class _Listing(TypedDict):

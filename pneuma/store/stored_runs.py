@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pneuma.config import Run, as_fields, make_run
+from pneuma.config import FIELDS, Run, as_fields, make_run
 from pneuma.errors import UserError, nearest_name
 from pneuma.store.store import Store, read_sound
 from pneuma.study.identity import describe_user_code
@@ -73,7 +73,7 @@ def stored_settings(store: Store, run_id: str) -> dict[str, Any]:
 
 def stored_run(settings: Mapping[str, Any]) -> Run:
     """Return the run of a stored configuration, without fields that an earlier version had."""
-    return make_run({key: value for key, value in settings.items() if key in as_fields(Run())})
+    return make_run({key: value for key, value in settings.items() if key in FIELDS})
 
 
 def trusted_settings(store: Store, run_id: str, trust: bool) -> dict[str, Any]:

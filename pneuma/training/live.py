@@ -18,7 +18,14 @@ from pneuma.store.quantities import EVALUATION_TAGS, NEGATED, TAGS
 from pneuma.store.series import TRAILING_EPISODES
 
 LOGGED_BY_EPISODE = ("return", "length")
-UPDATE_TAGS = {name: tag for name, (tag, _) in TAGS.items() if name not in LOGGED_BY_EPISODE}
+MEAN_TAGS = {name: TAGS[name][0] for name in LOGGED_BY_EPISODE}
+TAGS_BY_TABLE = {
+    "episodes": {name: TAGS[name][1] for name in LOGGED_BY_EPISODE},
+    "metrics": {name: tag for name, (tag, _) in TAGS.items() if name not in LOGGED_BY_EPISODE},
+    "evaluations": EVALUATION_TAGS,
+}
+GROUPS = {"metrics": "train", "evaluations": "eval"}
+"""What columns of a table without a tag of their own are called by; those of episodes are not logged."""
 
 
 def open_log(folder: str | None, first_step: int) -> LiveLog:
@@ -52,17 +59,19 @@ class LiveLog:
         """Write what an update added to the file, before a checkpoint that could be resumed from."""
         if not self._writer:
             return
-        records = progress.records
         with suppress(OSError):
-            for row in self._new("episodes", records.episodes):
-                self._write(row["step"], {TAGS[name][1]: row[name] for name in LOGGED_BY_EPISODE})
-            recent_episodes = records.episodes[-TRAILING_EPISODES:]
+            for table, tags in TAGS_BY_TABLE.items():
+                rows = getattr(progress.records, table)
+                for row in rows[self._written.get(table, 0) :]:
+                    if row["step"] > self._first_step:
+                        self._write(table, row, tags)
+                self._written[table] = len(rows)
+            recent_episodes = progress.records.episodes[-TRAILING_EPISODES:]
             if recent_episodes:
-                self._write(progress.step, _trailing_means(recent_episodes))
-            for row in self._new("metrics", records.metrics):
-                self._write(row["step"], _tagged(row, "train", UPDATE_TAGS))
-            for row in self._new("evaluations", records.evaluations):
-                self._write(row["step"], _tagged(row, "eval", EVALUATION_TAGS))
+                means = {"step": progress.step}
+                for name in LOGGED_BY_EPISODE:
+                    means[name] = sum(row[name] for row in recent_episodes) / len(recent_episodes)
+                self._write("episodes", means, MEAN_TAGS)
             self._writer.flush()
 
     def close(self) -> None:
@@ -70,32 +79,11 @@ class LiveLog:
             with suppress(OSError):
                 self._writer.close()
 
-    def _new(self, table: str, rows: list[Row]) -> list[Row]:
-        """Return the rows of a table that this attempt added and that were not written yet."""
-        written = self._written.get(table, 0)
-        self._written[table] = len(rows)
-        return [row for row in rows[written:] if row["step"] > self._first_step]
-
-    def _write(self, step: int, values: Mapping[str, float | None]) -> None:
-        for tag, value in values.items():
-            if value is not None and math.isfinite(value):
-                self._writer.add_scalar(tag, value, step)
-
-
-def _trailing_means(episodes: list[Row]) -> dict[str, float]:
-    means = {}
-    for name in LOGGED_BY_EPISODE:
-        values = [row[name] for row in episodes]
-        means[TAGS[name][0]] = sum(values) / len(values)
-    return means
-
-
-def _tagged(row: Row, group: str, tags: Mapping[str, str]) -> dict[str, Any]:
-    """Return the values of a row by their tags; those without a tag of their own are called by the group."""
-    tagged = {}
-    for name, value in row.items():
-        if name == "step":
-            continue
-        tag = tags.get(name, f"{group}/{name}")
-        tagged[tag] = -value if tag == NEGATED else value
-    return tagged
+    def _write(self, table: str, row: Row, tags: Mapping[str, str]) -> None:
+        """Write the finite values of a row by their tags."""
+        for name, value in row.items():
+            tag = tags.get(name)
+            if tag is None and table in GROUPS and name != "step":
+                tag = f"{GROUPS[table]}/{name}"
+            if tag and value is not None and math.isfinite(value):
+                self._writer.add_scalar(tag, -value if tag == NEGATED else value, row["step"])
