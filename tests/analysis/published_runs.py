@@ -5,6 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from pneuma.analysis.outcomes import OUTCOMES, outcome
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
@@ -16,6 +19,11 @@ from pneuma.study.plan import Query
 from .. import hand_made
 
 CELLS = {("a", 0): "a0" * 8, ("b", 0): "b0" * 8, ("a", 1): "a1" * 8, ("b", 1): "b1" * 8}
+
+
+def outcomes_of(data: StudyData) -> bytes:
+    """Return every outcome of every run, to the bit."""
+    return np.array([[outcome(run, name) for name in OUTCOMES] for run in data.rows]).tobytes()
 
 
 def save_run(

@@ -16,9 +16,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pneuma.analysis.outcomes import OUTCOMES, outcome
+from pneuma.analysis.outcomes import outcome
 from pneuma.analysis.runs import open_study
-from pneuma.analysis.study_data import StudyData
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.errors import UserError
 from pneuma.store.index import RunIndex
@@ -30,7 +29,7 @@ from pneuma.store.tables import from_ipc
 from pneuma.study.plan import Query
 
 from .. import hand_made
-from .published_runs import CELLS, publish, republished, save_run
+from .published_runs import CELLS, outcomes_of, publish, republished, save_run
 
 RUN = "a0" * 8
 
@@ -43,23 +42,7 @@ def store(tmp_path: Path) -> Store:
     return store
 
 
-def outcomes_of(data: StudyData) -> bytes:
-    """Return every outcome of every run, to the bit."""
-    return np.array([[outcome(run, name) for name in OUTCOMES] for run in data.rows]).tobytes()
-
-
 # --- One run, one row -------------------------------------------------------------------------------
-
-
-def test_a_run_and_its_published_row_give_the_same_bits(store: Store, tmp_path: Path) -> None:
-    save_run(store, "b1" * 8, 1, end=600, status="diverged")
-    data = hand_made.study_of(store, CELLS)
-    again = republished(data, tmp_path)
-    assert [run.published for run in again.rows] == [True] * 4
-    assert outcomes_of(again) == outcomes_of(data)
-    for run, other in zip(data.rows, again.rows, strict=True):
-        assert other.same_numbers(run) and other.fields == run.fields
-    assert again.runs[["condition", "seed"]].equals(data.runs[["condition", "seed"]])
 
 
 def test_outcomes_do_not_depend_on_other_runs_budgets(tmp_path: Path) -> None:

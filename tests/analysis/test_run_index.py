@@ -25,7 +25,7 @@ from pneuma.training.execute import prepare
 
 from ..cli.calls import save_finished
 from ..hand_made import save_listing, study_of, write_events
-from .published_runs import publish, republished, save_run
+from .published_runs import outcomes_of, publish, republished, save_run
 
 BUDGET = 1000  # the grid is 5, 10, … 1,000, and 5 % are 50
 B0, B1, A0, A1 = "b0" * 8, "b1" * 8, "a0" * 8, "a1" * 8
@@ -89,6 +89,7 @@ def test_a_published_table_is_read_as_what_it_was_made_from(
     again = republished(data, tmp_path / "again")
     for key in ("study", "conditions", "same", "fields", "windows", "quantities"):
         assert getattr(again, key) == getattr(data, key)
+    assert outcomes_of(again) == outcomes_of(data)
     for run, other in zip(data.rows, again.rows, strict=True):
         assert other.same_numbers(run) and other.fields == run.fields
     assert again.runs[["condition", "seed"]].equals(data.runs[["condition", "seed"]])

@@ -6,7 +6,6 @@ One tiny study is trained for the whole module by two worker processes at once, 
 from __future__ import annotations
 
 import os
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,13 +72,12 @@ def test_one_configuration_is_trained_once_for_two_conditions(together: Executed
     assert together.store.runs() == sorted({*names})
 
 
-def test_a_row_that_is_lost_is_made_again_as_the_worker_wrote_it(together: Executed, tmp_path: Path) -> None:
-    shutil.copytree(together.store.root, tmp_path / "copy")
-    store = Store(tmp_path / "copy")
-    file = store.run_folder(store.runs()[0]) / "row.arrow"
+def test_a_row_that_is_lost_is_made_again_as_the_worker_wrote_it(together: Executed) -> None:
+    (name, _), store = together.store.runs(), together.store
+    file = store.run_folder(name) / "row.arrow"
     written = file.read_bytes()
     file.unlink()
-    assert stored_row(store, store.runs()[0]).same_numbers(decode_row(written))
+    assert stored_row(store, name).same_numbers(decode_row(written))
     assert file.read_bytes() == written  # and it is there for the next who reads
 
 

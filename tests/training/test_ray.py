@@ -97,15 +97,11 @@ def test_a_study_that_loses_a_node_ends_with_the_bytes_of_a_local_one(tmp_path: 
     process = begin(tmp_path, study, "--executor", "ray", "--address", cluster.address)
     wait_until(lambda: len(checkpoint_folders(tmp_path)) == 2, seconds=240)
     os.kill(cluster.nodes[0], signal.SIGKILL)
-    assert_same_as_local(tmp_path, study, process)
-
-
-def assert_same_as_local(folder: Path, study: Path, process: subprocess.Popen[str]) -> None:
     out, told = process.communicate(timeout=300)
     assert process.returncode == 0, told
     assert {run["status"] for run in json.loads(out)["runs"]} == {"done"}
-    assert not checkpoint_folders(folder)
-    (folder / "results").rename(folder / "away")
-    local = begin(folder, study)
+    assert not checkpoint_folders(tmp_path)
+    (tmp_path / "results").rename(tmp_path / "away")
+    local = begin(tmp_path, study)
     assert local.communicate(timeout=120) and local.returncode == 0
-    assert outcome(folder / "away") == outcome(folder / "results")
+    assert outcome(tmp_path / "away") == outcome(tmp_path / "results")
