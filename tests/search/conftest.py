@@ -15,7 +15,7 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import FrozenTrial
 
-from pneuma.search import trials, values
+from pneuma.search import spec, trials, values
 from pneuma.search.log import STATES, Record
 from pneuma.search.spec import Budget, Search, load_search
 from pneuma.search.trials import Train, run_search
@@ -147,6 +147,7 @@ def make_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, formula: Formula)
     """Return a function that makes a task of the formula search, whose file is in the current folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(trials, "check_environments", lambda runs: None)
+    monkeypatch.setattr(spec, "CORNERS", 16)  # of so small a space these are enough, and soon looked at
 
     def make(count: int = 8, more: str = "", second: str = "", start: str = "", **budget: Any) -> Task:
         Path("formula.toml").write_text(SPACE.format(more=more, second=second, start=start))
