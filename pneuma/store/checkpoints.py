@@ -91,7 +91,7 @@ class RunCheckpoints:
         now = time.monotonic()
         if now < self._next and not at_once:
             return
-        history = {"attempts": [*self.attempts, attempt.so_far(progress.step)]}
+        history = {"attempts": self.attempts + [attempt.so_far(progress.step)]}
         try:
             data = encode(progress.checkpoint(), history, self._name)
             self._store.write(self._folder / CHECKPOINTS / file_name(progress.step, data), data)
@@ -179,7 +179,7 @@ def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
     for name, columns in TABLES.items():
         table = from_parquet(arrays[f"records/{name}"].tobytes())
         value_columns = [column for column in VALUE_COLUMNS if column in table.column_names]
-        rows[name] = table.select([*columns, *value_columns]).to_pylist()
+        rows[name] = table.select(list(columns) + value_columns).to_pylist()
     shaped_arrays = {name: arrays[name].reshape(shape) for name, shape in about["shapes"].items()}
     return Checkpoint(about["step"], shaped_arrays, dict(about["numbers"]), Records(**rows)), about
 
@@ -195,7 +195,7 @@ def table_files(records: Records, without: Collection[str] = ()) -> dict[str, by
     for name, columns in TABLES.items():
         rows: list[Row] = getattr(records, name)
         value_columns = [column for column in VALUE_COLUMNS if rows and column in rows[0]]
-        written = [*columns, *value_columns]
+        written = list(columns) + value_columns
         if name == "evaluations":
             written = [column for column in written if column not in without]
         files[name] = to_parquet(rows, written)

@@ -83,7 +83,7 @@ class RunIndex:
 
     def engine_of(self, run: Run) -> str:
         """Return the engine of a run's configuration, or another by which there are runs of it alone."""
-        engines = dict.fromkeys([run.engine, *find_algorithm(run.algorithm).engines])
+        engines = dict.fromkeys([run.engine] + list(find_algorithm(run.algorithm).engines))
         for engine in engines:
             if config_id(replace(run, engine=engine)) in self.places:
                 return engine

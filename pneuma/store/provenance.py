@@ -183,14 +183,12 @@ def project(study: Path, files: Iterable[Path] = ()) -> dict[str, str]:
     the files that its runs use.
     """
     folder = study.resolve().parent
-    repository, commit = _git(folder, "rev-parse", "--show-toplevel").strip(), _commit(folder)
+    commit = _commit(folder)
     if not commit:
         return {"study": study.name}
-    paths = {path.resolve() for path in (study, *files)}
-    paths_within = [str(path) for path in paths if path.is_relative_to(repository)]
-    tracked = _git(folder, "ls-files", "--", *paths_within).splitlines()
-    if len(tracked) < len(paths_within):
-        commit = commit.removesuffix("-dirty") + "-dirty"
+    for path in (study, *files):
+        if _git(folder, "status", "--porcelain", "--ignored", "--", str(path.resolve())):
+            commit = commit.removesuffix("-dirty") + "-dirty"
     return {"study": study.name, "commit": commit}
 
 

@@ -16,11 +16,10 @@ UPDATE_QUANTITIES = (
     "approx_kl",
     "explained_variance",
     "dead_units",
-    *ACTION_QUANTITIES,
-)
+) + ACTION_QUANTITIES
 """Quantities that average over updates: columns of the metrics table."""
 
-TRAINING_QUANTITIES = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES)
+TRAINING_QUANTITIES = EPISODE_QUANTITIES + UPDATE_QUANTITIES
 
 EVALUATION_QUANTITIES = ("share_killed", "score", "argmax_share_killed", "success", "evaluated_return")
 """Quantities of a curve over evaluations: columns of their table, which calls the last one return."""
@@ -49,4 +48,4 @@ EVALUATION_TAGS = {
 }
 """Stable-Baselines3's tags of some columns of the evaluations; others are called eval/COLUMN."""
 
-CURVE_QUANTITIES = (*EVALUATION_QUANTITIES, *TRAINING_QUANTITIES)
+CURVE_QUANTITIES = EVALUATION_QUANTITIES + TRAINING_QUANTITIES

@@ -189,7 +189,7 @@ def _quantity_cells(recorded: series.Recorded, quantity: str, grid: np.ndarray, 
     numbers = {}
     if len(values):
         for name in rows.EXACT.get(quantity, ()):
-            numbers[f"{quantity} {name}"] = series.STATISTICS[name](step, values, float(grid[-1]))
+            numbers[f"{quantity} {name}"] = series.curve_statistic(name, step, values, float(grid[-1]))
     if quantity in series.EXTREMES:
         extreme = series.EXTREMES[quantity]
         curve = series.peak_curve(*recorded.series[quantity], grid, extreme)

@@ -28,9 +28,9 @@ from pneuma.store.quantities import ACTION_QUANTITIES, TRAINING_QUANTITIES, UPDA
 from pneuma.store.series import (
     EXTREMES,
     GRID_POINTS,
-    STATISTICS,
     Series,
     Stretch,
+    curve_statistic,
     finite_points,
     make_grid,
     unpack_signs,
@@ -43,7 +43,7 @@ TEXT_CELLS = ("run_id", "config_id", "status", "fields", "provenance", "signs")
 INTEGER_CELLS = ("seed", "steps", "end")
 EVALUATIONS = "evaluations"
 """The column with a list of structs: of each evaluation its step, and other numbers."""
-REQUIRED_CELLS = (*TEXT_CELLS, *INTEGER_CELLS, EVALUATIONS)
+REQUIRED_CELLS = TEXT_CELLS + INTEGER_CELLS + (EVALUATIONS,)
 AVERAGED_OVER, LAST_EPISODES = "averaged over", "episodes last"
 STUCK = ("stuck updates", "updates", "stuck spells")
 """Counts of updates without entropy and with one action, of all updates, and of spells of the former."""
@@ -312,7 +312,7 @@ class Row:
         return finite_points(self.grid, self.curve(quantity))
 
     def statistic(self, quantity: str, name: str) -> float:
-        """Return one of `STATISTICS` of a curve or its `PEAK`, NaN if it has no value.
+        """Return a `curve_statistic` of a quantity or its `PEAK`, NaN if it has no value.
 
         It is exact where that is kept. Older tables lack some: then it is that of the rounded curve.
         """
@@ -322,7 +322,7 @@ class Row:
         if name == PEAK:
             return float(EXTREMES[quantity].reduce(self._points(f"{quantity} {PEAKS}")))
         step, values = self.known_curve(quantity)
-        return STATISTICS[name](step, values, self.budget) if len(values) else math.nan
+        return curve_statistic(name, step, values, self.budget)
 
     # --- Evaluations -------------------------------------------------------------------------------
 

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -161,20 +162,25 @@ def mean_height(step: np.ndarray, values: np.ndarray, until: float) -> float:
     return float(np.trapezoid(values, step) / span)
 
 
-def _early(step: np.ndarray, values: np.ndarray, until: float) -> float:
-    early_values = values[step <= 0.1 * until]
-    return float(early_values.mean()) if len(early_values) else math.nan
-
-
-STATISTICS: dict[str, Callable[[np.ndarray, np.ndarray, float], float]] = {
-    "last": lambda step, values, until: float(values[-1]),
-    "best": lambda step, values, until: float(values.max()),
-    "height": mean_height,
-    "median": lambda step, values, until: float(np.median(values)),
-    "average": lambda step, values, until: float(values.mean()),
-    "early": _early,
+STATISTICS: dict[str, Callable[[np.ndarray], Any]] = {
+    "last": itemgetter(-1),
+    "best": np.max,
+    "median": np.median,
+    "average": np.mean,
+    "early": np.mean,
 }
-"""Numbers of a curve up to a step, from its points with a value, at least one; `early`: its first tenth."""
+
+
+def curve_statistic(name: str, step: np.ndarray, values: np.ndarray, until: float) -> float:
+    """Return one of `STATISTICS` of a curve up to a step, or its mean `height`, from its points with a value.
+
+    `early` is the mean of the first tenth. NaN without a point.
+    """
+    if name == "height":
+        return mean_height(step, values, until)
+    if name == "early":
+        values = values[step <= 0.1 * until]
+    return float(STATISTICS[name](values)) if len(values) else math.nan
 
 
 # --- Signs of collapse -----------------------------------------------------------------------------

@@ -42,7 +42,7 @@ def run_files(store: Store, run_id: str) -> list[dict[str, Any]]:
         if path.is_file():
             sizes[path.relative_to(folder).as_posix()] = path.stat().st_size
     files = []
-    for name in dict.fromkeys([*checksums, *sorted(sizes)]):
+    for name in dict.fromkeys(list(checksums) + sorted(sizes)):
         state = "sound"
         if name == "status.json":
             continue

@@ -62,9 +62,10 @@ def test_a_study_is_told_with_its_commit_and_a_run_with_the_packages_of_its_modu
     module.touch()
     assert project(study)["commit"] == project(study, [study, Path("/etc/hosts")])["commit"] == head
     assert project(study, [module])["commit"] == f"{head}-dirty"  # untracked, as the study itself
-    assert project(study.with_name("new.toml"))["commit"] == f"{head}-dirty"
+    module.rename(new := study.with_name("new.toml"))
+    assert project(new)["commit"] == f"{head}-dirty"
     study.write_text("title")
-    assert project(study, [module])["commit"] == f"{head}-dirty"
+    assert project(study)["commit"] == f"{head}-dirty"
     run = make_run({"env": "CartPole-v1", "wrappers": ["numpy.random:Generator", "NormalizeObservation"]})
     assert packages_of(run) == {"numpy": np.__version__}
     register("Own-v0", entry_point=cast(Any, pd.DataFrame))  # a class, and not its name
