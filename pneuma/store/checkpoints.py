@@ -48,9 +48,9 @@ class RunCheckpoints:
         attempts: the records of earlier attempts, up to the checkpoint from which this one resumes.
     """
 
-    def __init__(self, store: Store, name: str, seconds: float, say: Callable[[str], None]) -> None:
-        self._store, self._name, self._seconds, self._say = store, name, seconds, say
-        self._folder = store.run_folder(name)
+    def __init__(self, store: Store, run_id: str, seconds: float, say: Callable[[str], None]) -> None:
+        self._store, self._run_id, self._seconds, self._say = store, run_id, seconds, say
+        self._folder = store.run_folder(run_id)
         self._next = time.monotonic() + self._seconds
         self.attempts: list[dict[str, Any]] = []
         for folder in (self._folder, self._folder / CHECKPOINTS):
@@ -93,7 +93,7 @@ class RunCheckpoints:
             return
         history = {"attempts": self.attempts + [attempt.so_far(progress.step)]}
         try:
-            data = encode(progress.checkpoint(), history, self._name)
+            data = encode(progress.checkpoint(), history, self._run_id)
             self._store.write(self._folder / CHECKPOINTS / file_name(progress.step, data), data)
         except StorageError:
             raise
@@ -189,14 +189,11 @@ def table_files(records: Records, without: Collection[str] = ()) -> dict[str, by
 
     Args:
         records: of a run.
-        without: columns of evaluations that are left out.
+        without: columns that are left out.
     """
     files = {}
     for name, columns in TABLES.items():
         rows: list[Row] = getattr(records, name)
-        value_columns = [column for column in VALUE_COLUMNS if rows and column in rows[0]]
-        written = list(columns) + value_columns
-        if name == "evaluations":
-            written = [column for column in written if column not in without]
-        files[name] = to_parquet(rows, written)
+        recorded = list(columns) + [column for column in VALUE_COLUMNS if rows and column in rows[0]]
+        files[name] = to_parquet(rows, [column for column in recorded if column not in without])
     return files

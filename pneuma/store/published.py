@@ -30,11 +30,15 @@ def encode_published(
     """
     table = pa.concat_tables([row.table for row in rows], promote_options="permissive")
     table = _without_folders(table.combine_chunks())
-    curve_names = [name for name in table.column_names if COLUMN_TYPES.get(name) == CURVE]
-    if curves is not None:
-        left_out = [name for name in curve_names if name.partition(" ")[0] not in curves]
-        table = table.drop_columns(left_out)
-        curve_names = [name for name in curve_names if name not in left_out]
+    curve_names, other_names, left_out = [], [], []
+    for name in table.column_names:
+        if COLUMN_TYPES.get(name) != CURVE:
+            other_names.append(name)
+        elif curves is None or name.partition(" ")[0] in curves:
+            curve_names.append(name)
+        else:
+            left_out.append(name)
+    table = table.drop_columns(left_out)
     metadata = {"pneuma": json.dumps({"schema": SCHEMA, **about}), "pneuma.checksum": _NO_CHECKSUM}
     table = table.cast(pa.schema(map(_as_parquet, table.schema))).replace_schema_metadata(metadata)
     sink = io.BytesIO()
@@ -44,7 +48,7 @@ def encode_published(
         compression="zstd",
         compression_level=19,
         # a dictionary does not help where numbers hardly repeat
-        use_dictionary=[name for name in table.column_names if name not in curve_names],
+        use_dictionary=other_names,
         use_byte_stream_split=[f"{name}.list.element" for name in curve_names],
     )
     data = sink.getvalue()

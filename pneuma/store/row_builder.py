@@ -64,41 +64,41 @@ def of_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> seri
 # --- Of stored runs ----------------------------------------------------------------------------------
 
 
-def stored_row(store: Store, name: str) -> Row:
+def stored_row(store: Store, run_id: str) -> Row:
     """Return the row of a finished run; made from the run's other files if it is missing or damaged."""
     with suppress(Exception):  # whatever is wrong with it
-        return decode_row(store.read_file(name, ROW_FILE))
-    with stored_file(store.run_folder(name)):
-        status = store.status(name, quick=True)
-        data = encode_row(cells_of_files(name, status, _stored_files(store, name)))
+        return decode_row(store.read_file(run_id, ROW_FILE))
+    with stored_file(store.run_folder(run_id)):
+        status = store.status(run_id, quick=True)
+        data = encode_row(cells_of_files(run_id, status, _stored_files(store, run_id)))
         row = decode_row(data)
     with suppress(UserError):  # a folder that cannot be written is still read
-        store.save_row(name, data)
+        store.save_row(run_id, data)
     return row
 
 
-def row_until(store: Store, name: str, run: Run, step: int) -> Row:
+def row_until(store: Store, run_id: str, run: Run, step: int) -> Row:
     """Return the row that a run would have if it had ended at a step, from its files or latest checkpoint."""
-    if store.status(name, quick=True).finished:
-        files = _stored_files(store, name)
+    if store.status(run_id, quick=True).finished:
+        files = _stored_files(store, run_id)
     else:
-        latest = sound_checkpoint(store.run_folder(name))
+        latest = sound_checkpoint(store.run_folder(run_id))
         if latest is None or latest.step < step:
             raise UserError(
-                f"{store.run_folder(name)}: has no valid checkpoint at step {step:,}; search again"
+                f"{store.run_folder(run_id)}: has no valid checkpoint at step {step:,}; search again"
             )
         files = {f"{table}.parquet": data for table, data in table_files(latest.records).items()}
-    files |= {"run.json": run_document(replace(run, steps=step), name), "provenance.json": b"{}"}
+    files |= {"run.json": run_document(replace(run, steps=step), run_id), "provenance.json": b"{}"}
     status = Status("done", step, identity=run_identity(run))
-    return decode_row(encode_row(cells_of_files(name, status, files, until=step)))
+    return decode_row(encode_row(cells_of_files(run_id, status, files, until=step)))
 
 
-def _stored_files(store: Store, name: str) -> dict[str, bytes]:
-    return {file: store.read_file(name, file) for file in store.checksums(name) if file != ROW_FILE}
+def _stored_files(store: Store, run_id: str) -> dict[str, bytes]:
+    return {file: store.read_file(run_id, file) for file in store.checksums(run_id) if file != ROW_FILE}
 
 
 def cells_of_files(
-    name: str, status: Status, files: Mapping[str, bytes], until: int | None = None
+    run_id: str, status: Status, files: Mapping[str, bytes], until: int | None = None
 ) -> dict[str, Any]:
     """Return the cells of a finished run's row, from the files that it leaves, or their rows up to a step."""
     fields, provenance = parse_json(files["run.json"])["run"], parse_json(files["provenance.json"])
@@ -115,20 +115,20 @@ def cells_of_files(
         recorded = of_log(tables[SCALARS_FILE].to_pandas(use_threads=False), provenance)
     else:
         recorded = of_tables(fields, tables)
-    return row_cells(name, status, fields, recorded, provenance)
+    return row_cells(run_id, status, fields, recorded, provenance)
 
 
-def record_frame(store: Store, name: str, table: str) -> pd.DataFrame:
+def record_frame(store: Store, run_id: str, table: str) -> pd.DataFrame:
     """Return a run's episodes or metrics as recorded, for export; of a log, all its scalars by step."""
-    is_log = SCALARS_FILE in store.checksums(name)
+    is_log = SCALARS_FILE in store.checksums(run_id)
     file = SCALARS_FILE if is_log else f"{table}.parquet"
-    with stored_file(store.run_folder(name) / file):
-        frame = from_parquet(store.read_file(name, file)).to_pandas()
+    with stored_file(store.run_folder(run_id) / file):
+        frame = from_parquet(store.read_file(run_id, file)).to_pandas()
     if not is_log:
         return frame
     from pneuma.store.points import by_step
 
-    return by_step(frame, parse_json(store.read_file(name, "provenance.json")))
+    return by_step(frame, parse_json(store.read_file(run_id, "provenance.json")))
 
 
 # --- The cells --------------------------------------------------------------------------------------
@@ -143,10 +143,13 @@ def row_cells(
 ) -> dict[str, Any]:
     """Return the cells of a finished run's row, by column; of an import, `fields` are what is known."""
     grid = series.make_grid(fields["steps"])
-    update_series = {name: recorded.series[name] for name in recorded.series if name in UPDATE_QUANTITIES}
-    step = update_series.get("entropy", next(iter(update_series.values()), (np.empty(0),)))[0]
-    # of an imported log, quantities may have been logged at unlike steps
-    updates = {name: values for name, (steps, values) in update_series.items() if np.array_equal(steps, step)}
+    step, updates = np.empty(0), {}
+    for name in UPDATE_QUANTITIES:
+        if name in recorded.series:
+            steps, values = recorded.series[name]
+            step = step if updates else steps
+            if np.array_equal(steps, step):  # those of an imported log may be unlike
+                updates[name] = values
     signs, stuck = series.update_signs(step, updates)
     cells: dict[str, Any] = {
         "run_id": run_id,
