@@ -146,7 +146,7 @@ def test_what_could_be_read_in_two_ways_or_none_is_refused(rows: str, options: s
     assert not Path("results").exists()
 
 
-def test_columns_and_runs_of_one_name_are_refused() -> None:
+def test_columns_and_runs_of_one_name_and_what_is_no_text_are_refused() -> None:
     write("runs.csv", "step,return,return\n8,5,6\n")
     words = ("--step", "step", "--value", "return")
     assert "has two columns named 'return'" in refused("import", "csv", "runs.csv", *words)
@@ -157,6 +157,8 @@ def test_columns_and_runs_of_one_name_are_refused() -> None:
     told = refused("import", "csv", "none.csv", *words, "--condition", "condition")
     assert "row 2: '' in column condition must be a condition" in told
     assert "cannot be read: No such file" in refused("import", "csv", "nothing.csv", *words)
+    Path("runs.csv").write_bytes(b"step,return\n8,\xff\n")
+    assert refused("import", "csv", "runs.csv", *words) == "runs.csv: is not UTF-8 text; save it as UTF-8"
 
 
 def test_another_selection_of_a_studys_runs_needs_its_name() -> None:
@@ -245,20 +247,13 @@ def test_a_monitors_folder_names_its_run() -> None:
 @pytest.mark.parametrize(
     ("text", "options", "told"),
     [
-        (HEADER + "1,10,1\n2,1", (), "a row lacks its return r, length l or time t"),
-        ("# mine\nr,l,t\n1,10,1\n", (), "Stable-Baselines3 cannot read this monitor"),
-        (HEADER + "1,10,1\n2,13,10,2\n", (), "Stable-Baselines3 cannot read this monitor"),
-        (HEADER + "1,10,1\n", ("--step", "l", "--value", "r"), "leave out --step and --value"),
-        (HEADER + "1,10,1\n", ("--seed", "l"), "--seed l: must be a number"),
-        (HEADER, (), "has no values at agent steps"),
+        (HEADER + "1,10,1\n2,1", "", "a row lacks its return r, length l or time t"),
+        ("# mine\nr,l,t\n1,10,1\n", "", "Stable-Baselines3 cannot read this monitor"),
+        (HEADER + "1,10,1\n2,13,10,2\n", "", "Stable-Baselines3 cannot read this monitor"),
+        (HEADER + "1,10,1\n", "--step l --value r", "leave out --step and --value"),
+        (HEADER + "1,10,1\n", "--seed l", "--seed l: must be a number"),
+        (HEADER, "", "has no values at agent steps"),
     ],
 )
-def test_a_monitor_that_cannot_be_read_whole_is_refused(
-    text: str, options: tuple[str, ...], told: str
-) -> None:
-    assert told in refused("import", "csv", write("a.monitor.csv", text), *options)
-
-
-def test_a_file_that_is_no_text_is_refused() -> None:
-    Path("runs.csv").write_bytes(b"step,return\n8,\xff\n")
-    assert refused("import", "csv", "runs.csv", *TIDY) == "runs.csv: is not UTF-8 text; save it as UTF-8"
+def test_a_monitor_that_cannot_be_read_whole_is_refused(text: str, options: str, told: str) -> None:
+    assert told in refused("import", "csv", write("a.monitor.csv", text), *options.split())
