@@ -96,9 +96,6 @@ def test_two_ways_to_write_one_training_are_equal_runs(one: dict[str, Any], othe
     assert hash(make_run(one)) == hash(make_run(other))
 
 
-# --- What a field may be -------------------------------------------------------------------------
-
-
 def test_whole_numbers_are_whole_however_they_are_written() -> None:
     for key in ("seed", "steps", "horizon", "players", "epochs"):
         with pytest.raises(UserError, match=f"^{key} = 100.5 is not allowed: .*whole number") as caught:
@@ -130,9 +127,6 @@ def test_what_does_not_go_together_is_refused(fields: dict[str, Any], told: str)
     with pytest.raises(UserError, match=told) as refused:
         make_run(fields)
     assert "not allowed" in str(refused.value)
-
-
-# --- Random streams -------------------------------------------------------------------------------
 
 
 def test_a_streams_seed_is_a_known_hash() -> None:

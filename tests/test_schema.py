@@ -81,9 +81,6 @@ def test_a_line_is_found_behind_a_text_of_several_lines(tmp_path: Path) -> None:
         _read(tmp_path, 'title = """\ncolour = "blue"\n[inner]\n"""\ncolour = "blue"\n')
 
 
-# --- The nearest name -----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("written", "names", "meant"),
     [

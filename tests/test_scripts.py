@@ -95,8 +95,6 @@ def test_a_failure_stops_no_other_study(
     assert len(called) == trained
 
 
-# --- Q-learning in tables --------------------------------------------------------------------------
-
 TABULAR = runpy.run_path(str(ROOT / "studies/tabular.py"))
 POST_OFFICE, LETTERS, HOME = 0, 1, 2
 GO_ON, GO_HOME = 0, 1

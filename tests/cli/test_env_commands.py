@@ -56,9 +56,6 @@ def test_a_gif_ends_two_seconds_after_the_last_kill_or_when_so_many_are_over(her
     assert "0 of 1 monsters killed, 15 steps; the episode goes on: --seconds shows more" in told
 
 
-# --- Players from the store ----------------------------------------------------------------------
-
-
 def store_run(results: Path, **fields: object) -> str:
     """Keep a run that was never trained, with an untrained policy, and return its id."""
     run = make_run(fields)

@@ -44,8 +44,6 @@ def test_a_variable_that_numba_cannot_read_is_one_line(threads: str, monkeypatch
     assert f"NUMBA_NUM_THREADS = {threads} is not allowed" in refused("--version")
 
 
-# --- What a person waits for (CONTRIBUTING.md) -----------------------------------------------------
-
 HEAVY = ["torch", "jax", "numba", "pandas", "matplotlib", "optuna"]
 MAIN = "from pneuma.cli import main; assert main({}) == 0"
 
@@ -64,8 +62,6 @@ def test_nothing_heavy_is_loaded(statement: str, heavy: list[str]) -> None:
     code = f"{statement}\nimport sys\nprint('loaded:', *sorted(set({heavy}) & set(sys.modules)))"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).splitlines()[-1] == "loaded:"
 
-
-# --- Its output ------------------------------------------------------------------------------------
 
 NOISY = """
 import ctypes, os, sys

@@ -34,9 +34,6 @@ def results(trained: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(trained, tmp_path / "results"))
 
 
-# --- run, plan, status ---------------------------------------------------------------------------
-
-
 @pytest.mark.usefixtures("trains_here")
 def test_only_what_is_missing_is_trained_and_told_as_one_document(results: Path) -> None:
     first = sorted((results / "runs").iterdir())[0]
@@ -52,9 +49,6 @@ def test_only_what_is_missing_is_trained_and_told_as_one_document(results: Path)
     assert "250 steps are rounded up to 256" in called.err
     assert "4 done; 0 trained now, 4 were stored." in printed(*run)
     assert call(*run, "--quiet") == Called(0, "", "")
-
-
-# --- export --------------------------------------------------------------------------------------
 
 
 def _export(results: Path, table: str, out: Path, *selection: str) -> bytes:
@@ -74,9 +68,6 @@ def test_an_exported_table_has_exactly_the_documented_columns_and_the_same_bytes
     for form in ("csv", "parquet", "tex"):
         first = _export(trained, "curves", tmp_path / f"first.{form}")
         assert first and _export(trained, "curves", tmp_path / f"second.{form}") == first
-
-
-# --- publish -------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -143,9 +134,6 @@ def test_what_is_published_is_not_trained_where_that_is_asked(table: Path) -> No
     assert f"{table.name}: cannot be read (damaged)" in call("study", "plan", *rest).err
 
 
-# --- Studies whose runs end in no success ---------------------------------------------------------
-
-
 def test_a_crash_is_exit_code_1_and_says_where_to_look(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -161,9 +149,6 @@ def test_a_crash_is_exit_code_1_and_says_where_to_look(
     assert trace.read_text() == "the worker process ended with code 3\nout of luck\n"
     status = call("study", "status", "activation", "--runs", "--json", "--results", results)
     assert (status.code, status.document["runs"][0]["status"]) == (0, "crashed")
-
-
-# --- A study of one's own -------------------------------------------------------------------------
 
 
 def test_a_copy_of_a_shipped_study_plans_the_same_runs(

@@ -73,8 +73,6 @@ def test_a_record_that_is_trusted_is_used(mark: Path) -> None:
     assert mark.exists() and Path("x.zip").exists()
 
 
-# --- What commands write ---------------------------------------------------------------------------
-
 OUTPUTS = {"export": (("run", "export", RUN), "out.zip"), "report": (("report", "own.toml"), "out.html")}
 
 

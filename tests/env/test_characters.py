@@ -73,8 +73,6 @@ def test_base_and_bamboo_are_those_of_the_godot_version(arena: str) -> None:
     assert numbers(bamboo, "xp heal safe knock_ticks") == [1, 7, 0, -1]
 
 
-# --- A file of one's own -------------------------------------------------------------------------
-
 ROGUE = """
 [players]
 rogue = { hp = 80, energy = 50, attack = 9, magic = 3, speed = 360, body = [40, 44], body_at = [3, -4], \

@@ -125,9 +125,6 @@ def count_events(pair: Pair, counts: Counter[str]) -> None:
             counts["in contact"] += player.hp > 0 and any(grown.meets(box) for box in living)
 
 
-# --- The shipped and the random levels, and eight players --------------------------------------------
-
-
 def test_the_hunter_on_the_shipped_level() -> None:
     worlds = Worlds(1, make_env_config({}, GODOT))
     pair, hunter = Pair(worlds, seed=5), Hunter(worlds)

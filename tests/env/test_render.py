@@ -116,9 +116,6 @@ def test_in_teams_each_player_has_a_strip(arena: str, player: int) -> None:
     assert set((rows - MARGIN + 3) // PITCH) == {1 + player}  # the first is the world's
 
 
-# --- Watching --------------------------------------------------------------------------------------
-
-
 def test_gymnasium_gets_frames(arena: str) -> None:
     name = ENVIRONMENTS[0]
     env: Any = gymnasium.make(name, render_mode="rgb_array", level=arena, camera="follow")

@@ -21,8 +21,6 @@ from .oracle_arrays import Pair
 
 _NUMBERS = itertools.count()
 
-# --- Formulas ------------------------------------------------------------------------------------
-
 PREY, BITER, FAR = (80.0, 0.0), (-40.0, 0.0), (400.0, 400.0)
 
 
@@ -62,9 +60,6 @@ def test_godot_sets_the_reward_to_the_xp_at_a_kill(arena: str) -> None:
     pair.put(monsters=True, knocked=[30, 30], knock_x=[-2.0, 2.0])
     pair.play(ATTACK)
     assert [pair.player(name) for name in ("notices", "kills", "contacts", "reward")] == [[2], [1], [1], [5]]
-
-
-# --- Functions of one's own ----------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -77,7 +77,6 @@ def test_blade_and_circles_reach_as_far_as_in_the_scenes(
         assert pair.player(event) == [further == 0]
 
 
-# --- Magic ---------------------------------------------------------------------------------------
 # A base player has magic 4: a flame burns 5 + 4 = 9 HP.
 
 
@@ -93,9 +92,6 @@ def test_a_flame_burns_the_320_x_64_px_ahead_and_nothing_else(arena: str, facing
             pair = stage(arena, position, facing=facing, still=True, magic=True)
             pair.play(FLAME, FLAME, FLAME)
             assert pair.monster("hp", "knocked") == (hp, 0), (far, aside)
-
-
-# --- Monsters ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -132,9 +128,6 @@ def test_healing_saves_from_a_deadly_bite_in_the_same_tick(arena: str) -> None:
     pair.put(monsters=True, hp=[20])
     pair.play(ATTACK)
     assert [pair.player(name) for name in ("kills", "hp_lost", "hp", "died")] == [[1], [7], [5], [0]]
-
-
-# --- The published code's quirks -----------------------------------------------------------------
 
 
 @pytest.mark.parametrize("action", [LEFT, RIGHT])

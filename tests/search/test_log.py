@@ -86,8 +86,6 @@ def test_a_published_log_is_read_where_no_search_was_run(make_task: MakeTask, st
     assert [comparable(trial) for trial in found.ended] == [comparable(trial) for trial in record.ended]
 
 
-# --- The lock --------------------------------------------------------------------------------------
-
 HOLD = """
 import time
 from pathlib import Path
@@ -131,8 +129,6 @@ def test_a_torn_line_is_cut_off_before_anything_is_written(tmp_path: Path) -> No
         assert log.read_text() == kept
         lock.release()
 
-
-# --- What is not read ------------------------------------------------------------------------------
 
 REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
     "an unknown operation": (lambda log: log + '{"op_code": 99}\n', "cannot be read"),

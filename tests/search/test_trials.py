@@ -8,7 +8,7 @@ import random
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -258,14 +258,6 @@ def test_a_run_without_a_number_fails_its_trial_alone(make_task: MakeTask, formu
         assert ("final-share-killed" in trial["note"]) == failed
 
 
-@dataclass(frozen=True)
-class _Row:
-    """What a search reads of a row."""
-
-    value: float = 0.0
-    status: str = "done"
-
-
 def test_over_seeds_by_hand() -> None:
     found = {name: combine(name, np.array([1.0, 2, 3, 8])) for name in OVER_SEEDS}
     assert found == pytest.approx({"mean": 3.5, "median": 2.5, "iqm": 2.5, "deviation": math.sqrt(29 / 3)})
@@ -286,8 +278,8 @@ def test_a_diverged_run_counts_with_the_worst_that_can_be(
 ) -> None:
     monkeypatch.setattr(values, "outcome", lambda row, name: row.value)
     objective = Objective(outcome=outcome, over_seeds=over_seeds, direction=direction)
-    rows = [_Row(0.5), _Row(0.7, "diverged")]
-    assert trial_value(objective, rows) == pytest.approx(value)  # type: ignore[arg-type]
+    rows: Any = [SimpleNamespace(value=0.5, status="done"), SimpleNamespace(value=0.7, status="diverged")]
+    assert trial_value(objective, rows) == pytest.approx(value)
 
 
 def test_a_run_that_diverges_after_a_pause_has_its_values_from_before(

@@ -61,9 +61,6 @@ def test_a_raised_version_changes_the_name(monkeypatch: pytest.MonkeyPatch) -> N
     assert run_id(make_run({})) != before
 
 
-# --- Levels of a user's own ----------------------------------------------------------------------
-
-
 @pytest.fixture
 def level(tmp_path: Path) -> Path:
     return Path(shutil.copytree(LEVELS / "thesis", tmp_path / "my:level"))
@@ -99,8 +96,6 @@ def test_a_shipped_level_is_not_mistaken_for_a_folder_of_its_name(
     monkeypatch.chdir(tmp_path)
     assert _name("thesis") == before
 
-
-# --- A user's files, beside the study's -----------------------------------------------------------
 
 OWN = """
 title = "T"
