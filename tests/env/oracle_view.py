@@ -147,9 +147,9 @@ def _terrain(ground: Ground, origin: Pair, ray: Pair, closed: Collection[int]) -
     """Return how far off the first closed tile is met, if only at a corner, or the edge of the grid."""
     columns, rows = len(ground.tiles[0]), len(ground.tiles)
     _, nearest, _ = _inside(ground.corner, _tile_corner(ground, columns, rows), origin, ray)
-    for row in range(rows):
-        for column in range(columns):
-            if not ground.is_closed(column, row, closed):
+    for row, codes in enumerate(ground.tiles):
+        for column, code in enumerate(codes):
+            if code not in closed:
                 continue
             low, high = _tile_corner(ground, column, row), _tile_corner(ground, column + 1, row + 1)
             covers = [low[axis] <= origin[axis] < high[axis] for axis in (0, 1)]
