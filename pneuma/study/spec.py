@@ -472,8 +472,14 @@ def does_nothing(key: str, runs: Iterable[Run]) -> str:
 
 
 def asked_words(study: Study) -> list[str]:
-    """Return a command's words for a study as it is: its name or file, world and changed fields."""
-    return [study.file] + world_option(study.world, study.worlds) + setting_words(study.settings)
+    """Return a command's words for a study as it is: its name or file, world and changed fields.
+
+    A file has the shorter of its absolute path and that from the current folder.
+    """
+    file = study.name
+    if study.own_path:
+        file = min(os.path.relpath(study.own_path), study.own_path, key=len)
+    return [file] + world_option(study.world, study.worlds) + setting_words(study.settings)
 
 
 def results_words(folder: Path) -> list[str]:

@@ -107,8 +107,11 @@ def test_a_search_that_is_stopped_tells_the_trials_that_had_ended(
 
 
 def test_the_best_trial_is_promoted_on_fresh_seeds_by_a_command_and_in_python(
-    searched: tuple[Path, Path], tmp_path: Path
+    searched: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(searched[1].parent)
+    trained = call("search", "promote", searched[0], "--seeds", "2")
+    assert "pneuma study plot results/searches/promoted-small-arena.toml\n" in trained.out
     at = ("--results", searched[1])
     document = described("search", "promote", searched[0], *at, "--seeds", "2", "--json")
     study = searched[1] / "searches" / "promoted-small-arena.toml"

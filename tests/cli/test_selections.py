@@ -227,7 +227,7 @@ def test_a_file_in_this_folder_is_found_by_its_name_before_and_after_it_was_run(
     for verb in READERS:
         code, out, err = typed(verb)
         assert (code, out) == (2, ""), verb
-        assert f"0 of 2 runs. Train them with `pneuma study run {file} " in err, verb
+        assert "0 of 2 runs. Train them with `pneuma study run own.toml " in err, verb
     assert not store.root.exists() and [*tmp_path.iterdir()] == [file]
     ids = finish_study(store, "own", "godot")
     for name in ("own", "own.toml", str(file)):
