@@ -146,6 +146,11 @@ def short(value: object) -> str:
     return json.dumps(value, default=str, ensure_ascii=False)
 
 
+def per_cent(share: float) -> str:
+    """Return a share in per cent without superfluous decimals: 17.5 %."""
+    return f"{100 * share:.3g} %"
+
+
 def shown_settings(settings: Mapping[str, Any]) -> str:
     return ", ".join(f"{key} = {shown_value(value)}" for key, value in settings.items())
 

@@ -10,6 +10,7 @@ import numpy as np
 from pneuma.env.fields import make_env_config
 from pneuma.env.players import Hunter, RandomPlayer
 from pneuma.env.worlds import Worlds
+from pneuma.values import per_cent
 
 EPISODES = 100
 TASKS = {
@@ -31,7 +32,7 @@ def main() -> None:
             while running:
                 running -= worlds.step(player.act(worlds))
             shares.append(float(worlds.players["kills"].mean()) / worlds.monsters.shape[1])
-        print(f"{task}: random player {shares[0]:.1%}, hunter {shares[1]:.1%}")
+        print(f"{task}: random player {per_cent(shares[0])}, hunter {per_cent(shares[1])}")
 
 
 if __name__ == "__main__":

@@ -82,7 +82,7 @@ def test_the_notebook_runs_and_shows_what_it_should(tmp_path: Path) -> None:
     command, env = [sys.executable, "kernel.py"], {**os.environ, "PNEUMA_RESULTS": "kept"}
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, env=env)
     assert done.returncode == 0, done.stderr
-    assert "4/4 runs ended, 100% of all steps" in done.stderr
+    assert "4/4 runs ended, 100 % of all steps" in done.stderr
     shown = done.stdout.split("--- ")
     assert any("<th>tanh</th>\n      <td>2</td>" in cell for cell in shown)  # the runs of a condition
     assert "final-share-killed" in shown[3] and len(list((tmp_path / "kept" / "runs").iterdir())) == 4

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -87,3 +88,10 @@ def test_the_package_list_is_every_folder_with_code() -> None:
     assert len(listed) == len(set(listed))
     beside = {"pneuma.published": "results/published", "pneuma.studies": "studies"}
     assert settings["tool"]["setuptools"]["package-dir"] == beside
+
+
+def test_percentages_are_written_with_a_space() -> None:
+    """As in 95 %: by `values.per_cent`, never as `{share:.0%}` or 95%."""
+    for path in MODULES.values():
+        code = path.read_text(encoding="utf-8").replace("budget-5%", "")
+        assert not re.findall(r".*(?:[0-9}]%|[.0-9]%}).*", code), path

@@ -114,7 +114,7 @@ def find_outcome(name: str) -> Outcome:
     threshold_value = float(threshold[1])
     reached = f"an evaluation returns {threshold[1]}"
     if column == "share_killed":
-        reached = f"{100 * threshold_value:g}% of the monsters are killed"
+        reached = f"{100 * threshold_value:g} % of the monsters are killed"
     return Outcome(
         words=f"steps until {reached} (inf: never)",
         source="evaluations",

@@ -8,6 +8,7 @@ from pneuma.analysis.collapse import diagnoses, incidence
 from pneuma.analysis.study_data import StudyData
 from pneuma.answers.answer import Answer
 from pneuma.answers.cells import NO_CELL
+from pneuma.values import per_cent
 
 
 def find_collapses(data: StudyData) -> Answer:
@@ -24,7 +25,9 @@ def find_collapses(data: StudyData) -> Answer:
     signs.insert(3, "step", steps)
     rows = []
     for row in shares.to_dict("records"):
-        interval = f"{row['low']:.0%} to {row['high']:.0%}" if row["runs"] else NO_CELL
+        interval = NO_CELL
+        if row["runs"]:
+            interval = f"{per_cent(round(row['low'], 2))} to {per_cent(round(row['high'], 2))}"
         rows.append((row["condition"], f"{row['collapsed']} of {row['runs']}", interval, row["unknown"]))
     counts = pd.DataFrame(
         rows, columns=["condition", "collapsed", "95 % interval", "without a sign recorded"]

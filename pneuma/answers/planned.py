@@ -19,10 +19,11 @@ from pneuma.study.identity import config_id
 from pneuma.study.plan import Plan
 from pneuma.training import execute
 from pneuma.training.progress import START_SECONDS, duration, expected_seconds, stored_paces
+from pneuma.values import per_cent
 
 DETECT_LEGEND = (
-    f"Seeds of each condition with which the 95 % interval of the difference leaves out 0 in {POWER:.0%}",
-    "of studies, if it is that large.",
+    "Seeds of each condition with which the 95 % interval of the difference leaves out 0",
+    f"in {per_cent(POWER)} of studies, if it is that large.",
 )
 
 

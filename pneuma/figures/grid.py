@@ -28,6 +28,7 @@ from pneuma.errors import UserError, print_aside
 from pneuma.figures import style
 from pneuma.figures.origin import origin_text
 from pneuma.figures.style import CAPTION, GREY, INK, LINE_INCHES, WIDTH, Look, characters, clean, text_points
+from pneuma.values import per_cent
 
 VALUES, SHARES, POWERS = "values", "shares", "powers"
 """What an axis has: numbers, shares in per cent, or numbers on a logarithmic scale."""
@@ -356,8 +357,3 @@ def label_rows(axes: Axes, labels: Sequence[str], inches: float) -> None:
 def number(value: float) -> str:
     """Return a number with the minus of axes."""
     return f"{value:.3g}".replace("-", "−")
-
-
-def per_cent(share: float) -> str:
-    """Return a share in per cent without superfluous decimals."""
-    return f"{100 * share:.3g} %"

@@ -37,6 +37,7 @@ from pneuma.files import MADE_BY
 from pneuma.store.index import RunIndex
 from pneuma.study.plan import Query
 from pneuma.study.shipped import list_studies
+from pneuma.values import per_cent
 
 Verdicts = Mapping[str, Mapping[str, Verdict]]
 """The verdicts on each claim, by its name and world."""
@@ -89,7 +90,7 @@ def _judged_claims(index: RunIndex, studies: Collection[str]) -> tuple[Verdicts,
     for claims in shipped_claims():
         verdicts += judge(claims, index, lambda claim, _: claim.study in studies)
         family = "a study in a world" if claims.head.families == "study" else "a world"
-        chance = f"the chance of any false verdict in {family} is at most {100 * claims.head.alpha:g}%"
+        chance = f"the chance of any false verdict in {family} is at most {per_cent(claims.head.alpha)}"
         notes.append(f"{claims.path.name}, SHA-256 {claims.digest}: {chance} (Bonferroni).")
     return words.verdicts_by_claim(verdicts), " ".join(notes)
 

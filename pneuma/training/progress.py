@@ -153,7 +153,7 @@ class ProgressDisplay:
 
     def _line(self, label: str, status: str) -> str:
         progress = self._bar.tasks[0]
-        line = f"{self._ended_text()} ended, {progress.percentage:.0f}% of all steps"
+        line = f"{self._ended_text()} ended, {progress.percentage:.0f} % of all steps"
         if status:
             line = f"{label}: {status}; {line}"
         if progress.time_remaining:

@@ -32,6 +32,6 @@ def test_runs_that_pause_have_not_ended(capsys: pytest.CaptureFixture[str], tmp_
     with ProgressDisplay(todo, Store(tmp_path), quiet=False, until=until) as display:
         display.update(second, {"event": "step", "step": 320})
         display.update(first, {"event": "end", "status": "stopped", "step": 640})
-        assert "tanh seed 0: paused; 0/2 runs ended, 16% of all steps" in capsys.readouterr().err
+        assert "tanh seed 0: paused; 0/2 runs ended, 16 % of all steps" in capsys.readouterr().err
         display.update(second, {"event": "end", "status": "done", "step": 3072})
-        assert "tanh seed 1: done; 1/2 runs ended, 60% of all steps" in capsys.readouterr().err
+        assert "tanh seed 1: done; 1/2 runs ended, 60 % of all steps" in capsys.readouterr().err
