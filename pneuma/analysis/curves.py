@@ -217,13 +217,18 @@ def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:
 
 NEAR = 0.02
 """Levels closer than this are drawn as one line."""
+OBSERVATION_FIELDS = ("observation", "perceive", "order", "scale", "observe_facing")
+"""Settings of a world that change nothing for a player who does not look."""
+EARNING_FIELDS = ("reward", "shared_reward", "ending_cost", "xp_scope", "time_limit", "end_on_clear")
+"""Settings of a world that do not change how many monsters such a player kills."""
 
 
 def random_levels(data: StudyData, quantity: str) -> dict[str, float]:
-    """Return the level of the random player that the evaluations of each condition recorded.
+    """Return the level of the random player in each condition's world.
 
-    Its normalised score is 0 by definition, and its return is not recorded. Near levels are one. Empty if no
-    player was recorded.
+    Its share of monsters killed is that of `studies/random_returns.py`, which is one number for a world.
+    Elsewhere it is what the evaluations of the condition recorded. Its normalised score is 0 by definition.
+    Near levels are one. Empty if no player was recorded.
     """
     if quantity == "score":
         return dict.fromkeys(data.conditions, 0.0)
@@ -231,41 +236,51 @@ def random_levels(data: StudyData, quantity: str) -> dict[str, float]:
     if quantity not in EVALUATION_QUANTITIES or column not in data.evaluations:
         return {}  # an imported log may have evaluations without a random player
     levels = data.evaluations.groupby("condition", sort=False)[column].mean().dropna()
+    shares: dict[str, float] = {}
+    for condition in levels.index:
+        for world in _measured_worlds():
+            if column in world and _are_alike(data.fields[condition], world["settings"], EARNING_FIELDS):
+                shares[condition] = world[column]
+    levels.update(shares)
     if len(levels) and np.ptp(levels) <= NEAR:
-        levels[:] = levels.mean()
+        levels[:] = next(iter(shares.values()), levels.mean())
     return {str(name): float(level) for name, level in levels.items()}
 
 
-OBSERVATION_FIELDS = ("observation", "perceive", "order", "scale", "observe_facing")
-"""Settings of a world that change nothing for a player who does not look."""
-
-
-def random_returns(data: StudyData) -> pd.Series | None:
+def random_returns(data: StudyData, end: float) -> pd.Series | None:
     """Return what a random player earns in training, by step; None if it was not measured in such a world.
 
     It was measured over a million steps of four environments, as training curves are
-    (`studies/random_returns.py`). Where XP is never reset, it depends on both.
+    (`studies/random_returns.py`). Where XP is never reset, it depends on both. Elsewhere it is the same at
+    every step up to the end.
     """
-    for measured in _measured_returns():
-        if all(_is_of_world(fields, measured) for fields in data.fields.values()):
-            curve = pd.Series(measured["mean"], make_grid(measured["steps"]), dtype=float)
-            return curve[curve.index <= data.budget].dropna()
+    for world in _measured_worlds():
+        if all(_is_paid_as_in(world, fields) for fields in data.fields.values()):
+            curve = pd.Series(world["mean"], make_grid(world["steps"]), dtype=float).dropna()
+            if world["settings"]["xp_scope"] == "episode":
+                return pd.Series(curve.mean(), [0.0, end])
+            return curve[curve.index <= end]
     return None
 
 
-def _is_of_world(fields: Mapping[str, Any], measured: Mapping[str, Any]) -> bool:
-    """Return whether fields are of the world in which a random player was measured."""
-    if fields.get("env") != measured["env"]:
+def _is_paid_as_in(world: Mapping[str, Any], fields: Mapping[str, Any]) -> bool:
+    """Return whether a random player with these fields earns what was measured in a world."""
+    settings = world["settings"]
+    if settings["xp_scope"] != "episode" and fields.get("slots") != world["slots"]:
         return False
-    settings = measured["settings"]
-    if settings["xp_scope"] != "episode" and fields.get("slots") != measured["slots"]:
-        return False
-    decisive = {*settings} - {*OBSERVATION_FIELDS}
+    return fields.get("env") == world["env"] and _are_alike(fields, settings)
+
+
+def _are_alike(
+    fields: Mapping[str, Any], settings: Mapping[str, Any], irrelevant: Sequence[str] = ()
+) -> bool:
+    """Return whether a player who does not look finds the same in fields as in a world's settings."""
+    decisive = {*settings} - {*OBSERVATION_FIELDS, *irrelevant}
     return all(plain(fields.get(name)) == plain(settings[name]) for name in decisive)
 
 
 @cache
-def _measured_returns() -> list[dict[str, Any]]:
+def _measured_worlds() -> list[dict[str, Any]]:
     file = random_returns_file()
     return [*json.loads(file.read_text(encoding="utf-8")).values()] if file.is_file() else []
 

@@ -367,7 +367,7 @@ def _draw(column: Column, name: str, axes: Axes) -> None:
     end = max(float(curve.runs.index.max()) for curve in (*curves, *beside_curves))
     if settings.x == STEPS:
         end = max(end, data.budget)
-        returns = random_returns(data)
+        returns = random_returns(data, end)
         if name == "return" and returns is not None:
             axes.plot(returns, label=grid.RANDOM_PLAYER, **grid.RANDOM_LOOK)
     axes.set_xlim(0, end)

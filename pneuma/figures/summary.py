@@ -165,7 +165,7 @@ def _random_levels(data: StudyData, outcome: str) -> dict[str, float]:
         return random_levels(data, "share_killed")
     if outcome == "evaluated-return":
         return random_levels(data, "evaluated_return")
-    returns = random_returns(data)
+    returns = random_returns(data, data.budget)
     if outcome != WITHOUT_EVALUATIONS or returns is None or returns.empty:
         return {}
     return {"": float(returns.iloc[-1])}

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pneuma.analysis.curves import Curve, curves_table, random_returns, study_curves
+from pneuma.analysis.curves import Curve, curves_table, random_levels, random_returns, study_curves
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.store.index import RunIndex
@@ -248,18 +248,35 @@ def test_a_logged_nan_is_a_blank_until_the_next_entry() -> None:
 def test_a_random_players_return_rises_where_xp_is_never_reset() -> None:
     """In four environments; a plain loop over 80 worlds with other actions gave 176 and 564."""
     index = RunIndex(Store("none"))
-    own_game = random_returns(open_study(index, Query(study="own-game", conditions=("relu",))))
+    own_game = random_returns(open_study(index, Query(study="own-game", conditions=("relu",))), end=1_000_448)
     assert own_game is not None
     assert own_game.loc[95_000:101_000].mean() == pytest.approx(176, rel=0.1)
     assert own_game.loc[295_000:301_000].mean() == pytest.approx(564, rel=0.1)
     assert 1750 < own_game.iloc[-1] < 1990
-    arena = random_returns(open_study(index, Query(study="activation", world="arena")))
-    assert arena is not None and arena.index[-1] == 1_000_448
-    assert np.ptp(arena) < 0.5
+    arena = random_returns(open_study(index, Query(study="activation", world="arena")), end=5_000_000)
+    assert arena is not None and [*arena.index] == [0, 5_000_000]
+    assert [*arena] == [pytest.approx(1.49, abs=0.01)] * 2
 
 
 def test_no_random_player_is_drawn_for_rewards_and_environments_in_which_it_was_not_measured() -> None:
     """A hundredth of the reward, and where XP is never reset other numbers of environments."""
     index = RunIndex(Store("none"))
-    assert random_returns(open_study(index, Query(study="betas-and-units"))) is None
-    assert random_returns(open_study(index, Query(study="cartpole"))) is None
+    for study in ("betas-and-units", "cartpole"):
+        assert random_returns(open_study(index, Query(study=study)), end=1_000_448) is None
+
+
+@pytest.mark.parametrize(
+    ("world", "studies", "share"),
+    [
+        ("arena", ["optimizer", "algorithms", "perception"], 0.175),
+        ("godot", ["optimizer", "own-game"], 0.204),
+    ],
+)
+def test_the_random_players_share_is_one_number_in_all_figures_of_a_world(
+    world: str, studies: list[str], share: float
+) -> None:
+    """Their runs recorded 17.6 to 19.2 % in the arena, by their seeds; 20,000 episodes have the number."""
+    index, shares = RunIndex(Store("none")), set[float]()
+    for study in studies:
+        shares.update(random_levels(open_study(index, Query(study, world)), "share_killed").values())
+    assert [*shares] == [pytest.approx(share, abs=0.001)]

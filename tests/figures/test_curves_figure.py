@@ -222,5 +222,6 @@ def test_every_return_has_the_random_players_line(drawn: list[Figure], tmp_path:
         save_page(curves_page(data, "return"), tmp_path, ("svg",))
         (line,) = (line for line in drawn[-1].axes[0].lines if line.get_label() == "random player")
         assert np.max(line.get_xdata()) == pytest.approx(data.budget, rel=0.01)
+        assert np.min(line.get_xdata()) == 0 or world == "godot"
     own = np.asarray(drawn[1].axes[0].lines[-1].get_ydata())
     assert 1750 < own[-1] < 1990
