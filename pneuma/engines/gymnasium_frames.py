@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from typing import Any
@@ -30,6 +31,7 @@ def frame_rate(run: Run) -> float:
 
 def episode_frames(run: Run, policy: Policy | LearnedPolicy | None, seed: int) -> Iterator[np.ndarray]:
     """Yield the frames of one episode, (height, width, 3) uint8; without a policy actions are random."""
+    os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # PyGame looks for a screen, and prints what it lacks
     with closing(make_env(run, "rgb_array")) as env, blamed(f"{run.env} when it is drawn"):
         env.action_space.seed(seed)
         act = _acting(run, policy, env, seed)
