@@ -10,15 +10,14 @@ from __future__ import annotations
 import io
 import json
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import pytest
 
-from pneuma.config import Run
-from pneuma.store.store import Store
 from pneuma.training.executors import local
-from pneuma.training.executors.base import ExecutorConfig, Job, OnEvent
+from pneuma.training.executors.base import Job, OnEvent
 from pneuma.training.worker import Worker
 
 
@@ -34,8 +33,8 @@ class _Told(io.StringIO):
         return len(line)
 
 
-def _train_runs(runs: Mapping[str, Run], store: Store, config: ExecutorConfig, on_event: OnEvent) -> None:
-    Worker(_Told(on_event), threading.Event()).train(Job(runs, store, config, last_try=True))
+def _train_runs(job: Job, on_event: OnEvent) -> None:
+    Worker(_Told(on_event), threading.Event()).train(replace(job, last_try=True))
 
 
 @contextmanager

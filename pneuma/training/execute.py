@@ -14,7 +14,7 @@ from pneuma.errors import counted
 from pneuma.store.last_queries import note_query
 from pneuma.store.store import Status, Store, run_identity
 from pneuma.study.plan import Cell, Plan
-from pneuma.training.executors.base import Event, ExecutorConfig, load_executor
+from pneuma.training.executors.base import Event, ExecutorConfig, Job, load_executor
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def execute(
             on_progress(cell, event)
 
     if todo:
-        load_executor(config).train_runs(todo, store, config, report)
+        load_executor(config).train_runs(Job(todo, store, config), report)
     return cell_results(plan, store, todo, end_events)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -12,6 +11,7 @@ import pytest
 from pneuma.cli import study_run
 from pneuma.store.provenance import uncommitted
 from pneuma.training.executors import local
+from pneuma.training.executors.base import Job
 
 from .calls import call, described, refused
 
@@ -20,8 +20,8 @@ from .calls import call, described, refused
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty working directory, so that even the default results folder would be seen."""
 
-    def refuse(groups: Iterable[object], *_: object) -> None:
-        assert not list(groups), "training was started"
+    def refuse(job: Job, *_: object) -> None:
+        assert not job.runs, "training was started"
 
     monkeypatch.setattr(local, "train_runs", refuse)
     monkeypatch.setattr(study_run, "uncommitted", lambda: ["pneuma/engines/ppo.py", "studies/early.toml"])

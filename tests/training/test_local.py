@@ -19,7 +19,7 @@ from pneuma.errors import StorageError
 from pneuma.store.store import Store
 from pneuma.study.identity import run_id
 from pneuma.training.executors import local
-from pneuma.training.executors.base import Event, ExecutorConfig
+from pneuma.training.executors.base import LOCAL_CONFIG, Event, Job
 from pneuma.training.executors.local import Interrupts
 
 RUN = make_run({"steps": 256})
@@ -28,7 +28,7 @@ TWO = {run_id(run): run for run in (RUN, replace(RUN, seed=1))}
 
 def train(runs: dict[str, Run], folder: Path) -> list[Event]:
     events: list[Event] = []
-    local.train_runs(runs, Store(folder / "results"), ExecutorConfig(1), events.append)
+    local.train_runs(Job(runs, Store(folder / "results"), LOCAL_CONFIG), events.append)
     return events
 
 
@@ -67,7 +67,7 @@ def test_after_a_full_disk_no_further_run_begins(tmp_path: Path, monkeypatch: py
     line = json.dumps({**about, "reason": "row.arrow: cannot be written (No space left)", "storage": True})
     no_worker(tmp_path, monkeypatch, f"echo x >> {tmp_path}/begun\necho '{line}'\nexit 1")
     with pytest.raises(StorageError, match="row.arrow: cannot be written"):
-        local.train_runs(TWO, Store(tmp_path / "results"), ExecutorConfig(1), lambda event: None)
+        train(TWO, tmp_path)
     assert (tmp_path / "begun").read_text() == "x\n"
 
 

@@ -6,8 +6,8 @@ Executors are modules, named in `EXECUTORS` and imported only when needed, as ea
 
     most_workers(config) how many runs train at once unless the user says otherwise; it fails within
                          ten seconds if the place cannot be reached or cannot train
-    train_runs(runs, store, config, on_event)
-                         trains all runs and passes on their events: {"event": "step" | "note" |
+    train_runs(job, on_event)
+                         trains all runs of a job and passes on their events: {"event": "step" | "note" |
                          "status" | "end", "run_id", …}; a step has a `step`, a note and a status a `text`, an
                          end a `status`, a `step` and `trained`; one that could not be stored a `reason`
 

@@ -23,7 +23,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -36,7 +36,6 @@ from pneuma.errors import StorageError, UserError, print_aside
 from pneuma.files import parse_json
 from pneuma.store.locks import LOCK_FILE, is_held
 from pneuma.store.provenance import SOURCE, available_cores, machine
-from pneuma.store.store import Store
 from pneuma.training.executors.base import Event, ExecutorConfig, Job, OnEvent, end_event
 
 TRIES = 2
@@ -68,10 +67,10 @@ def most_workers(config: ExecutorConfig) -> int:
     return available_cores()
 
 
-def train_runs(runs: Mapping[str, Run], store: Store, config: ExecutorConfig, on_event: OnEvent) -> None:
+def train_runs(job: Job, on_event: OnEvent) -> None:
     """Train runs in processes of this machine; see `base`."""
     with Interrupts() as interrupts:
-        Supervisor(runs, store, config, on_event, interrupts).work()
+        Supervisor(job, on_event, interrupts).work()
         if interrupts.count:
             raise KeyboardInterrupt
 
@@ -137,21 +136,14 @@ class _Task:
 
 
 class Supervisor:
-    """Keeps `config.workers` workers busy until all runs have ended.
+    """Keeps the `config.workers` workers of a job busy until all runs have ended.
 
     After the first of `interrupts` every run goes on to a checkpoint; after the second all end at once.
     """
 
-    def __init__(
-        self,
-        runs: Mapping[str, Run],
-        store: Store,
-        config: ExecutorConfig,
-        on_event: OnEvent,
-        interrupts: Interrupts,
-    ) -> None:
-        self._tasks = [_Task(name, run) for name, run in runs.items()]
-        self._store, self._config, self._on_event = store, config, on_event
+    def __init__(self, job: Job, on_event: OnEvent, interrupts: Interrupts) -> None:
+        self._tasks = [_Task(name, run) for name, run in job.runs.items()]
+        self._job, self._store, self._on_event = job, job.store, on_event
         self._interrupts, self._heeded_level = interrupts, 0
         self._storage_problem = ""
         self._selector = selectors.DefaultSelector()
@@ -203,7 +195,7 @@ class Supervisor:
         """Give waiting runs to idle workers, of which some may have to start; end those without work."""
         workers = self._workers()
         idle_workers = [worker for worker in workers if worker.task is None]
-        free_places = self._config.workers - len(workers)
+        free_places = self._job.config.workers - len(workers)
         for task in list(self._tasks):
             if task.is_busy and is_held(self._store.run_folder(task.name)):
                 continue
@@ -215,7 +207,7 @@ class Supervisor:
                 self._selector.register(worker.events, selectors.EVENT_READ, worker)
                 idle_workers.append(worker)
             self._tasks.remove(task)
-            job = Job({task.name: task.run}, self._store, self._config, last_try=task.tries == TRIES)
+            job = replace(self._job, runs={task.name: task.run}, last_try=task.tries == TRIES)
             idle_workers.pop().begin(task, job)
         if not self._tasks:
             for worker in idle_workers:

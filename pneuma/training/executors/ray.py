@@ -20,10 +20,9 @@ from functools import cache
 from importlib.util import find_spec
 from typing import Any
 
-from pneuma.config import Run
 from pneuma.errors import UserError, install_extra
 from pneuma.store.provenance import CARRIED_CODE, SOURCE, available_cores, code, machine
-from pneuma.store.store import Status, Store
+from pneuma.store.store import Status
 from pneuma.training.executors.base import Event, ExecutorConfig, Job, OnEvent, end_event
 from pneuma.training.executors.local import Interrupts, Supervisor, prepare_node, say_stopping
 from pneuma.training.worker import die_with
@@ -50,14 +49,15 @@ def most_workers(config: ExecutorConfig) -> int:
     return cpus
 
 
-def train_runs(runs: Mapping[str, Run], store: Store, config: ExecutorConfig, on_event: OnEvent) -> None:
+def train_runs(job: Job, on_event: OnEvent) -> None:
     """Train runs on the nodes of a cluster; see `base`. Raises UserError if one cannot train them."""
-    store.root.mkdir(parents=True, exist_ok=True)
-    names, size = list(runs), min(MOST_IN_TASK, math.ceil(len(runs) / config.workers))
+    config = job.config
+    job.store.root.mkdir(parents=True, exist_ok=True)
+    names, size = list(job.runs), min(MOST_IN_TASK, math.ceil(len(job.runs) / config.workers))
     jobs = []
     for start in range(0, len(names), size):
-        group = {name: runs[name] for name in names[start : start + size]}
-        jobs.append(Job(group, store, replace(config, workers=1)))
+        group = {name: job.runs[name] for name in names[start : start + size]}
+        jobs.append(replace(job, runs=group, config=replace(config, workers=1)))
     with Interrupts() as interrupts:
         join(config.address)  # within `Interrupts`: Ctrl-C would break the start of Ray
         if interrupts.count:
@@ -223,7 +223,7 @@ def train_here(text: str, required: Mapping[str, str], folder: str) -> None:
         os.chdir(folder)
     prepare_node()
     with Interrupts([signal.SIGINT]) as interrupts:  # as `ray.cancel` does
-        Supervisor(job.runs, job.store, job.config, lambda event: None, interrupts).work()
+        Supervisor(job, lambda event: None, interrupts).work()
 
 
 def versions() -> dict[str, str]:
