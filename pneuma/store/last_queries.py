@@ -21,7 +21,7 @@ from pneuma.presets import checked_world
 from pneuma.store.store import Store
 from pneuma.study.plan import Plan, Query
 from pneuma.study.spec import LAST, Seeds
-from pneuma.values import read_settings, seeds_option, setting_words
+from pneuma.values import read_settings, setting_words
 
 
 class _Note(TypedDict):
@@ -37,9 +37,9 @@ def note_query(store: Store, plan: Plan) -> None:
     query, study = plan.query, plan.study
     note = {
         "preset": plan.preset,
-        "seeds": None if query.seeds is None else seeds_option(query.seeds),
+        "seeds": query.seeds,
         "steps": query.steps,
-        "conditions": list(query.conditions),
+        "conditions": query.conditions,
         "settings": setting_words(query.settings),
     }
     _write(store, study.name, {**_notes(store, study.name), study.world: note})

@@ -34,11 +34,10 @@ def by_step(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> pd.DataFram
     """Return a log's points with a column for each quantity or tag; returns are named as averaged."""
     points, averaged_over = _named_points(scalars, provenance)
     points = points[~points["name"].str.startswith(WALL_CLOCK)]
-    frame = _pivoted(points).set_index("step")
+    frame = _pivoted(points)
     quantities = [name for name in TAGS if name in frame]
     other_tags = sorted(set(frame.columns) - set(quantities))
     frame = frame[quantities + other_tags]
-    frame.columns.name = None
     if averaged_over > 1:
         frame = frame.rename(columns={name: f"{name}_mean_{averaged_over}" for name in EPISODE_QUANTITIES})
     return frame.reset_index()
@@ -72,10 +71,10 @@ def _evaluations(points: pd.DataFrame) -> list[Any]:
     evaluations = points[points["name"].str.startswith("eval/") & (points["name"] != "eval/step")]
     tags = evaluations["name"]
     evaluations = evaluations.assign(name=tags.map(columns).fillna(tags.str.removeprefix("eval/")))
-    return _pivoted(evaluations[~evaluations["name"].isin(RUN_COLUMNS)]).to_dict("records")
+    return _pivoted(evaluations[~evaluations["name"].isin(RUN_COLUMNS)]).reset_index().to_dict("records")
 
 
 def _pivoted(points: pd.DataFrame) -> pd.DataFrame:
     """Return a column for each name, by step; of points of one step the last."""
     last_points = points.drop_duplicates(["name", "step"], keep="last")
-    return last_points.pivot(index="step", columns="name", values="value").reset_index()
+    return last_points.pivot(index="step", columns="name", values="value").rename_axis(columns=None)

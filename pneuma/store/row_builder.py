@@ -120,15 +120,14 @@ def cells_of_files(
 
 def record_frame(store: Store, run_id: str, table: str) -> pd.DataFrame:
     """Return a run's episodes or metrics as recorded, for export; of a log, all its scalars by step."""
-    is_log = SCALARS_FILE in store.checksums(run_id)
-    file = SCALARS_FILE if is_log else f"{table}.parquet"
+    file = SCALARS_FILE if SCALARS_FILE in store.checksums(run_id) else f"{table}.parquet"
     with stored_file(store.run_folder(run_id) / file):
         frame = from_parquet(store.read_file(run_id, file)).to_pandas()
-    if not is_log:
-        return frame
-    from pneuma.store.points import by_step
+    if file == SCALARS_FILE:
+        from pneuma.store.points import by_step
 
-    return by_step(frame, parse_json(store.read_file(run_id, "provenance.json")))
+        frame = by_step(frame, parse_json(store.read_file(run_id, "provenance.json")))
+    return frame
 
 
 # --- The cells --------------------------------------------------------------------------------------
@@ -143,7 +142,8 @@ def row_cells(
 ) -> dict[str, Any]:
     """Return the cells of a finished run's row, by column; of an import, `fields` are what is known."""
     grid = series.make_grid(fields["steps"])
-    step, updates = np.empty(0), {}
+    step = np.empty(0)
+    updates: dict[str, np.ndarray] = {}
     for name in UPDATE_QUANTITIES:
         if name in recorded.series:
             steps, values = recorded.series[name]

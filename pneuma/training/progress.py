@@ -93,6 +93,8 @@ class ProgressDisplay:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
         self._until = until
+        self._show = bool(to_train) and not quiet
+        self._live = self._show and sys.stderr.isatty()
         self._budgets = {name: run.steps for name, run in to_train.items()}
         self._steps = {name: kept_step(store.status(name, quick=True)) for name in to_train}
         self._ended: set[str] = set()
@@ -105,23 +107,20 @@ class ProgressDisplay:
             console=Console(stderr=True),
             speed_estimate_period=PACE_SECONDS,
             get_time=lambda: time.monotonic(),
+            disable=not self._live,
         )
         self._task = self._bar.add_task(
             self._ended_text(), total=sum(self._budgets.values()), completed=sum(self._steps.values())
         )
-        self._show = bool(to_train) and not quiet
-        self._live = self._show and sys.stderr.isatty()
         self._next_line = time.monotonic() + LINE_SECONDS
 
     def __enter__(self) -> ProgressDisplay:
-        if self._live:
-            self._bar.start()
+        self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._live:
-            with suppress(OSError):  # the terminal was closed
-                self._bar.stop()
+        with suppress(OSError):  # the terminal was closed
+            self._bar.stop()
 
     def update(self, cell: Cell, event: Event) -> None:
         label = f"{cell.condition} seed {cell.seed}"

@@ -36,7 +36,7 @@ from pneuma.store.locks import LOCK_FILE
 from pneuma.store.provenance import Attempt, finished_provenance, packages_of
 from pneuma.store.row_builder import cells_of_files
 from pneuma.store.rows import encode_row
-from pneuma.store.store import ROW_FILE, Status, run_document, run_identity
+from pneuma.store.store import ROW_FILE, Status, Store, run_document, run_identity
 from pneuma.study.identity import run_id
 from pneuma.training.executors.base import Event, Job, end_event
 from pneuma.training.live import open_log
@@ -71,9 +71,9 @@ class Worker:
 
     def train(self, job: Job) -> bool:
         """Train a job's runs, without those that another process holds; return whether none crashed."""
-        is_sound = True
+        self._job, is_sound = job, True
         for name, run in job.runs.items():
-            last_event = self._last_event(job, name, run)
+            last_event = self._last_event(name, run)
             self._send(**last_event)
             is_sound = is_sound and last_event.get("status") != "crashed"
         return is_sound
@@ -81,9 +81,9 @@ class Worker:
     def _send(self, event: str, run_id: str, **about: Any) -> None:
         self._events.write(json.dumps({"event": event, "run_id": run_id, **about}) + "\n")
 
-    def _last_event(self, job: Job, name: str, run: Run) -> Event:
+    def _last_event(self, name: str, run: Run) -> Event:
         """Train a run if it is free and has not finished; return the event of its end."""
-        store = job.store
+        store = self._job.store
         try:
             with store.lock(name) as is_free:
                 if not is_free:
@@ -95,12 +95,12 @@ class Worker:
                 if self._stop.is_set():
                     return end_event(name, "stopped")
                 try:
-                    status = self._train(job, name, run)
+                    status = self._train(name, run)
                     return end_event(name, status.name, status.step)
                 except Exception as error:
                     if is_storage_problem(error):
                         raise
-                    is_final = job.last_try or isinstance(error, OwnCodeError)
+                    is_final = self._job.last_try or isinstance(error, OwnCodeError)
                     if is_final:
                         store.save_failure(name, run, "crashed", traceback.format_exc())
                     return end_event(name, "crashed", reason=describe(error), final=is_final)
@@ -110,7 +110,7 @@ class Worker:
             self._stop.set()  # those after it as well, because the disk takes nothing more
             return end_event(name, "stopped", reason=describe(error), storage=True)
 
-    def _train(self, job: Job, name: str, run: Run) -> Status:
+    def _train(self, name: str, run: Run) -> Status:
         """Train a run to its end, discarding checkpoints that its engine cannot use.
 
         Raises:
@@ -124,28 +124,28 @@ class Worker:
         def note(text: str) -> None:
             self._send("note", name, text=text)
 
-        checkpoints = RunCheckpoints(job.store, name, job.config.checkpoint_seconds, note)
+        seconds = self._job.config.checkpoint_seconds
+        checkpoints = RunCheckpoints(self._job.store, name, seconds, note)
         while True:
             try:
                 with _first_warning(note) as warning:
-                    return self._train_once(job, name, run, checkpoints, warning)
+                    return self._train_once(name, run, checkpoints, warning)
             except CheckpointError as error:
                 if not checkpoints.give_up(error):
                     raise
 
-    def _train_once(
-        self, job: Job, name: str, run: Run, checkpoints: RunCheckpoints, warning: Sequence[str]
-    ) -> Status:
+    def _train_once(self, name: str, run: Run, checkpoints: RunCheckpoints, warning: Sequence[str]) -> Status:
+        config = self._job.config
         checkpoint = checkpoints.latest()
         first_step = checkpoint.step if checkpoint else 0
-        until = job.config.until.get(name) or run.steps
+        until = config.until.get(name) or run.steps
         if until <= first_step < run.steps:
             return Status("stopped", first_step)
         self._send("step", name, step=first_step)
         begins = f"resumes at step {first_step:,}" if first_step else "begins"
         self._send("status", name, text=begins)
         attempt = Attempt(first_step)
-        log = open_log(job.config.logs.get(name), first_step)
+        log = open_log(config.logs.get(name), first_step)
 
         def update(progress: Progress) -> bool:
             if not gc.isenabled():
@@ -168,15 +168,15 @@ class Worker:
             provenance = finished_provenance([*checkpoints.attempts, attempt.so_far(result.step)])
             if warning:
                 provenance["warning"] = warning[0]
-            if job.config.project:
-                provenance["project"] = job.config.project
+            if config.project:
+                provenance["project"] = config.project
             provenance["packages"] |= packages_of(run)
-            _store_result(job, name, run, result, provenance)
+            _store_result(self._job.store, name, run, result, provenance)
             checkpoints.finish()
         return Status(result.status, result.step)
 
 
-def _store_result(job: Job, name: str, run: Run, result: Result, provenance: Mapping[str, Any]) -> None:
+def _store_result(store: Store, name: str, run: Run, result: Result, provenance: Mapping[str, Any]) -> None:
     status = Status(result.status, result.step, identity=run_identity(run))
     files = {"run.json": run_document(run, name), "provenance.json": to_json(provenance)}
     without = WORLD_COLUMNS if is_gymnasium_id(run.env) else ()
@@ -185,7 +185,7 @@ def _store_result(job: Job, name: str, run: Run, result: Result, provenance: Map
     if result.policy is not None:
         files[result.policy.file] = result.policy.to_bytes()
     files[ROW_FILE] = encode_row(cells_of_files(name, status, files))
-    job.store.save_run(name, status, files)
+    store.save_run(name, status, files)
 
 
 def describe(error: Exception) -> str:
