@@ -38,10 +38,9 @@ OPEN_TRAINER = "pneuma.engines.sb3_open:OpenTrainer"
 EVALUATIONS, EPISODES = 20, 50
 """Evaluations per run, and the episodes of each unless a run says otherwise."""
 SHORT_STEPS, SHORT_STEPS_ELSEWHERE = 100_000, 1_000_000
-"""Below so many steps, in Pneuma's worlds and in others, a run has fewer evaluations of fewer episodes."""
-SHORT_EPISODES, EVALUATE_EVERY, EVALUATE_EVERY_ELSEWHERE = 10, 8_000, 20_000
-LEAST_STEPS = 5_000
-"""Below so many steps a run in Pneuma's worlds takes a second, however it is evaluated."""
+"""Below so many steps, in Pneuma's worlds and in others, a run is short: see `_evaluation_count`."""
+EVALUATE_EVERY, EVALUATE_EVERY_ELSEWHERE = 8_000, 20_000
+SHORT_EPISODES, LEAST_STEPS = 10, 5_000
 RESTORE_ERRORS = (KeyError, ValueError, TypeError, RuntimeError)
 """What restoring a checkpoint raises that another engine, run or version wrote."""
 
@@ -166,8 +165,7 @@ def _seed_shared_generators(run: Run) -> None:
 def evaluation_updates(run: Run) -> set[int]:
     """Return the updates, counted from 1, after which a run is evaluated.
 
-    They are evenly spread and include the last update. A run of fewer than `EVALUATIONS` updates has fewer,
-    and a short one as many as its budget pays for: evaluations take at most about a fifth of its time.
+    They are evenly spread and include the last update. A run of fewer updates than evaluations has fewer.
     """
     count = _evaluation_count(run)
     return {-(-run.updates * k // count) for k in range(1, count + 1)}
@@ -181,13 +179,19 @@ def evaluation_episodes(run: Run) -> int:
 
 
 def _evaluation_count(run: Run) -> int:
+    """Return how many evaluations a run has: 20, unless it is short.
+
+    A short run has one, and one more for each 8,000 steps (20,000 in others' environments), so that they take
+    at most about a fifth of its time. One of under 5,000 steps in Pneuma's worlds takes a second anyway: ten.
+    """
     if not _is_short(run):
         return EVALUATIONS
-    if is_gymnasium_id(run.env):
-        return min(1 + run.steps // EVALUATE_EVERY_ELSEWHERE, EVALUATIONS)
-    if run.steps < LEAST_STEPS:
-        return EVALUATIONS // 2
-    return 1 + run.steps // EVALUATE_EVERY
+    every = EVALUATE_EVERY_ELSEWHERE
+    if not is_gymnasium_id(run.env):
+        every = EVALUATE_EVERY
+        if run.steps < LEAST_STEPS:
+            return EVALUATIONS // 2
+    return min(1 + run.steps // every, EVALUATIONS)
 
 
 def _most_steps(run: Run) -> float:
