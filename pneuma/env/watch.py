@@ -52,23 +52,13 @@ def keys_to_action(action_names: Sequence[str]) -> dict[tuple[int, ...], int]:
     return actions
 
 
-class StepLimit(int):
-    """The number of steps after which a world ends by itself.
-
-    `gymnasium.make(env.spec)` puts a `TimeLimit` of this length around the world. It truncates as soon as
-    this number is at most the steps taken, in the step that the world ends by itself, perhaps as terminated.
-    So the number is only less than, never equal to, the steps taken.
-    """
-
-    def __le__(self, steps: int) -> bool:
-        return self < steps
-
-
 class Face:
     """What all interfaces share: rendering, and a `spec` with the world's time limit.
 
     Frames are drawn only when they are asked for. The environments are not registered with a limit, because
-    `gymnasium.make` would put it around the world whatever `episode_steps` is.
+    `gymnasium.make` would put it around the world whatever `episode_steps` is. `gymnasium.make(env.spec)`
+    does, with the world's own limit: a step that terminates at the limit is then truncated, too, as in all
+    environments of Gymnasium.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -101,7 +91,7 @@ class Face:
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None:
-            spec = replace(spec, max_episode_steps=StepLimit(self._worlds.config.episode_steps))
+            spec = replace(spec, max_episode_steps=self._worlds.config.episode_steps)
         self._spec = spec
 
     def render(self) -> Any:
