@@ -25,6 +25,8 @@ from pneuma.study.shipped import list_studies
 
 AGENT_STEPS = ("rollout/", "train/", "time/", "eval/", "charts/", "losses/")
 """Tags of Stable-Baselines3 and CleanRL whose steps are agent steps."""
+LOG_KINDS = {"csv": "CSV files", "tensorboard": "TensorBoard logs"}
+"""What is imported, by the kind of logs: in place of an environment, which logs do not contain."""
 SCALAR_COLUMNS = ["tag", "step", "value", "superseded"]
 
 
@@ -126,7 +128,7 @@ def store_logs(logs: Sequence[Log], store: Store, source: str, study: str, adds_
 
 
 def _store_run(log: Log, store: Store, source: str) -> None:
-    fields = {"env": "Imported TensorBoard logs", "slots": None, "steps": log.steps}
+    fields = {"env": f"Imported {LOG_KINDS[source]}", "slots": None, "steps": log.steps}
     document = {"schema": 1, "run_id": log.run_id, "source": source, "run": fields}
     files = {
         "run.json": to_json(document),

@@ -54,6 +54,8 @@ def test_each_condition_and_seed_is_a_run() -> None:
     assert "2 runs, 4 points; 2 imported now, 0 were stored." in printed("import", "csv", "runs.csv", *TIDY)
     assert curves("runs", "return") == wanted
     assert "0 imported now, 2 were stored." in printed("import", "csv", "runs.csv", *TIDY)
+    words = ("env", "render", "CartPole-v1", "--out", "x.gif", "--player", "best:runs")
+    assert "was trained in Imported CSV files, not in CartPole-v1" in refused(*words)
 
 
 def test_without_options_condition_and_seed_are_in_the_files_names() -> None:
