@@ -11,7 +11,7 @@ import pytest
 from pneuma.store.row_builder import record_frame, stored_row
 from pneuma.store.store import Store
 
-from ..cli.calls import described, printed, refused
+from ..cli.calls import call, described, printed, refused
 from ..hand_made import write_table
 
 PAPER = Path(__file__).parents[2] / "docs" / "paper.md"
@@ -55,7 +55,7 @@ def test_each_condition_and_seed_is_a_run() -> None:
     assert curves("runs", "return") == wanted
     assert "0 imported now, 2 were stored." in printed("import", "csv", "runs.csv", *TIDY)
     words = ("env", "render", "CartPole-v1", "--out", "x.gif", "--player", "best:runs")
-    assert "was trained in Imported CSV files, not in CartPole-v1" in refused(*words)
+    assert "was trained in Imported CSV files, not in CartPole-v1" in call(*words).err
 
 
 def test_without_options_condition_and_seed_are_in_the_files_names() -> None:
