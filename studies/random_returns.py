@@ -25,6 +25,10 @@ from pneuma.store.series import WINDOW_POINTS, episode_curve, make_grid
 
 STEPS, SLOTS, SEEDS = 1_000_448, 4, 20
 EPISODES = 20_000
+OBSERVATION_FIELDS = ("observation", "perceive", "order", "scale", "observe_facing")
+"""Settings of a world that change nothing for a player who does not look."""
+EARNING_FIELDS = ("reward", "shared_reward", "ending_cost", "xp_scope", "time_limit", "end_on_clear")
+"""Settings of a world that do not change how many monsters such a player kills."""
 
 
 def random_run(world: str, seed: int) -> Run:
@@ -55,15 +59,19 @@ def play(run: Run) -> np.ndarray:
 
 
 def measure(world: str) -> dict[str, Any]:
-    """Return what a random player earns in a world: its settings, and the mean curve with its spread."""
+    """Return what a random player kills and earns in a world, and the settings on which each depends."""
     curves = np.array([play(random_run(world, seed)) for seed in range(SEEDS)])
     evaluated = replace(random_run(world, 0), evaluation_episodes=EPISODES)
     run = as_fields(evaluated)
+    settings = {name: run[name] for name in OF_WORLDS if name not in OBSERVATION_FIELDS}
+    kill_settings = {name: value for name, value in settings.items() if name not in EARNING_FIELDS}
+    settings["env"] = run["env"]
+    if run["xp_scope"] != "episode":
+        settings["slots"] = SLOTS
     return {
-        "env": run["env"],
-        "settings": {name: run[name] for name in OF_WORLDS},
+        "settings": settings,
+        "kill_settings": kill_settings,
         "random_share_killed": round(Evaluation(evaluated).random_share, 4),
-        "slots": SLOTS,
         "steps": STEPS,
         "seeds": SEEDS,
         "mean": _numbers(curves.mean(axis=0)),

@@ -217,10 +217,6 @@ def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:
 
 NEAR = 0.02
 """Levels closer than this are drawn as one line."""
-OBSERVATION_FIELDS = ("observation", "perceive", "order", "scale", "observe_facing")
-"""Settings of a world that change nothing for a player who does not look."""
-EARNING_FIELDS = ("reward", "shared_reward", "ending_cost", "xp_scope", "time_limit", "end_on_clear")
-"""Settings of a world that do not change how many monsters such a player kills."""
 
 
 def random_levels(data: StudyData, quantity: str) -> dict[str, float]:
@@ -239,7 +235,7 @@ def random_levels(data: StudyData, quantity: str) -> dict[str, float]:
     shares: dict[str, float] = {}
     for condition in levels.index:
         for world in _measured_worlds():
-            if column in world and _are_alike(data.fields[condition], world["settings"], EARNING_FIELDS):
+            if column in world and _have(data.fields[condition], world["kill_settings"]):
                 shares[condition] = world[column]
     levels.update(shares)
     if len(levels) and np.ptp(levels) <= NEAR:
@@ -255,7 +251,7 @@ def random_returns(data: StudyData, end: float) -> pd.Series | None:
     every step up to the end.
     """
     for world in _measured_worlds():
-        if all(_is_paid_as_in(world, fields) for fields in data.fields.values()):
+        if all(_have(fields, world["settings"]) for fields in data.fields.values()):
             curve = pd.Series(world["mean"], make_grid(world["steps"]), dtype=float).dropna()
             if world["settings"]["xp_scope"] == "episode":
                 return pd.Series(curve.mean(), [0.0, end])
@@ -263,20 +259,8 @@ def random_returns(data: StudyData, end: float) -> pd.Series | None:
     return None
 
 
-def _is_paid_as_in(world: Mapping[str, Any], fields: Mapping[str, Any]) -> bool:
-    """Return whether a random player with these fields earns what was measured in a world."""
-    settings = world["settings"]
-    if settings["xp_scope"] != "episode" and fields.get("slots") != world["slots"]:
-        return False
-    return fields.get("env") == world["env"] and _are_alike(fields, settings)
-
-
-def _are_alike(
-    fields: Mapping[str, Any], settings: Mapping[str, Any], irrelevant: Sequence[str] = ()
-) -> bool:
-    """Return whether a player who does not look finds the same in fields as in a world's settings."""
-    decisive = {*settings} - {*OBSERVATION_FIELDS, *irrelevant}
-    return all(plain(fields.get(name)) == plain(settings[name]) for name in decisive)
+def _have(fields: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:
+    return all(plain(fields.get(name)) == plain(value) for name, value in settings.items())
 
 
 @cache
