@@ -105,16 +105,10 @@ def save_collapse(
     returns: Sequence[float] | np.ndarray = (0.0,) * 100,
     **fields: Any,
 ) -> None:
-    """Store a run.
+    """Store a run, which diverged where it ends before its budget.
 
-    Args:
-        store: where.
-        run_id: its id.
-        updates: (100, 3) entropy, share of the most frequent action, share of dead units.
-        shares: (20,) monsters killed at the evaluations.
-        end: where it diverged.
-        returns: (100,) of the episodes, one an update.
-        fields: of its configuration.
+    Updates are (100, 3): entropy, share of the most frequent action, share of dead units; shares of monsters
+    killed (20,), one an evaluation; returns of episodes (100,), one an update; fields are its settings.
     """
     steps = range(HORIZON, BUDGET + 1, HORIZON)
     metrics = [

@@ -63,14 +63,8 @@ def stage(
 ) -> Pair:
     """Set up one world by hand, with players at the origin.
 
-    Args:
-        level: the folder of a level with four monsters.
-        monsters: x and y of the first of them; the others are at home.
-        facing: of every player.
-        ticks: how many a step takes, instead of 8.
-        still: whether monsters stay where they are unless knocked back.
-        env_id: the environment whose presets hold.
-        settings: other settings.
+    `level` is a folder with four monsters, `monsters` the places of the first; the others are at home.
+    Monsters that are `still` stay where they are unless knocked back. A step takes `ticks`.
     """
     worlds = Worlds(1, make_env_config({**settings, "level": level}, env_id))
     worlds.settings["ticks"] = ticks

@@ -65,10 +65,7 @@ def _read_row(row: Any) -> Row:
 class Pair:
     """Worlds of the kernel and their oracles, played alike; every call ends with a comparison.
 
-    Attributes:
-        worlds: the kernel's.
-        oracles: one for each of them.
-        views: what each oracle's players observed last, and which actions they may take.
+    `views` is what each oracle's players observed last, and which actions they may take.
     """
 
     def __init__(self, worlds: Worlds, seed: int = 0) -> None:
