@@ -237,7 +237,7 @@ def random_levels(data: StudyData, quantity: str) -> dict[str, float]:
         for world in _measured_worlds():
             if column in world and _have(data.fields[condition], world["kill_settings"]):
                 shares[condition] = world[column]
-    levels.update(shares)
+    levels.update(pd.Series(shares))
     if len(levels) and np.ptp(levels) <= NEAR:
         levels[:] = next(iter(shares.values()), levels.mean())
     return {str(name): float(level) for name, level in levels.items()}
@@ -260,6 +260,7 @@ def random_returns(data: StudyData, end: float) -> pd.Series | None:
 
 
 def _have(fields: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:
+    """Return whether fields have all the settings on which a random player's numbers depend."""
     return all(plain(fields.get(name)) == plain(value) for name, value in settings.items())
 
 
