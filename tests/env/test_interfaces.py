@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import pickle
+import re
 import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -18,14 +20,15 @@ from gymnasium.wrappers import TimeLimit
 from stable_baselines3.common.env_checker import check_env as sb3s_check
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from pneuma.env.fields import ENVIRONMENTS
+from pneuma.env.fields import ENVIRONMENTS, make_env_config
 from pneuma.env.gym import PneumaEnv
 from pneuma.env.gym_vector import PneumaVectorEnv
 from pneuma.env.pettingzoo import PneumaParallelEnv
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.errors import UserError
+from pneuma.values import shown_value
 
-from .arena import ATTACK, GODOT, RIGHT, THESIS
+from .arena import ARENA, ATTACK, GODOT, RIGHT, THESIS, begin
 
 INTERFACES: dict[str, Callable[..., Any]] = {
     "single": PneumaEnv,
@@ -328,3 +331,33 @@ def test_the_checkers_of_three_libraries_find_nothing(env_id: str, monkeypatch: 
     for settings in choices:
         parallel_api_test(PneumaParallelEnv(env_id, players=3, **settings), num_cycles=100)
     parallel_seed_test(lambda: PneumaParallelEnv(env_id, players=3), num_cycles=100)
+
+
+# --- What their docstring tells --------------------------------------------------------------------
+
+
+def docstring_part(start: str, end: str) -> str:
+    return str(inspect.getdoc(PneumaEnv)).partition(start)[2].partition(end)[0]
+
+
+def test_the_docstring_has_every_argument_with_its_defaults() -> None:
+    table = re.findall(r"^\| `(\w+)` \| (.*?) \|", docstring_part("## Arguments", "## Versions"), re.M)
+    configs = [vars(make_env_config({}, env_id)) for env_id in ENVIRONMENTS]
+    expected = []
+    for name in configs[0]:
+        defaults = [shown_value(config[name]).removesuffix(".0") for config in configs]
+        if len(set(defaults)) == 1:
+            defaults = defaults[:1]
+        expected.append((name, ", ".join(defaults)))
+    assert table == [*expected, ("render_mode", "none"), ("camera", "map")]
+
+
+def test_the_docstring_has_every_number_of_the_arena_with_its_bounds() -> None:
+    bounds = np.full((2, 64), np.nan)
+    table = docstring_part("## Observations\n", "Rows of the dead")
+    for numbers, low, high in re.findall(r"^\| (\d.*?) \| .* \| (\S+) \| (\S+) \|$", table, re.M):
+        for number in numbers.split(", "):
+            first, _, repeats = number.partition(" + ")
+            bounds[:, int(first) :: 4 if repeats else 64] = [[float(low)], [float(high)]]
+    space = begin(1, env_id=ARENA).space
+    np.testing.assert_allclose(bounds, [space.low, space.high], rtol=0.003)

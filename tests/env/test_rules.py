@@ -8,7 +8,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pneuma.env.fields import ENVIRONMENTS, make_env_config
+from pneuma.env.players import Hunter
 from pneuma.env.rules import ATTACK, DOWN, FLAME, LEFT, RIGHT, UP
+from pneuma.env.worlds import Worlds
 
 from .arena import GODOT, begin, play, stage
 from .oracle import DIRECTIONS
@@ -156,3 +159,16 @@ def test_clearing_the_level_costs_1_xp(arena: str) -> None:
     pair.put(monsters=True, hp=[20, 0, 0, 0], bite=[[30] * 8])
     pair.play(ATTACK)
     assert pair.player("xp") == pair.player("reward") == [4 + 1 - 1] and pair.worlds.ending(0) == "cleared"
+
+
+@pytest.mark.parametrize("players", [1, 2])
+@pytest.mark.parametrize("env_id", ENVIRONMENTS)
+def test_hunters_clear_the_level_from_every_start_and_survive(env_id: str, players: int) -> None:
+    worlds = Worlds(6, make_env_config({"players": players, "end_on_clear": True, "start": "random"}, env_id))
+    worlds.seed(range(6))
+    worlds.reset(starts=np.arange(6))
+    hunter = Hunter(worlds)
+    while (worlds.worlds["ending"] == 0).any():
+        worlds.step(hunter.act(worlds))
+    assert [worlds.ending(index) for index in range(6)] == ["cleared"] * 6
+    assert (worlds.players["hp"] > 0).all()
