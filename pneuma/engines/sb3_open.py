@@ -154,6 +154,8 @@ def _pace(learner: OnPolicyAlgorithm | OffPolicyAlgorithm) -> int:
     if isinstance(learner, OnPolicyAlgorithm):
         return learner.n_steps
     frequency: Any = learner.train_freq
+    if frequency.frequency < 1:  # it would wait for ever
+        raise UserError(f"algorithm_kwargs: train_freq = {frequency.frequency} is not allowed: at least 1")
     return int(frequency.frequency) if frequency.unit is TrainFrequencyUnit.STEP else 1
 
 

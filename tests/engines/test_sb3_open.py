@@ -297,6 +297,10 @@ NOISE = {"algorithm": "td3", **NUMBERS}
         ),
         ({"policy": "NoPolicy"}, 'policy = "NoPolicy": ppo has MlpPolicy, CnnPolicy, MultiInputPolicy'),
         ({"algorithm": "recurrent-ppo"}, 'policy = "MlpPolicy": recurrent-ppo has MlpLstmPolicy, '),
+        (
+            {"algorithm": "dqn", "algorithm_kwargs": {"train_freq": 0}},
+            "train_freq = 0 is not allowed: at least 1",
+        ),
         ({"algorithm": "qr-dqn", "horizon": 66}, "horizon = 66 .* every 4 steps; set .* = 68"),
         ({"algorithm": "stable_baselines3:PPO"}, "horizon = 64 .* every 2048 steps; set horizon = 2048"),
         ({"algorithm": "sb3_contrib:ARS"}, "must be an OnPolicyAlgorithm or an OffPolicyAlgorithm"),
