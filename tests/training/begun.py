@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
 import subprocess
 import sys
@@ -42,6 +43,13 @@ def begin(folder: Path, study: Path, *options: str) -> subprocess.Popen[str]:
     )
     BEGUN.append(process)
     return process
+
+
+def hold(folder: Path) -> str:
+    """Let the runs of a folder wait in the middle as long as there is `hold`; return their reward's name."""
+    path = Path(shutil.copy(Path(__file__).with_name("held.py"), folder))
+    (folder / "hold").touch()
+    return f"{path}:paid"
 
 
 def end_begun() -> None:

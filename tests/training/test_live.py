@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from pneuma.store.row_builder import record_frame, stored_row
 from pneuma.store.store import Store
 
 from ..cli.calls import TINY, described, printed, refused
-from .begun import outcome
+from .begun import hold, outcome, wait_until
 from .storm import children, kill, wait_for_end
 from .tiny import TINY_RUN
 
@@ -78,22 +78,27 @@ def _activation(store: Store, name: str) -> object:
 @pytest.mark.slow
 def test_a_log_over_kills_has_every_point_of_one_without_once(tmp_path: Path) -> None:
     """As TensorBoard reads it; killed is a worker, once before it has kept anything, once after."""
-    run = ["study", "run", "activation", *TINY[2:4], *TINY[6:], "--set", "horizon=1024", "--seeds", "5,"]
-    run += ["--steps", "40_000", "--quiet"]
+    reward = f"reward={hold(tmp_path)}"
+    run = ["study", "run", "activation", *TINY[2:4], *TINY[6:], "--set", "horizon=1024", "--set", reward]
+    run += ["--seeds", "5,", "--steps", "20_480", "--quiet"]
     words = {own: [*run, "--results", tmp_path / own, "--tensorboard", tmp_path / own] for own in ("a", "b")}
     store, log = Store(tmp_path / "a"), "a/activation/tanh_5/*"
-    for seconds in ("1000", "0.3"):
+
+    def is_logged(number: int) -> bool:
+        return len([path for path in tmp_path.glob(log) if path.stat().st_size > 5000]) == number
+
+    for number, seconds in enumerate(("1000", "0.1"), start=1):
         command = [*words["a"], "--checkpoint-seconds", seconds]
         process = subprocess.Popen([sys.executable, "-m", "pneuma", *map(str, command)])
-        while sum(path.stat().st_size for path in tmp_path.glob(log)) < 10_000 or (
-            seconds == "0.3" and not any(store.status(run_id).step for run_id in store.runs())
-        ):
-            time.sleep(0.01)
+        wait_until(partial(is_logged, number), 600)
+        if seconds == "0.1":
+            wait_until(lambda: any(store.status(run_id).step for run_id in store.runs()), 600)
         workers = [*children(process.pid)]
         for pid in (process.pid, *workers):
             kill(pid)
         process.wait()
         wait_for_end(workers)
+    (tmp_path / "hold").unlink()
     for own in words.values():
         printed(*own)
     killed, whole = (_points(path) for path in sorted(tmp_path.glob("?/activation/tanh_5")))

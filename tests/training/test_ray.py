@@ -21,7 +21,7 @@ from pneuma.training.executors import ray
 from pneuma.training.executors.base import LOCAL_CONFIG, Job
 from pneuma.training.executors.local import worker_environment
 
-from .begun import begin, end_begun, outcome, wait_until, write_study
+from .begun import begin, end_begun, hold, outcome, wait_until, write_study
 
 pytest.importorskip("ray")
 
@@ -93,10 +93,11 @@ def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) 
 
 @pytest.mark.slow
 def test_a_study_that_loses_a_node_ends_with_the_bytes_of_a_local_one(tmp_path: Path, cluster: Nodes) -> None:
-    study = write_study(tmp_path, steps=64 * 1500, seeds=2)
+    study = write_study(tmp_path, steps=64 * 300, seeds=2, settings=f'reward = "{hold(tmp_path)}"')
     process = begin(tmp_path, study, "--executor", "ray", "--address", cluster.address)
     wait_until(lambda: len(checkpoint_folders(tmp_path)) == 2, seconds=240)
     os.kill(cluster.nodes[0], signal.SIGKILL)
+    (tmp_path / "hold").unlink()
     out, told = process.communicate(timeout=300)
     assert process.returncode == 0, told
     assert {run["status"] for run in json.loads(out)["runs"]} == {"done"}
