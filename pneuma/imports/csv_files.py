@@ -174,6 +174,8 @@ def _read_cells(path: Path, text: str) -> pd.DataFrame:
         rows = pd.read_csv(io.StringIO(text), header=None, dtype=str, keep_default_na=False)
     except ValueError as error:
         raise UserError(f"{path}: cannot be read as CSV ({str(error).strip()})") from None
+    if len(rows) < 2:
+        raise UserError(f"{path}: has no rows below its header")
     rows.index += 1
     header = rows.iloc[0].str.strip()
     if header.duplicated().any():
@@ -282,8 +284,7 @@ def _read_monitors(files: Mapping[Path, str], shared: Path, columns: Columns) ->
     steps = episodes["l"].cumsum().astype("int64")
     points = []
     for quantity, column in (("return", "r"), ("length", "l")):
-        values = episodes[column].astype(float)
-        points.append(pd.DataFrame({"tag": TAGS[quantity][1], "step": steps, "value": values}))
+        points.append(pd.DataFrame({"tag": TAGS[quantity][1], "step": steps, "value": episodes[column]}))
     name = ", ".join(path.name for path in files)
     run = (columns.condition or condition, seed)
     return _make_log(name, run, points, files.values(), averaged_over=1, selection=["monitors"])
@@ -300,7 +301,8 @@ def _load_monitors(files: Mapping[Path, str]) -> pd.DataFrame:
         with TemporaryDirectory() as folder:
             for number, text in enumerate(files.values()):
                 (Path(folder) / f"{number}.{MONITOR}").write_text(text, encoding="utf-8")
-            return load_results(folder).sort_values("index", kind="stable")
+            episodes = load_results(folder).sort_values("index", kind="stable")
+        return episodes.astype(dict.fromkeys("rlt", float))
     except Exception as error:  # whatever the reader raises of a file that is none
         reason = str(error).partition("\n")[0] or type(error).__name__
         raise UserError(

@@ -131,6 +131,7 @@ def test_without_columns_they_are_listed_with_a_command_to_copy() -> None:
         ("8,5\n8,6", "", "row 3: step 8 of runs with seed 0 is not after the one before: distinguish"),
         ("8,5\n16,6\n8,5", "", "row 4: step 8 of runs with seed 0 is not after the one before"),
         ("8,", "", "has no values at agent steps"),
+        ("", "", "has no rows below its header"),
         ("8,5", "--step steps", "unknown column in --step 'steps' (did you mean step?)"),
         ("8,5", f"--seed {'9' * 5000}", "unknown column in --seed '999"),
         ("8,5", "--value return=reward", "unknown quantity in --value return=reward: 'reward'"),
@@ -255,6 +256,8 @@ def test_a_monitors_folder_names_its_run() -> None:
         (HEADER + "1,10,1\n", "--step l --value r", "leave out --step and --value"),
         (HEADER + "1,10,1\n", "--seed l", "--seed l: must be a number"),
         (HEADER, "", "has no values at agent steps"),
+        (HEADER + "True,10,1\nabc,10,2\n", "", "cannot read this monitor (could not convert string to float"),
+        (HEADER + f"1{'0' * 400},10,1\n", "", "Stable-Baselines3 cannot read this monitor"),
     ],
 )
 def test_a_monitor_that_cannot_be_read_whole_is_refused(text: str, options: str, told: str) -> None:
