@@ -41,7 +41,7 @@ def random_run(world: str, seed: int) -> Run:
 def play(run: Run) -> np.ndarray:
     """Return the curve of a random player's returns over a run, (200,)."""
     collector = Collector(run)
-    features = collector.observations.shape[1]
+    features = collector.slots.observations.shape[1]
     uniform = (
         (np.zeros((features, collector.actions), np.float32), np.zeros(collector.actions, np.float32)),
     )

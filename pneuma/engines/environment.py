@@ -41,13 +41,12 @@ def able_engine(run: Run) -> str:
 
 
 def make_vec_env(run: Run) -> Any:
-    """Return the `VecEnv` for the engine `sb3`, with `finished`, `saved_state`, `restore_state`."""
+    """Return the `VecEnv` for the engine `sb3`, whose `slots` can be saved and restored."""
     if is_gymnasium_id(run.env):
         from pneuma.engines.gymnasium_vec_env import GymnasiumVecEnv
 
         return GymnasiumVecEnv(run)
     from pneuma.env.sb3 import PneumaVecEnv
 
-    env = PneumaVecEnv(slot_seeds(run), env_id=run.env, **vars(env_config(run)))
-    env.keep_finished = True
-    return env
+    config = env_config(run)
+    return PneumaVecEnv(run.slots * config.players, slot_seeds(run), run.env, **vars(config))

@@ -16,7 +16,7 @@ import json
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager
 from typing import Any
 
 import gymnasium
@@ -32,6 +32,8 @@ from pneuma.own_modules import load_module
 
 EXTRAS = ("minatar", "minigrid")
 """Extras that install environments, whose ids begin with their names."""
+FLAT_SPACES = (spaces.Box, spaces.Discrete, spaces.MultiBinary, spaces.MultiDiscrete)
+"""Spaces of observations that can be made rows of numbers."""
 
 
 def check_spaces(run: Run) -> None:
@@ -41,12 +43,18 @@ def check_spaces(run: Run) -> None:
         closing(GymnasiumSlots(run, [0])) as slots,
     ):
         space = slots.action_space
-        if isinstance(space, spaces.Box) and not space.is_bounded():
-            raise UserError(f"{run.env}: its actions {space} are unbounded: wrap it to give them bounds")
         if not isinstance(space, spaces.Discrete):
-            problem = "an action is several choices"
-            if isinstance(space, spaces.Box):
+            if isinstance(space, spaces.Box) and np.issubdtype(space.dtype, np.floating):
                 problem = "its actions are numbers"
+                if not space.is_bounded():
+                    raise UserError(
+                        f"{run.env}: its actions {space} are unbounded: wrap it to give them bounds"
+                    )
+            elif isinstance(space, spaces.MultiDiscrete | spaces.MultiBinary):
+                problem = "an action is several choices"
+            else:
+                fix = "wrap it to have Discrete, MultiDiscrete, MultiBinary or Box actions"
+                raise UserError(f"{run.env}: actions in {space} are not supported: {fix}")
             if run.algorithm in VALUE_BASED:
                 raise UserError(f"{run.env}: {problem}, which {run.algorithm} cannot handle: try ppo")
             if run.engine != "sb3":
@@ -61,9 +69,8 @@ class GymnasiumSlots:
     """Environments in parallel; each is reset as soon as its episode ends.
 
     Attributes:
-        observations: (S, features) float32, the current ones.
-        seen: the same as the learner sees them, normalised if the run says so.
-        terminal: (S, features), the last one of each slot's last finished episode, likewise.
+        raw_observations: (S, features) float32, the current ones.
+        terminal: (S, features), the last one of each slot's last finished episode, as the learner sees it.
         returns, lengths, episodes: (S,) of the episodes so far.
         steps: number of steps taken in each slot.
         finished: episodes that ended since the list was last emptied.
@@ -71,39 +78,36 @@ class GymnasiumSlots:
 
     def __init__(self, run: Run, seeds: Sequence[int], training: bool = False) -> None:
         self.run = run
-        self._normalizes = training and (run.normalize_observations or run.normalize_rewards)
         self.envs = [make_env(run) for _ in seeds]
-        space = self.envs[0].observation_space
-        self.action_space = _action_space(run, self.envs[0].action_space)
-        self._flatten = flattening(run, space)
-        flat_space = spaces.flatten_space(space)
-        assert isinstance(flat_space, spaces.Box)
-        self._flat_space: spaces.Box | None = flat_space  # None once an observation was not of it
-        self._declared_type = space.dtype if isinstance(space, spaces.Box) else None
-        self.observations = np.zeros((len(seeds), *flat_space.shape), np.float32)
-        self.terminal = np.zeros_like(self.observations)
+        self._space = self.envs[0].observation_space
+        self.action_space: Any = self.envs[0].action_space
+        self._flatten = flattening(run, self._space)
+        self._is_in_space = True  # whether all observations were
+        self.raw_observations = np.zeros((len(seeds), spaces.flatdim(self._space)), np.float32)
+        self.terminal = np.zeros_like(self.raw_observations)
         self.returns = np.zeros(len(seeds))
         self.lengths, self.episodes = np.zeros((2, len(seeds)), np.int64)
-        self.finished: list[dict[str, Any]] = []
-        self._log_type = _smallest_type(self.action_space)
-        self.begin(seeds)
-
-    def begin(self, seeds: Sequence[int]) -> None:
-        """Reset all environments with fresh seeds, and forget what was."""
-        for array in (self.returns, self.lengths, self.episodes):
-            array[:] = 0
         self.steps = 0
-        self.finished.clear()
+        self.finished: list[dict[str, Any]] = []
+        self._log_type = np.float32 if isinstance(self.action_space, spaces.Box) else np.int32
         self._action_log = bytearray()
-        self._first_seeds = [seed % 2**31 for seed in seeds]  # all environments take these
-        self._next_seeds: list[int | None] = [*self._first_seeds]
-        for slot in range(len(self.envs)):
-            self._reset(slot)
-        self._normalization = Normalization(self.run, self.observations) if self._normalizes else None
+        self._seeds = [seed % 2**31 for seed in seeds]  # all environments take these
+        for slot, seed in enumerate(self._seeds):
+            self._reset(slot, seed)
+        self._training = training
+        self._normalization: Normalization | None = None
+        if training and (run.normalize_observations or run.normalize_rewards):
+            self._normalization = Normalization(run, self.raw_observations)
 
     @property
-    def seen(self) -> np.ndarray:
-        return self._normalization.seen if self._normalization else self.observations
+    def observations(self) -> np.ndarray:
+        """The current observations as the learner sees them: normalised if the run says so."""
+        return self._normalization.seen if self._normalization else self.raw_observations
+
+    @property
+    def begins(self) -> np.ndarray:
+        """Whether each slot's next step begins an episode, (S,)."""
+        return self.lengths == 0
 
     @property
     def scaling(self) -> Scaling | None:
@@ -116,11 +120,12 @@ class GymnasiumSlots:
         `terminated` and `truncated` are never both set. Rewards are normalised if the run says so, records
         are not.
         """
+        self._actions_shape = actions.shape
         self._action_log += actions.astype(self._log_type).tobytes()
         rewards = np.zeros(len(self.envs))
         terminated, truncated = np.zeros((2, len(self.envs)), np.bool_)
         self.steps += 1
-        for slot, action in enumerate(self.actions(actions)):
+        for slot, action in enumerate(actions_in(self.action_space, actions)):
             reward, is_terminated, is_truncated, _ = self.step_one(slot, action)
             rewards[slot] = reward
             self.returns[slot] += reward
@@ -129,12 +134,8 @@ class GymnasiumSlots:
                 self._end(slot, "terminated" if is_terminated else "truncated")
         if self._normalization:
             ended = terminated | truncated
-            rewards = self._normalization.step(self.observations, rewards, ended, self.terminal)
+            rewards = self._normalization.step(self.raw_observations, rewards, ended, self.terminal)
         return rewards, terminated, truncated
-
-    def actions(self, actions: np.ndarray) -> Sequence[Any]:
-        """Return a policy's actions as the environments take them."""
-        return actions_in(self.action_space, actions)
 
     def any_action(self) -> Any:
         """Draw an action from the space's own generator; discrete ones count from 0."""
@@ -153,31 +154,20 @@ class GymnasiumSlots:
 
     def _observe(self, slot: int, observation: Any) -> None:
         row = np.asarray(self._flatten(observation))
-        current = self.observations[slot]
+        current = self.raw_observations[slot]
         if row.shape != current.shape:
             raise ValueError(f"its observation is of shape {row.shape}, where its space says {current.shape}")
         current[:] = row
         if not math.isfinite(current.sum()):
             raise ValueError("its observation is not finite")
-        if self._flat_space is not None:
-            difference = self._difference_from_space(row, self._flat_space)
-            if difference:
-                self._flat_space = None  # one warning is enough
-                text = f"{self.run.env}: an observation is not of its declared space: {difference}"
-                warnings.warn(text, RunWarning, stacklevel=2)
-
-    def _difference_from_space(self, row: np.ndarray, space: spaces.Box) -> str:
-        if self._declared_type and not np.can_cast(row.dtype, self._declared_type):
-            return f"{row.dtype} in place of {self._declared_type}"
-        outside = (row < space.low) | (row > space.high)
-        if not outside.any():
-            return ""
-        index = int(outside.argmax())
-        low, high = space.low[index], space.high[index]
-        return f"number {index} is {row[index]:g}, and not from {low:g} to {high:g}"
+        difference = self._is_in_space and _difference_from_space(row, self._space)
+        if difference:
+            self._is_in_space = False  # one warning is enough
+            text = f"{self.run.env}: an observation is not of its declared space: {difference}"
+            warnings.warn(text, RunWarning, stacklevel=2)
 
     def _end(self, slot: int, ending: str) -> None:
-        self.terminal[slot] = self.observations[slot]
+        self.terminal[slot] = self.raw_observations[slot]
         row = episode_row(
             slot=slot,
             episode=self.episodes[slot].item(),
@@ -191,9 +181,7 @@ class GymnasiumSlots:
         self.returns[slot], self.lengths[slot] = 0.0, 0
         self._reset(slot)
 
-    def _reset(self, slot: int) -> None:
-        seed = self._next_seeds[slot]
-        self._next_seeds[slot] = None
+    def _reset(self, slot: int, seed: int | None = None) -> None:
         with blamed(f"{self.run.env} when it is reset"):
             observation, _ = self.envs[slot].reset(seed=seed)
             self._observe(slot, observation)
@@ -207,12 +195,9 @@ class GymnasiumSlots:
 
     def saved_state(self) -> dict[str, np.ndarray]:
         """Return everything that the next step depends on, and what identifies the state: arrays by name."""
-        shape = [self.steps, len(self.envs)]
-        if not isinstance(self.action_space, spaces.Discrete):
-            shape.append(math.prod(self.action_space.shape))
-        actions = np.frombuffer(bytes(self._action_log), self._log_type).reshape(shape)
-        state = {"actions": actions, "seeds": np.array(self._first_seeds)}
-        for name in ("observations", "returns", "lengths", "episodes"):
+        actions = np.frombuffer(bytes(self._action_log), self._log_type)
+        state = {"actions": actions.reshape(self.steps, *self._actions_shape), "seeds": np.array(self._seeds)}
+        for name in ("raw_observations", "returns", "lengths", "episodes"):
             state[name] = getattr(self, name).copy()
         if self._normalization:
             state |= self._normalization.saved_state()
@@ -224,11 +209,11 @@ class GymnasiumSlots:
         Raises ValueError if it leads to another state: the randomness does not come from the seed alone.
         """
         self.close()
-        self.envs = [make_env(self.run) for _ in self.envs]
-        self.begin(saved["seeds"].tolist())
+        replayed = GymnasiumSlots(self.run, saved["seeds"].tolist(), self._training)
         for actions in saved["actions"]:
-            self.step(actions)
-        self.finished.clear()
+            replayed.step(actions)
+        replayed.finished.clear()
+        vars(self).update(vars(replayed))
         for name, array in self.saved_state().items():
             if not np.array_equal(array, saved[name]):
                 raise ValueError(
@@ -236,13 +221,18 @@ class GymnasiumSlots:
                 )
 
 
-def _smallest_type(space: spaces.Space[Any]) -> np.dtype[Any]:
-    """Return the type in which a log of actions is kept."""
-    if isinstance(space, spaces.Box):
-        return np.dtype(np.float32)
-    if isinstance(space, spaces.Discrete) and space.n <= 256:
-        return np.dtype(np.uint8)
-    return np.dtype(np.int64)
+def _difference_from_space(row: np.ndarray, space: spaces.Space[Any]) -> str:
+    """Return how an observation differs from its space, if that is a `Box`; else empty."""
+    if not isinstance(space, spaces.Box):
+        return ""
+    if not np.can_cast(row.dtype, space.dtype):
+        return f"{row.dtype} in place of {space.dtype}"
+    low, high = space.low.reshape(-1), space.high.reshape(-1)
+    outside = (row < low) | (row > high)
+    if not outside.any():
+        return ""
+    index = int(outside.argmax())
+    return f"number {index} is {row[index]:g}, and not from {low[index]:g} to {high[index]:g}"
 
 
 def actions_in(space: spaces.Space[Any], actions: np.ndarray) -> Sequence[Any]:
@@ -263,28 +253,15 @@ def choices_of(space: spaces.Space[Any]) -> np.ndarray:
     return np.full(space.shape or (), 2)
 
 
-def _action_space(
-    run: Run, space: spaces.Space[Any]
-) -> spaces.Discrete | spaces.Box | spaces.MultiDiscrete | spaces.MultiBinary:
-    if isinstance(space, spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary):
-        return space
-    if isinstance(space, spaces.Box) and space.dtype is not None and space.dtype.kind == "f":
-        return space
-    allowed = "Discrete, MultiDiscrete, MultiBinary or Box"
-    raise UserError(f"{run.env}: actions in {space} are not supported: wrap it to have {allowed} actions")
-
-
 def flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
     """Return a function that makes an observation a row of numbers."""
     for part in _parts(space):
-        problem = _not_flat(part)
-        if problem:
+        if not isinstance(part, FLAT_SPACES):
             fix = "name a wrapper that leaves that out"
-            raise UserError(f"{run.env}: observations in {problem} cannot be flattened to numbers: {fix}")
+            problem = f"{type(part).__name__} cannot be flattened to numbers"
+            raise UserError(f"{run.env}: observations in {problem}: {fix}")
     refuse_flat_pictures(run, space)
     if isinstance(space, spaces.Box):
-        if len(space.shape) == 1:
-            return lambda observation: observation
         return lambda observation: np.reshape(observation, -1)
     return lambda observation: spaces.flatten(space, observation)
 
@@ -295,16 +272,6 @@ def _parts(space: spaces.Space[Any]) -> list[spaces.Space[Any]]:
         subspaces = space.spaces.values() if isinstance(space, spaces.Dict) else space.spaces
         return [part for subspace in subspaces for part in _parts(subspace)]
     return [space]
-
-
-def _not_flat(space: spaces.Space[Any]) -> str:
-    """Return what a space is of, if not of arrays of one size; empty if it can be flattened."""
-    if isinstance(space, spaces.Text) or (space.dtype is not None and space.dtype.kind == "U"):
-        return "text"
-    with suppress(NotImplementedError):  # of a space of another package
-        if space.is_np_flattenable:
-            return ""
-    return type(space).__name__
 
 
 def refuse_flat_pictures(run: Run, space: spaces.Space[Any]) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pneuma.config import Run, stream_seed
-from pneuma.engines.gymnasium_env import GymnasiumSlots, blamed
+from pneuma.engines.gymnasium_env import GymnasiumSlots, actions_in, blamed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import NAN, Row, evaluation_row
 from pneuma.errors import OwnCodeError
@@ -80,7 +80,7 @@ def _play(
     rows = np.arange(len(slots.envs))
     while len(rows):
         running = []
-        actions = slots.actions(act(rows, slots.observations[rows]))
+        actions = actions_in(slots.action_space, act(rows, slots.observations[rows]))
         for row, action in zip(rows.tolist(), actions, strict=True):
             reward, terminated, truncated, info = slots.step_one(row, action)
             returns[row] += reward

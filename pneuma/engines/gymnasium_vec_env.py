@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,54 +10,36 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from pneuma.config import Run, slot_seeds
 from pneuma.engines.gymnasium_env import GymnasiumSlots, choices_of
-from pneuma.engines.normalization import Scaling
-from pneuma.env.sb3 import WholeVecEnv
+from pneuma.env.sb3 import SlotsVecEnv
 
 
-class GymnasiumVecEnv(WholeVecEnv):
+class GymnasiumVecEnv(SlotsVecEnv):
     """A run's slots, with flat observations and actions; choices count from 0."""
 
+    render_mode = None
+
     def __init__(self, run: Run) -> None:
-        self.render_mode = None
         self.slots = GymnasiumSlots(run, slot_seeds(run), training=True)
-        self._actions = np.zeros(run.slots)
         features = self.slots.observations.shape[1]
         action_space = _learners_space(self.slots.action_space)
         super().__init__(run.slots, spaces.Box(-np.inf, np.inf, (features,), np.float32), action_space)
 
-    @property
-    def finished(self) -> list[dict[str, Any]]:
-        return self.slots.finished
-
-    @property
-    def scaling(self) -> Scaling | None:
-        return self.slots.scaling
-
-    def saved_state(self) -> dict[str, np.ndarray]:
-        return self.slots.saved_state()
-
-    def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
-        self.slots.restore_state(saved)
-
     def reset(self) -> np.ndarray:
-        return self.slots.seen.copy()
-
-    def step_async(self, actions: np.ndarray) -> None:
-        self._actions = actions
+        return self.slots.observations.copy()
 
     def step_wait(self) -> VecEnvStepReturn:
-        rewards, terminated, truncated = self.slots.step(self._actions)
-        dones = terminated | truncated
-        infos: list[dict[str, Any]] = [{} for _ in dones]
-        for slot in np.flatnonzero(dones):
-            infos[slot] = {
-                "terminal_observation": self.slots.terminal[slot].copy(),
-                "TimeLimit.truncated": bool(truncated[slot]),
+        slots = self.slots
+        rewards, terminated, truncated = slots.step(self._actions)
+        infos: list[dict[str, Any]] = [{} for _ in terminated]
+        for episode in slots.finished:
+            slot_index = episode["slot"]
+            infos[slot_index] = {
+                "terminal_observation": slots.terminal[slot_index].copy(),
+                "TimeLimit.truncated": bool(truncated[slot_index]),
+                "episode": {"r": episode["return"], "l": episode["length"]},
             }
-        return self.slots.seen.copy(), rewards.astype(np.float32), dones, infos
-
-    def close(self) -> None:
-        self.slots.close()
+        slots.finished.clear()
+        return slots.observations.copy(), rewards.astype(np.float32), terminated | truncated, infos
 
 
 def _learners_space(space: spaces.Space[Any]) -> spaces.Space[Any]:

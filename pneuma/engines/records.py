@@ -124,3 +124,11 @@ class Checkpoint:
     arrays: Mapping[str, np.ndarray]
     numbers: Mapping[str, Any] = field(default_factory=dict)
     records: Records = field(default_factory=Records)
+
+    def part(self, prefix: str) -> dict[str, np.ndarray]:
+        """Return the arrays whose names begin with a prefix, by the rest of their names."""
+        arrays = {}
+        for name, array in self.arrays.items():
+            if name.startswith(prefix):
+                arrays[name.removeprefix(prefix)] = array
+        return arrays

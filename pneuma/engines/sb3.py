@@ -16,7 +16,6 @@ import torch
 from gymnasium import spaces
 from sb3_contrib import TRPO
 from stable_baselines3 import DQN
-from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from torch import nn
 
 from pneuma.config import Run
@@ -24,13 +23,16 @@ from pneuma.engines.environment import make_vec_env
 from pneuma.engines.gymnasium_env import choices_of
 from pneuma.engines.loop import ResumableTrainer
 from pneuma.engines.policy import Layers, Policy, dead_share, overflows
-from pneuma.engines.records import EPISODE_COLUMNS, NAN, Checkpoint, Records, action_shares, metrics_row
+from pneuma.engines.records import Checkpoint, Records, action_shares, metrics_row
 from pneuma.engines.sb3_learners import (
+    Episodes,
     Learner,
     has_finite_weights,
+    learn,
     linear_layers,
     logged_losses,
     make_model,
+    prepare,
     restore_checkpoint,
     take_checkpoint,
 )
@@ -41,102 +43,94 @@ class Sb3Trainer(ResumableTrainer):
         super().__init__(run)
         torch.set_num_threads(1)
         self._model: Any = make_model(run, make_vec_env(run))
-        self._visited = Visited() if isinstance(self._model, DQN) else None
-        callback = self._visited or CallbackList([])
-        _, self._callback = self._model._setup_learn(run.steps, callback=callback)
+        prepare(self._model, run)
+        self._visited = Visited(run)
         self._policy = extract_policy(self._model, run)
 
     def restore(self, checkpoint: Checkpoint) -> None:
         restore_checkpoint(self._model, checkpoint)
+        self._visited.counts.update(row["slot"] for row in checkpoint.records.episodes)
         self._policy = extract_policy(self._model, self.run)
 
     def update(self, before: int, after: int, records: Records) -> bool:
+        """Let the learner collect and train, by values once every few steps.
+
+        If a weight or logit is not a number, torch refuses to draw actions, or the next minibatch. Such a
+        run has diverged, not crashed, and has no losses.
+        """
         model, run = self._model, self.run
+        self._visited.forget()
+        metrics: dict[str, float] = {}
         with GradientNorms(model, run) as norms:
-            if self._visited:
-                metrics = learn_by_values(model, run, self._visited)
-            else:
-                metrics = learn(model, run, self._policy, self._callback)
-        records.metrics.append(metrics_row(after, {**metrics, **norms.means()}))
-        for episode in model.env.finished:
-            records.episodes.append({name: episode[name] for name in EPISODE_COLUMNS})
-        model.env.finished.clear()
+            try:
+                with np.errstate(over="ignore", invalid="ignore"):  # values may overflow here
+                    metrics |= self._learn()
+            except (ValueError, RuntimeError):
+                if not self._has_diverged():
+                    raise
+        if len(self._visited.actions) == run.horizon:
+            metrics |= self._visited_metrics()
+        records.metrics.append(metrics_row(after, metrics | norms.means()))
+        records.episodes.extend(self._visited.take_rows())
         if not is_finite(records.metrics[-1], model):
             return False
         self._policy = extract_policy(model, run)
         return not overflows(self._policy, model._last_obs)
 
+    def _learn(self) -> dict[str, float]:
+        """Train for an update's steps; return what the learner logged, of several times the mean loss."""
+        run = self.run
+        trainings = run.horizon // (run.train_every or run.horizon)
+        metrics: dict[str, float] = {}
+        value_losses = []
+        for _ in range(trainings):
+            self._model.logger.name_to_value.clear()
+            learn(self._model, run.steps_per_update // trainings, self._visited)
+            logged = logged_losses(self._model)
+            if logged:  # values are learned from some step on
+                metrics = logged
+                value_losses.append(logged["value_loss"])
+        if len(value_losses) > 1:
+            # `sum` rounds differently from Python 3.12 on
+            metrics["value_loss"] = float(np.mean(value_losses))
+        return metrics
+
+    def _has_diverged(self) -> bool:
+        if not has_finite_weights(self._model):
+            return True
+        observations = np.concatenate([*self._visited.observations, self._model._last_obs])
+        return overflows(extract_policy(self._model, self.run), observations)
+
+    def _visited_metrics(self) -> dict[str, float]:
+        """Return dead units and shares of actions by the policy that played the update's steps."""
+        policy = self._policy
+        observations = np.concatenate(self._visited.observations)
+        actions = np.concatenate(self._visited.actions)
+        metrics = {"dead_units": dead_share(policy, observations)}
+        if policy.deviation is None and policy.choices is None:
+            metrics |= action_shares(self.run, actions, policy.actions)
+        if isinstance(self._model, TRPO):  # which logs no entropy
+            metrics["entropy"] = policy.entropy(observations)
+        return metrics
+
     def policy(self) -> Policy:
-        return replace(self._policy, scaling=getattr(self._model.env, "scaling", None))
+        return replace(self._policy, scaling=self._model.env.slots.scaling)
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
         return take_checkpoint(self._model, step, records)
 
 
-def learn(model: Any, run: Run, policy: Policy, callback: BaseCallback) -> dict[str, float]:
-    """Let a learner collect a rollout and train on it; return the metrics of both.
+class Visited(Episodes):
+    """Collects also the observations and actions of each step of an update: (S, features) and (S, …)."""
 
-    If weights are huge, logits overflow, and torch refuses to draw actions. Such a run has diverged, not
-    crashed, and has no metrics.
-    """
-    try:
-        model.collect_rollouts(model.env, callback, model.rollout_buffer, run.horizon)
-    except (ValueError, RuntimeError):
-        if not overflows(policy, model._last_obs):
-            raise
-        return {}
-    observations = rollout_observations(model)
-    metrics = visited_metrics(run, policy, observations, model.rollout_buffer.actions)
-    if isinstance(model, TRPO):  # which logs no entropy
-        metrics["entropy"] = policy.entropy(observations)
-    model._update_current_progress_remaining(model.num_timesteps, run.steps)
-    return {**learn_from_rollout(model, run), **metrics}
+    def forget(self) -> None:
+        self.observations: list[np.ndarray] = []
+        self.actions: list[np.ndarray] = []
 
-
-def rollout_observations(model: Any) -> np.ndarray:
-    """Return the observations of a learner's rollout, (N, features)."""
-    observations: np.ndarray = model.rollout_buffer.observations
-    return observations.reshape(-1, observations.shape[-1])
-
-
-def learn_from_rollout(model: Any, run: Run) -> dict[str, float]:
-    """Let the learner train on its rollout; return what it logged.
-
-    If a weight or logit is not a number, torch refuses the next minibatch. Such a run has diverged, and has
-    no losses.
-    """
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):  # values may overflow here
-            model.train()
-    except (ValueError, RuntimeError):
-        has_diverged = not has_finite_weights(model)
-        if not has_diverged and not overflows(extract_policy(model, run), rollout_observations(model)):
-            raise
-        return {}
-    return logged_losses(model)
-
-
-def learn_by_values(model: DQN, run: Run, visited: Visited) -> dict[str, float]:
-    """Let DQN take one horizon of steps and gradients, as its `learn` does; return its metrics."""
-    assert model.env is not None and model.replay_buffer is not None and run.train_every
-    policy = extract_policy(model, run)
-    losses = []
-    for _ in range(run.horizon // run.train_every):
-        model.collect_rollouts(
-            model.env,
-            visited,
-            model.train_freq,  # type: ignore[arg-type]
-            model.replay_buffer,
-            learning_starts=model.learning_starts,
-        )
-        if model.num_timesteps > model.learning_starts:
-            model.train(batch_size=model.batch_size, gradient_steps=model.gradient_steps)
-            losses.append(logged_losses(model)["value_loss"])
-    mean_loss = NAN
-    if losses:
-        mean_loss = float(np.mean(losses))  # `sum` rounds differently from Python 3.12 on
-    observations, actions = visited.take()
-    return {"value_loss": mean_loss, **visited_metrics(run, policy, observations, actions)}
+    def _on_step(self) -> bool:
+        self.observations.append(np.asarray(self.model._last_obs))
+        self.actions.append(self.locals["actions"])
+        return super()._on_step()
 
 
 # --- Gradients -------------------------------------------------------------------------------------
@@ -206,39 +200,6 @@ class GradientNorms:
         if self._is_actor.any():
             norms |= {"grad_norm_actor": actor, "grad_norm_critic": critic}
         return {name: float(square.sqrt().mean()) for name, square in norms.items()}
-
-
-# --- Rollouts --------------------------------------------------------------------------------------
-
-
-class Visited(BaseCallback):
-    """Records the observations and actions of a learner without rollouts."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._observations: list[np.ndarray] = []
-        self._actions: list[np.ndarray] = []
-
-    def _on_step(self) -> bool:
-        self._observations.append(np.array(self.model._last_obs))
-        self._actions.append(np.array(self.locals["actions"]))
-        return True
-
-    def take(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return and forget observations (N, features) and actions (N,)."""
-        observations, actions = np.concatenate(self._observations), np.concatenate(self._actions)
-        self._observations.clear()
-        self._actions.clear()
-        return observations, actions
-
-
-def visited_metrics(
-    run: Run, policy: Policy, observations: np.ndarray, actions: np.ndarray
-) -> dict[str, float]:
-    """Return dead units over (N, features) observations and the shares of (N,) actions."""
-    is_one_choice = policy.deviation is None and policy.choices is None
-    actions = actions.astype(np.int64 if is_one_choice else np.float32)
-    return {"dead_units": dead_share(policy, observations), **action_shares(run, actions, policy.actions)}
 
 
 # --- Networks --------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ leaves out environment, random generators and last observation, and their `load`
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from inspect import signature
 from typing import Any
@@ -18,14 +19,15 @@ import torch
 from sb3_contrib import TRPO
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from pneuma.algorithms import OPTIMIZERS
-from pneuma.config import ACTIVATIONS, ANNEALED, FIELDS, Run, stream_seed
-from pneuma.engines.records import NAN, Checkpoint, Records
+from pneuma.config import ACTIVATIONS, ANNEALED, FIELDS, Run, is_gymnasium_id, stream_seed
+from pneuma.engines.records import Checkpoint, Records, Row, episode_row
 
 Learner = PPO | A2C | TRPO | DQN
 
@@ -45,7 +47,6 @@ def make_model(run: Run, env: VecEnv, extractor: Mapping[str, Any] | None = None
         with torch.no_grad():
             for layers in linear_layers(model).values():
                 layers[0].weight.mul_(run.first_layer_scale)
-    model.set_logger(Logger(folder=None, output_formats=[]))
     torch.manual_seed(stream_seed(run.seed, "actions"))
     np.random.seed(stream_seed(run.seed, "minibatches") % 2**32)
     if isinstance(model, DQN):
@@ -153,6 +154,62 @@ def arguments_of(run: Run) -> Iterator[tuple[str, str]]:
             yield argument, fields[argument]
 
 
+# --- Training -------------------------------------------------------------------------------------
+
+
+def prepare(model: Any, run: Run) -> None:
+    """Let a learner log to memory alone, and its schedules fall over a run's whole budget.
+
+    Its `learn` is given a part of the budget at a time.
+    """
+    model.set_logger(Logger(folder=None, output_formats=[]))
+    update_progress = model._update_current_progress_remaining
+    model._update_current_progress_remaining = lambda steps, _: update_progress(steps, run.steps)
+
+
+def learn(model: Any, steps: int, callback: BaseCallback) -> None:
+    """Let a learner go on for so many agent steps, and train on them."""
+    model.learn(steps, callback=callback, reset_num_timesteps=False, log_interval=None)
+
+
+class Episodes(BaseCallback):
+    """Collects the rows of the episodes that end.
+
+    Attributes:
+        counts: how many episodes have ended, by slot.
+    """
+
+    def __init__(self, run: Run) -> None:
+        super().__init__()
+        self.counts: Counter[int] = Counter()
+        self._has_monsters = not is_gymnasium_id(run.env)
+        self._rows: list[Row] = []
+
+    def _on_step(self) -> bool:
+        for slot, info in enumerate(self.locals["infos"]):
+            episode = info.get("episode")
+            if episode:
+                row = episode_row(
+                    slot=slot,
+                    episode=self.counts[slot],
+                    step=self.num_timesteps,
+                    returned=float(episode["r"]),
+                    length=int(episode["l"]),
+                    ending="truncated" if info.get("TimeLimit.truncated") else "terminated",
+                )
+                if self._has_monsters:
+                    row |= {name: info[name] for name in ("kills", "hp", "ending")}
+                self._rows.append(row)
+                self.counts[slot] += 1
+        return True
+
+    def take_rows(self) -> list[Row]:
+        """Return and forget the episodes that have ended."""
+        rows = self._rows
+        self._rows = []
+        return rows
+
+
 LOGGED: dict[str, tuple[tuple[int, str], ...]] = {
     "policy_loss": (
         (1, "policy_gradient_loss"), (1, "policy_loss"), (1, "actor_loss"), (-1, "policy_objective"),
@@ -167,15 +224,13 @@ LOGGED: dict[str, tuple[tuple[int, str], ...]] = {
 
 
 def logged_losses(model: Any) -> dict[str, float]:
-    """Return the metrics that a learner logged when it last trained; NaN for others."""
+    """Return the metrics that a learner logged when it last trained."""
     log = model.logger.name_to_value
     losses = {}
     for metric, names in LOGGED.items():
-        losses[metric] = NAN
-        for sign, name in names:
+        for sign, name in reversed(names):
             if f"train/{name}" in log:
                 losses[metric] = sign * float(log[f"train/{name}"])
-                break
     return losses
 
 
@@ -194,14 +249,14 @@ _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones",
 def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
     env: Any = model.env
     generator, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
-    arrays = {
-        "random/torch": torch.get_rng_state().numpy().copy(),
-        "random/numpy": np.asarray(keys).copy(),
-        **_optimizer_arrays(model.policy.optimizer),
-    }
+    arrays = {"random/torch": torch.get_rng_state().numpy().copy(), "random/numpy": np.array(keys)}
     for name, tensor in model.policy.state_dict().items():
         arrays[f"policy/{name}"] = _copy(tensor)
-    for name, array in env.saved_state().items():
+    for index, entries in model.policy.optimizer.state_dict()["state"].items():
+        for name, value in entries.items():
+            if value is not None:
+                arrays[f"optimizer/{index}/{name}"] = _copy(value)
+    for name, array in env.slots.saved_state().items():
         arrays[f"worlds/{name}"] = array
     for name, attribute in _ARRAYS.items():
         arrays[name] = np.array(getattr(model, attribute))
@@ -221,15 +276,26 @@ def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
     return Checkpoint(step, arrays, numbers, records.copy())
 
 
+def _copy(value: Any) -> np.ndarray:
+    return torch.as_tensor(value).detach().numpy().copy()
+
+
 def restore_checkpoint(model: Learner, checkpoint: Checkpoint) -> None:
     """Restore a learner, and torch's and NumPy's global generators, from a checkpoint."""
     env: Any = model.env
     numbers, arrays = checkpoint.numbers, checkpoint.arrays
-    if numbers["optimizer"] != type(model.policy.optimizer).__name__:
+    optimizer = model.policy.optimizer
+    if numbers["optimizer"] != type(optimizer).__name__:
         raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
-    model.policy.load_state_dict({**model.policy.state_dict(), **_tensors(arrays, "policy/")})
-    _restore_optimizer(model.policy.optimizer, arrays)
-    env.restore_state({name: arrays[f"worlds/{name}"] for name in env.saved_state()})
+    # tensors are copies in torch's own memory, which its kernels need aligned
+    state: dict[int, dict[str, torch.Tensor]] = {}
+    for path, array in checkpoint.part("optimizer/").items():
+        index, _, name = path.partition("/")
+        state.setdefault(int(index), {})[name] = torch.tensor(array)
+    optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
+    policy = {name: torch.tensor(array) for name, array in checkpoint.part("policy/").items()}
+    model.policy.load_state_dict(policy)
+    env.slots.restore_state(checkpoint.part("worlds/"))
     torch.set_rng_state(torch.tensor(arrays["random/torch"]))
     generator, position, has_gauss, gauss = numbers["numpy"]
     np.random.set_state((generator, arrays["random/numpy"].copy(), position, has_gauss, gauss))
@@ -244,34 +310,3 @@ def restore_checkpoint(model: Learner, checkpoint: Checkpoint) -> None:
             getattr(buffer, name)[: len(replayed)] = replayed
         buffer.pos, buffer.full = numbers["position"], numbers["full"]
         model.action_space.np_random.bit_generator.state = numbers["random_actions"]
-
-
-def _copy(tensor: torch.Tensor) -> np.ndarray:
-    return np.array(tensor.detach().numpy())
-
-
-def _tensors(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, torch.Tensor]:
-    """Return the arrays with a prefix as tensors in torch's own memory, which its kernels need aligned."""
-    tensors = {}
-    for name, array in arrays.items():
-        if name.startswith(prefix):
-            tensors[name.removeprefix(prefix)] = torch.tensor(array)
-    return tensors
-
-
-def _optimizer_arrays(optimizer: torch.optim.Optimizer) -> dict[str, np.ndarray]:
-    state: dict[int, dict[str, Any]] = optimizer.state_dict()["state"]
-    arrays = {}
-    for index, entries in state.items():
-        for name, value in entries.items():
-            if value is not None:
-                arrays[f"optimizer/{index}/{name}"] = _copy(torch.as_tensor(value))
-    return arrays
-
-
-def _restore_optimizer(optimizer: torch.optim.Optimizer, arrays: Mapping[str, np.ndarray]) -> None:
-    state: dict[int, dict[str, torch.Tensor]] = {}
-    for path, tensor in _tensors(arrays, "optimizer/").items():
-        index, _, name = path.partition("/")
-        state.setdefault(int(index), {})[name] = tensor
-    optimizer.load_state_dict({**optimizer.state_dict(), "state": state})

@@ -23,9 +23,7 @@ import torch
 from safetensors.numpy import load, save
 from sb3_contrib import MaskablePPO
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
@@ -38,14 +36,17 @@ from pneuma.config import Run, slot_seeds, stream_seed
 from pneuma.engines.gymnasium_env import blamed, load_class, make_env, refuse_flat_pictures
 from pneuma.engines.loop import Trainer
 from pneuma.engines.policy import LEARNER_FILE
-from pneuma.engines.records import Records, Row, episode_row, evaluation_row, metrics_row
+from pneuma.engines.records import Records, Row, evaluation_row, metrics_row
 from pneuma.engines.sb3_arguments import read_arguments
 from pneuma.engines.sb3_learners import (
     LEARNERS,
+    Episodes,
     arguments_of,
     has_finite_weights,
+    learn,
     learner_arguments,
     logged_losses,
+    prepare,
 )
 from pneuma.errors import UserError
 
@@ -59,7 +60,7 @@ STATISTICS = "observations.safetensors"
 """In a learner's .zip: mean and variance of observations, by key. Stable-Baselines3 leaves it alone."""
 
 HOOKS = ("_update_current_progress_remaining",)
-"""Attributes of a learner that `OpenTrainer` sets. They hold the learner with its replay buffer."""
+"""Attributes that `prepare` sets. They hold the learner with its replay buffer."""
 
 
 # --- Making a learner ------------------------------------------------------------------------------
@@ -170,11 +171,8 @@ class OpenTrainer(Trainer):
         torch.set_num_threads(1)
         self._env = _environments(run, run.slots, slot_seeds(run)[0])
         self._model = _make_learner(run, self._env)
-        self._model.set_logger(Logger(folder=None, output_formats=[]))
-        self._episodes = Episodes(run.slots)
-        update_progress = self._model._update_current_progress_remaining
-        # schedules fall over the whole budget, of which `learn` is told a part at a time
-        self._model._update_current_progress_remaining = lambda steps, _: update_progress(steps, run.steps)
+        prepare(self._model, run)
+        self._episodes = Episodes(run)
         self._about = self._evaluation  # whose random player goes first
         self._seed = stream_seed(run.seed, "evaluation")
 
@@ -183,9 +181,9 @@ class OpenTrainer(Trainer):
         with blamed(f"{self.run.algorithm} in {self.run.env}"):
             steps_left = after - model.num_timesteps
             if steps_left > 0:  # a learner that counts episodes may have gone further
-                model.learn(steps_left, callback=self._episodes, reset_num_timesteps=False, log_interval=None)
+                learn(model, steps_left, self._episodes)
         records.metrics.append(metrics_row(after, logged_losses(model)))
-        records.episodes.extend(self._episodes.take())
+        records.episodes.extend(self._episodes.take_rows())
         return has_finite_weights(model)
 
     def evaluate(self, step: int) -> Row:
@@ -215,37 +213,6 @@ class OpenTrainer(Trainer):
 
     def policy(self) -> LearnedPolicy:
         return LearnedPolicy(self._model)
-
-
-class Episodes(BaseCallback):
-    """Collects the episodes that end, as `Monitor` reports them."""
-
-    def __init__(self, slots: int) -> None:
-        super().__init__()
-        self._counts = [0] * slots
-        self._ended: list[Row] = []
-
-    def _on_step(self) -> bool:
-        for slot, info in enumerate(self.locals["infos"]):
-            episode = info.get("episode")
-            if episode:
-                row = episode_row(
-                    slot=slot,
-                    episode=self._counts[slot],
-                    step=self.num_timesteps,
-                    returned=float(episode["r"]),
-                    length=int(episode["l"]),
-                    ending="truncated" if info.get("TimeLimit.truncated") else "terminated",
-                )
-                self._ended.append(row)
-                self._counts[slot] += 1
-        return True
-
-    def take(self) -> list[Row]:
-        """Return and forget the episodes that have ended."""
-        episodes = self._ended
-        self._ended = []
-        return episodes
 
 
 # --- What was learned ------------------------------------------------------------------------------

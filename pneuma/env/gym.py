@@ -150,7 +150,7 @@ class PneumaEnv(Face, gymnasium.Env[np.ndarray, np.int64]):
         self.action_space = self.state.action_space
         self._set_up(self.state, env_id, render_mode, camera)
         self._actions = np.zeros((1, 1), np.int64)
-        self._has_begun = False
+        self._is_playing = False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -158,9 +158,8 @@ class PneumaEnv(Face, gymnasium.Env[np.ndarray, np.int64]):
         """Start an episode; see `gymnasium.Env.reset`. The same seed starts the same world."""
         starts = read_starts(self.state, read_options(options, "start").get("start"))
         super().reset(seed=seed)
-        if seed is not None:
-            self.state.seed([seed])
-        self._has_begun = True
+        self.state.seed([seed])
+        self._is_playing = True
         self.state.reset(starts=starts)
         return self._observation_and_info()
 
@@ -172,20 +171,18 @@ class PneumaEnv(Face, gymnasium.Env[np.ndarray, np.int64]):
         index = operator.index(action)
         if not 0 <= index < self.state.action_space.n:
             raise ValueError(f"action {action!r} is outside {self.action_space}")
-        if not self._has_begun:
-            raise ResetNeeded("no episode has begun: call reset first")
-        state = self.state
+        if not self._is_playing:
+            raise ResetNeeded("no episode is under way: call reset first")
         self._actions[0, 0] = index
-        ended = state.advance(self._actions)
+        ended = self.state.advance(self._actions) > 0
+        self._is_playing = not ended
         observation, info = self._observation_and_info()
-        reward = state.events["reward"].item()
-        if not ended:
-            if state.worlds["ending"][0]:
-                raise ResetNeeded("the episode has ended: call reset first")
-            return observation, reward, False, False, info
-        info |= ending_info(state)
-        truncated = bool(state.truncated[0])
-        return observation, reward, not truncated, truncated, info
+        truncated = False
+        if ended:
+            info |= ending_info(self.state)
+            truncated = bool(self.state.truncated[0])
+        reward = self.state.events["reward"].item()
+        return observation, reward, ended and not truncated, truncated, info
 
     def get_keys_to_action(self) -> dict[tuple[int, ...], int]:
         """Return the keys that `gymnasium.utils.play.play` asks for; see `pneuma.env.watch.KEYS`."""

@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.slots import ending_info, make_slots, read_options, read_starts
+from pneuma.env.slots import ending_info, make_slots, read_options, read_starts, world_seeds
 from pneuma.env.watch import Face
 
 
@@ -71,7 +71,7 @@ class PneumaVectorEnv(Face, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """
         own_options = read_options(options, "start", "reset_mask")
         starts = read_starts(self.state, own_options.get("start"))
-        seeds = self._seeds(seed)
+        seeds = world_seeds(seed, len(self.state))
         mask = self._reset_mask(own_options.get("reset_mask"))
         if not self.slots.begun and not mask.all():
             raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
@@ -80,17 +80,6 @@ class PneumaVectorEnv(Face, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.slots.begun = True
         self.state.reset(mask, starts)
         return self.slots.observations, self._infos()
-
-    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        """Return a seed for each world, None where its random stream goes on."""
-        count = len(self.state)
-        if seed is None:
-            return [None] * count
-        if isinstance(seed, int | np.integer):
-            return list(range(int(seed), int(seed) + count))
-        if len(seed) != count:
-            raise ValueError(f"{len(seed)} seeds for {count} worlds")
-        return list(seed)
 
     def _reset_mask(self, mask: object) -> np.ndarray:
         if mask is None:
@@ -127,13 +116,13 @@ class PneumaVectorEnv(Face, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _final_infos(self, ended: np.ndarray) -> dict[str, Any]:
         """Return the infos of the slots that ended, in Gymnasium's form for this autoreset mode."""
+        observations = self.state.observations.reshape(self.num_envs, -1)
+        masks = self.state.masks.reshape(self.num_envs, -1)
         infos: dict[str, Any] = {}
         for slot_index in np.flatnonzero(ended).tolist():
             info = ending_info(self.state, slot_index)
             if self.autoreset_mode == AutoresetMode.SAME_STEP:
-                world_index, player_index = divmod(slot_index, self.slots.players)
-                info["action_mask"] = self.state.masks[world_index, player_index].copy()
-                final_observation = self.state.observations[world_index, player_index].copy()
-                info = {"final_obs": final_observation, "final_info": info}
+                info["action_mask"] = masks[slot_index].copy()
+                info = {"final_obs": observations[slot_index].copy(), "final_info": info}
             infos = self._add_info(infos, info, slot_index)
         return infos

@@ -10,9 +10,8 @@ from gymnasium.error import ResetNeeded
 from pettingzoo import ParallelEnv
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.slots import Slots, ending_info, read_options, read_starts
+from pneuma.env.slots import ending_info, make_slots, read_options, read_starts
 from pneuma.env.watch import Face
-from pneuma.env.worlds import Worlds
 
 
 class PneumaParallelEnv(Face, ParallelEnv[str, np.ndarray, np.int64]):
@@ -24,7 +23,7 @@ class PneumaParallelEnv(Face, ParallelEnv[str, np.ndarray, np.int64]):
 
     Args:
         env_id: whose presets to start from.
-        players: their number; `classes`, `weapons` and `reward` may list one for each.
+        players: their number; `classes` and `reward` may list one for each.
         settings: the other fields of `pneuma.config.EnvConfig`.
     """
 
@@ -36,22 +35,20 @@ class PneumaParallelEnv(Face, ParallelEnv[str, np.ndarray, np.int64]):
         camera: str = "map",
         **settings: object,
     ) -> None:
-        self.worlds = Worlds(1, make_env_config({"players": players, **settings}, env_id))
-        self.slots = Slots(self.worlds)
-        self.possible_agents = [f"player_{index}" for index in range(self.slots.players)]
+        self.slots = make_slots(players, make_env_config({"players": players, **settings}, env_id))
+        self.worlds = self.slots.worlds
+        self.possible_agents = [f"player_{index}" for index in range(players)]
         self.agents: list[str] = []
-        self._index_by_agent = {agent: index for index, agent in enumerate(self.possible_agents)}
-        self._actions = np.zeros(self.slots.players, np.int64)
-        action_count = int(self.worlds.action_space.n)
-        self._action_spaces = {agent: spaces.Discrete(action_count) for agent in self.possible_agents}
+        self._actions = np.zeros(players, np.int64)
+        self._action_spaces = [spaces.Discrete(int(self.worlds.action_space.n)) for _ in range(players)]
         self._set_up(self.worlds, env_id, render_mode, camera)
 
     def observation_space(self, agent: str) -> spaces.Box:
-        return self.worlds.spaces[self._index_by_agent[agent]]
+        return self.worlds.spaces[self.possible_agents.index(agent)]
 
     def action_space(self, agent: str) -> spaces.Discrete:
         """Return a player's actions; each player has a space of its own to seed."""
-        return self._action_spaces[agent]
+        return self._action_spaces[self.possible_agents.index(agent)]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -63,12 +60,11 @@ class PneumaParallelEnv(Face, ParallelEnv[str, np.ndarray, np.int64]):
         own_options = dict(options or {})
         own_options.pop("options", None)  # which PettingZoo's checker passes to every environment
         starts = read_starts(self.worlds, read_options(own_options, "start").get("start"))
-        if seed is not None:
-            self.worlds.seed([seed])
+        self.worlds.seed([seed])
         self.worlds.reset(starts=starts)
         self.slots.begun = True
         self.agents = list(self.possible_agents)
-        return self._observations(self.agents), self._masks(self.agents)
+        return self._observations_and_infos()
 
     def step(self, actions: dict[str, np.int64]) -> tuple[dict[str, Any], ...]:
         """Play one action of each living player; return five dictionaries by player, as PettingZoo does.
@@ -77,37 +73,36 @@ class PneumaParallelEnv(Face, ParallelEnv[str, np.ndarray, np.int64]):
             ValueError: for an invalid action, or when a living player has no action.
             ResetNeeded: before the first reset and after the end of an episode.
         """
-        acting = self.agents
-        if not acting:
+        if not self.agents:
             raise ResetNeeded("no episode is under way: call reset first")
-        for agent in acting:
-            if agent not in actions or not self._action_spaces[agent].contains(actions[agent]):
-                problem = f"action {actions.get(agent)!r} of {agent}, who is alive,"
-                raise ValueError(f"{problem} is outside {self.action_space(agent)}")
-            self._actions[self._index_by_agent[agent]] = actions[agent]
-        self.slots.step(self._actions)
-        rewards = self._by_agent(acting, self.slots.rewards)
-        terminations = self._by_agent(acting, self.slots.terminated)
-        truncations = self._by_agent(acting, self.slots.truncated)
-        infos = self._masks(acting)
-        self.agents = []
-        for agent in acting:
-            if terminations[agent] or truncations[agent]:
-                infos[agent] |= ending_info(self.worlds, self._index_by_agent[agent])
-            else:
-                self.agents.append(agent)
-        return self._observations(acting), rewards, terminations, truncations, infos
+        for index, agent in enumerate(self.possible_agents):
+            if agent in self.agents:
+                action: Any = actions.get(agent)
+                if not self._action_spaces[index].contains(action):
+                    problem = f"action {action!r} of {agent}, who is alive,"
+                    raise ValueError(f"{problem} is outside {self._action_spaces[index]}")
+                self._actions[index] = action
+        ended = self.slots.step(self._actions)
+        observations, infos = self._observations_and_infos()
+        rewards, terminations, truncations = {}, {}, {}
+        for agent in infos:
+            index = self.possible_agents.index(agent)
+            rewards[agent] = self.slots.rewards[index].item()
+            terminations[agent] = self.slots.terminated[index].item()
+            truncations[agent] = self.slots.truncated[index].item()
+            if ended[index]:
+                infos[agent] |= ending_info(self.worlds, index)
+                self.agents.remove(agent)
+        return observations, rewards, terminations, truncations, infos
 
-    def _by_agent(self, agents: list[str], values: np.ndarray) -> dict[str, Any]:
-        return {agent: values[self._index_by_agent[agent]].item() for agent in agents}
-
-    def _observations(self, agents: list[str]) -> dict[str, np.ndarray]:
-        observations = self.worlds.observations[0]
-        return {agent: observations[self._index_by_agent[agent]].copy() for agent in agents}
-
-    def _masks(self, agents: list[str]) -> dict[str, dict[str, Any]]:
-        masks = self.worlds.masks[0]
-        return {agent: {"action_mask": masks[self._index_by_agent[agent]].copy()} for agent in agents}
+    def _observations_and_infos(self) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
+        """Return what the players in `agents` observe, and which actions have an effect."""
+        observations, infos = {}, {}
+        for agent in self.agents:
+            index = self.possible_agents.index(agent)
+            observations[agent] = self.worlds.observations[0, index].copy()
+            infos[agent] = {"action_mask": self.worlds.masks[0, index].copy()}
+        return observations, infos
 
 
 parallel_env = PneumaParallelEnv

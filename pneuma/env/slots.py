@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from gymnasium.error import ResetNeeded
 
 from pneuma.env import rules
 from pneuma.env.fields import EnvConfig
+from pneuma.env.state import LAYOUT_DIGEST, as_bytes
 from pneuma.env.worlds import ENDINGS, Worlds
 from pneuma.errors import UserError, unknown_name
 
@@ -26,12 +27,16 @@ class Slots:
     Attributes:
         begun: whether all worlds were ever reset.
         terminated, truncated: (slots,) what the last step ended.
+        scaling: how policies normalise observations: not at all, as worlds scale what they show.
     """
+
+    scaling = None
 
     def __init__(self, worlds: Worlds) -> None:
         self.worlds = worlds
         self.players = worlds.players.shape[1]
         self.count = worlds.players.size
+        self.action_space = worlds.action_space
         self._truncates = worlds.config.time_limit == "truncate"
         self.begun = False
         self.terminated = self.truncated = np.zeros(self.count, np.bool_)
@@ -55,6 +60,11 @@ class Slots:
     def book(self) -> np.ndarray:
         """What the rules count of episodes, (slots,) `state.SLOT`."""
         return self.worlds.slots.reshape(-1)
+
+    @property
+    def begins(self) -> np.ndarray:
+        """Whether each slot's next step begins an episode: 1 or 0, (slots,)."""
+        return self.book["begins"]
 
     @property
     def world_over(self) -> np.ndarray:
@@ -82,6 +92,32 @@ class Slots:
             masks[self.book["idle"]] = np.arange(masks.shape[1]) == rules.ATTACK
         return masks
 
+    def saved_state(self) -> dict[str, np.ndarray]:
+        """Copy everything that the next step depends on, including episodes in progress: arrays by name.
+
+        They are bytes; `layout` identifies their layout.
+        """
+        saved = {"layout": np.frombuffer(LAYOUT_DIGEST.encode(), np.uint8)}
+        for name in SAVED:
+            saved[name] = as_bytes(getattr(self.worlds, name)).copy()
+        return saved
+
+    def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
+        """Return to a saved state; ValueError or KeyError for one of other worlds."""
+        if saved["layout"].tobytes() != LAYOUT_DIGEST.encode():
+            raise ValueError("the state of the worlds was laid out otherwise")
+        for name in SAVED:
+            array = as_bytes(getattr(self.worlds, name))
+            if saved[name].shape != array.shape:
+                raise ValueError(f"{name} is of shape {saved[name].shape}, not {array.shape}")
+            array[:] = saved[name]
+        self.worlds.observe()
+        self.begun = True
+
+
+SAVED = ("worlds", "players", "monsters", "slots")
+"""Arrays of `Worlds` from which all others follow."""
+
 
 def make_slots(count: int, config: EnvConfig) -> Slots:
     """Return the slots of so many worlds that they have this number of players."""
@@ -89,6 +125,17 @@ def make_slots(count: int, config: EnvConfig) -> Slots:
         allowed = f"a multiple of the {config.players} players in a world"
         raise UserError(f"{count} slots are not allowed: {allowed}")
     return Slots(Worlds(count // config.players, config))
+
+
+def world_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
+    """Return a seed for each of `count` worlds, None where its random stream goes on."""
+    if seed is None:
+        return [None] * count
+    if isinstance(seed, int | np.integer):
+        return list(range(int(seed), int(seed) + count))
+    if len(seed) != count:
+        raise ValueError(f"{len(seed)} seeds for {count} worlds")
+    return list(seed)
 
 
 def ending_info(worlds: Worlds, slot_index: int = 0) -> dict[str, Any]:

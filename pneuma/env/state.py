@@ -346,7 +346,7 @@ def _read_annotations() -> dict[str, tuple[np.dtype[Any], list[str]]]:
 
 ARRAYS = _read_annotations()
 """Dtype and axes of each array."""
-_SAVED = repr([dtype.descr for dtype in (WORLD, PLAYER, MONSTER)])
+_SAVED = repr([dtype.descr for dtype in (WORLD, PLAYER, MONSTER, SLOT)])
 LAYOUT_DIGEST = hashlib.sha256(_SAVED.encode()).hexdigest()[:16]
 """Identifies the layout of the parts of a `State` that are saved."""
 _CODE = f"code_{DIGEST}"

@@ -274,13 +274,6 @@ class Worlds:
         kernel.call_rules(self._address, actions, kernel.RECORD)
         return ended
 
-    def counts(self) -> dict[str, np.ndarray]:
-        """Return what `slots` has of episodes in progress, to save and restore: (N * P,) arrays by name."""
-        names = ["returns", "lengths", "episodes"]
-        if self.players.shape[1] > 1:
-            names.append("idle")
-        return {field_name: self.slots.reshape(-1)[field_name] for field_name in names}
-
     def _begin(self, starts: Any) -> None:
         """Reset worlds at these start places, those with `kernel.GO_ON` excepted, and observe all."""
         self._arrays.begins[:] = starts

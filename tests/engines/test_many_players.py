@@ -15,7 +15,7 @@ from pneuma.engines.batched.training import BatchedTrainer
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.evaluation import Evaluation
 from pneuma.engines.policy import read_sound_policy
-from pneuma.engines.records import EPISODE_COLUMNS, Records
+from pneuma.engines.records import Records
 from pneuma.errors import UserError
 
 from .trained import NORMALIZED, bits, rollouts_of, run_of, train, train_once
@@ -46,7 +46,7 @@ def test_rollouts_are_those_of_stable_baselines_slots(settings: dict[str, Any]) 
     for _ in range(3):
         rollout = trainer.collector.collect(trainer.policy().actor)
         rows = trainer.collector.episode_rows(rollout, step)
-        terminal = iter(rollout.terminal_observations)
+        terminal, noted = iter(rollout.terminal_observations), []
         for t in range(run.horizon):
             assert np.array_equal(rollout.observations[:, t], seen)
             assert np.array_equal(rollout.starts[:, t], begins)
@@ -55,9 +55,10 @@ def test_rollouts_are_those_of_stable_baselines_slots(settings: dict[str, Any]) 
             begins, step = dones.astype(np.float32), step + env.num_envs
             for slot in np.flatnonzero(dones):
                 assert np.array_equal(next(terminal), infos[slot]["terminal_observation"])
+                episode = infos[slot]["episode"]
+                noted.append((slot, step, episode["r"], episode["l"]))
         assert next(terminal, None) is None and rows
-        assert rows == [{name: row[name] for name in EPISODE_COLUMNS} for row in env.finished]
-        env.finished.clear()
+        assert noted == [(row["slot"], row["step"], row["return"], row["length"]) for row in rows]
         assert np.array_equal(rollout.last_observations, seen)
         assert np.array_equal(rollout.last_ends, begins)
 
@@ -81,7 +82,7 @@ def test_a_built_in_reward_written_as_ones_own_gives_the_same_bits(
 def test_each_player_learns_from_its_own_part_as_one_alone_would() -> None:
     run, records = run_of("team"), Records()
     trainer = BatchedTrainer(run)
-    seen, features = rollouts_of(trainer), trainer.collector.observations.shape[1]
+    seen, features = rollouts_of(trainer), trainer.collector.slots.observations.shape[1]
     alone = [Learner(run, features, 5, player) for player in range(2)]
     for update in range(2):
         trainer.update(update * 128, (update + 1) * 128, records)
@@ -102,7 +103,7 @@ def test_each_player_learns_from_its_own_part_as_one_alone_would() -> None:
 
 def test_each_acts_by_its_own_policy_in_a_rollout() -> None:
     collector = Collector(run_of("team"))
-    features = collector.observations.shape[1]
+    features = collector.slots.observations.shape[1]
     weight, bias = np.zeros((2, features, 5), np.float32), np.zeros((2, 5), np.float32)
     bias[0, 0] = bias[1, 3] = 50.0
     actions = collector.collect(((weight, bias),)).actions

@@ -36,7 +36,7 @@ def test_slots_show_and_pay_what_vec_normalize_does(env: str) -> None:
     slots, theirs = GymnasiumSlots(run, slot_seeds(run), training=True), vec_normalize(run)
     seen, ends, generator = theirs.reset(), 0, np.random.default_rng(0)
     for _ in range(450):
-        np.testing.assert_array_equal(slots.seen, seen)
+        np.testing.assert_array_equal(slots.observations, seen)
         continuous = env == "Pendulum-v1"
         actions = generator.random((3, 1), np.float32) if continuous else generator.integers(2, size=3)
         rewards, *_ = slots.step(actions)

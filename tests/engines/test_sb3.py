@@ -75,6 +75,7 @@ def test_a_policy_whose_logits_overflow_is_not_kept(monkeypatch: pytest.MonkeyPa
 def test_the_target_by_hand(algorithm: str, target: float, monkeypatch: pytest.MonkeyPatch) -> None:
     run = run_of(algorithm, minibatch=2, slots=1)
     model = sb3_learners.make_model(run, make_vec_env(run))
+    sb3_learners.prepare(model, run)
     for network, values in ((model.q_net, [1, 3, 2, 0, 0]), (model.q_net_target, [5, 4, 9, 0, 0])):
         for parameter in network.parameters():
             parameter.data.zero_()

@@ -8,7 +8,6 @@ player i % P of world i // P. The rounding of rewards is as in `pneuma.env.sb3`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,15 +15,14 @@ import numpy as np
 from pneuma.config import Run, env_config, slot_seeds, stream_seed
 from pneuma.engines.gymnasium_env import GymnasiumSlots
 from pneuma.engines.mlp import Network, choose, forward, network, room
-from pneuma.engines.normalization import Scaling
 from pneuma.engines.policy import Layers
 from pneuma.env import rules
 from pneuma.env.compiling import cached
 from pneuma.env.fields import own_rewards
 from pneuma.env.kernel import GO_ON, RECORD, RESET, STEP, run_worlds
-from pneuma.env.slots import Slots
-from pneuma.env.state import LAYOUT_DIGEST, as_bytes, open_state
-from pneuma.env.worlds import ENDINGS, Worlds
+from pneuma.env.slots import make_slots
+from pneuma.env.state import open_state
+from pneuma.env.worlds import ENDINGS
 
 ENDED = np.dtype(
     [
@@ -34,7 +32,6 @@ ENDED = np.dtype(
 )  # fmt: skip
 """A finished episode; `step` counts steps of the rollout from 1."""
 
-_WORLDS = ("worlds", "players", "monsters")
 kernel: Any = cached(error_model="numpy")
 
 
@@ -59,11 +56,6 @@ class Rollout(NamedTuple):
         of_player = [np.ascontiguousarray(array[player::players]) for array in arrays]
         return Rollout._make([*of_player, ended, terminal[is_players]])
 
-    def cut(self, count: int) -> Rollout:
-        """Return the rollout without room for more endings."""
-        ended, terminal = self.ended[:count], self.terminal_observations[:count]
-        return self._replace(ended=ended, terminal_observations=terminal)
-
 
 def empty_rollout(slots: int, steps: int, features: int) -> Rollout:
     """Return a rollout to be filled in, with room for an ending in every step."""
@@ -78,58 +70,43 @@ def empty_rollout(slots: int, steps: int, features: int) -> Rollout:
 class Collector:
     """The worlds of a run's slots, with the episodes in progress.
 
-    Each player of each of the worlds, which are as many as the run's `slots`, is one slot here. `layout`
-    identifies the layout of the arrays of `saved_state`.
+    Each player of each of the worlds, which are as many as the run's `slots`, is one slot here.
     """
-
-    layout = LAYOUT_DIGEST
 
     def __init__(self, run: Run) -> None:
         self._run = run
         self.generator = np.random.default_rng(stream_seed(run.seed, "actions"))
-        self._set_up()
+        self.slots = self._make_slots()
+        self.actions = int(self.slots.action_space.n)
 
-    def _set_up(self) -> None:
-        run = self._run
-        self.worlds = Worlds(run.slots, env_config(run))
-        self.worlds.seed(slot_seeds(run))
-        self.worlds.reset()
-        self._slots = Slots(self.worlds)
-        self.actions = int(self.worlds.action_space.n)
-
-    @property
-    def observations(self) -> np.ndarray:
-        """What each slot observes now, (S, features)."""
-        return self._slots.observations
-
-    @property
-    def begins(self) -> np.ndarray:
-        """Whether each slot's next step begins an episode, (S,)."""
-        return self._slots.book["begins"]
-
-    @property
-    def scaling(self) -> Scaling | None:
-        """How observations are normalised; Pneuma's worlds scale what they show by themselves."""
-        return None
+    def _make_slots(self) -> Any:
+        config = env_config(self._run)
+        slots = make_slots(self._run.slots * config.players, config)
+        slots.worlds.seed(slot_seeds(self._run))
+        slots.worlds.reset()
+        return slots
 
     def collect(self, actor: Layers) -> Rollout:
-        slots, features = self.observations.shape
+        slots, features = self.slots.observations.shape
         rollout = empty_rollout(slots, self._run.horizon, features)
         draws = self.generator.random((self._run.horizon, slots), np.float32)
         count = self._play(network(actor, self._run.activation), draws, rollout)
-        rollout.last_observations[:], rollout.last_ends[:] = self.observations, self.begins
-        return rollout.cut(count)
+        rollout.last_observations[:], rollout.last_ends[:] = self.slots.observations, self.slots.begins
+        return rollout._replace(
+            ended=rollout.ended[:count], terminal_observations=rollout.terminal_observations[:count]
+        )
 
     def _play(self, actor: Network, draws: np.ndarray, rollout: Rollout) -> int:
         """Fill in a rollout; return the number of endings."""
-        handle, usual_starts = self.worlds.handle, self.worlds.usual_starts
+        worlds = self.slots.worlds
+        handle, usual_starts = worlds.handle, worlds.usual_starts
         if not own_rewards(self._run.reward):
             return _play(handle, actor, draws, usual_starts, rollout)
-        actions = np.zeros(self.worlds.players.shape, np.int64)
+        actions = np.zeros(worlds.players.shape, np.int64)
         count = 0
         for step, draw in enumerate(draws):  # as `_play` does: a user's reward is plain Python
             _choose(handle, actor, draw, rollout, step, actions)
-            self.worlds.advance(actions)
+            worlds.advance(actions)
             count = _keep_step(handle, usual_starts, rollout, step, count, actions)
         return count
 
@@ -143,41 +120,12 @@ class Collector:
             rows.append(row)
         return rows
 
-    def saved_state(self) -> dict[str, np.ndarray]:
-        """Return everything that the next step depends on, except the generator: arrays by name."""
-        state = {f"worlds/{name}": as_bytes(getattr(self.worlds, name)) for name in _WORLDS}
-        for name, array in self.worlds.counts().items():
-            state[f"episodes/{name}"] = array
-        return {**state, "episodes/begins": self.begins}
-
-    def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
-        for name, array in self.saved_state().items():
-            if array.shape != saved[name].shape:
-                raise ValueError(f"{name} is of shape {saved[name].shape}, not {array.shape}")
-            array[:] = saved[name]
-        self.worlds.observe()
-
 
 class GymnasiumCollector(Collector):
     """Gymnasium's environments in a run's slots, of which each step is Python."""
 
-    layout = "seeds and actions"
-
-    def _set_up(self) -> None:
-        self.slots = GymnasiumSlots(self._run, slot_seeds(self._run), training=True)
-        self.actions = int(self.slots.action_space.n)  # type: ignore[union-attr, arg-type]
-
-    @property
-    def observations(self) -> np.ndarray:
-        return self.slots.seen
-
-    @property
-    def begins(self) -> np.ndarray:
-        return self.slots.lengths == 0
-
-    @property
-    def scaling(self) -> Scaling | None:
-        return self.slots.scaling
+    def _make_slots(self) -> Any:
+        return GymnasiumSlots(self._run, slot_seeds(self._run), training=True)
 
     def _play(self, actor: Network, draws: np.ndarray, rollout: Rollout) -> int:
         slots = self.slots
@@ -185,7 +133,7 @@ class GymnasiumCollector(Collector):
         endings = 0
         for step, draw in enumerate(draws):
             observations, actions = rollout.observations[:, step], rollout.actions[:, step]
-            observations[:], rollout.starts[:, step] = slots.seen, self.begins
+            observations[:], rollout.starts[:, step] = slots.observations, slots.begins
             choose(actor, observations, draw, plays, actions)
             rollout.rewards[:, step], terminated, truncated = slots.step(actions)
             for slot in np.flatnonzero(terminated | truncated):
@@ -196,15 +144,9 @@ class GymnasiumCollector(Collector):
         return endings
 
     def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
-        rows = self.slots.finished
-        self.slots.finished = []
+        rows = list(self.slots.finished)
+        self.slots.finished.clear()
         return rows
-
-    def saved_state(self) -> dict[str, np.ndarray]:
-        return {f"worlds/{name}": array for name, array in self.slots.saved_state().items()}
-
-    def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
-        self.slots.restore_state({name: saved[f"worlds/{name}"] for name in self.slots.saved_state()})
 
 
 def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.ndarray:

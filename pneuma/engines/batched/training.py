@@ -23,7 +23,7 @@ class BatchedTrainer(ResumableTrainer):
     def __init__(self, run: Run) -> None:
         super().__init__(run)
         self.collector = GymnasiumCollector(run) if is_gymnasium_id(run.env) else Collector(run)
-        features, actions = self.collector.observations.shape[1], self.collector.actions
+        features, actions = self.collector.slots.observations.shape[1], self.collector.actions
         self.learners = [Learner(run, features, actions, player) for player in range(run.policies)]
 
     def update(self, before: int, after: int, records: Records) -> bool:
@@ -40,10 +40,10 @@ class BatchedTrainer(ResumableTrainer):
         if not is_finite:
             return False
         is_last = after == self.run.updates * self.run.steps_per_update  # else the next update shows it
-        return not (is_last and overflows(self._joined(), self.collector.observations))
+        return not (is_last and overflows(self._joined(), self.collector.slots.observations))
 
     def policy(self) -> Policy:
-        return replace(self._joined(), scaling=self.collector.scaling)
+        return replace(self._joined(), scaling=self.collector.slots.scaling)
 
     def _joined(self) -> Policy:
         """Return the policy that all share; or the players' own, as one."""
@@ -55,9 +55,9 @@ class BatchedTrainer(ResumableTrainer):
         return Policy(self.run.activation, actor, critic)
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
-        arrays = {name: array.copy() for name, array in self.collector.saved_state().items()}
+        worlds = self.collector.slots.saved_state()
+        arrays = {f"worlds/{name}": array for name, array in worlds.items()}
         numbers = {
-            "layout": self.collector.layout,
             "optimizer": self.run.optimizer,
             "actions": self.collector.generator.bit_generator.state,
             "minibatches": [learner.generator.bit_generator.state for learner in self.learners],
@@ -70,11 +70,9 @@ class BatchedTrainer(ResumableTrainer):
 
     def restore(self, checkpoint: Checkpoint) -> None:
         numbers = checkpoint.numbers
-        if numbers["layout"] != self.collector.layout:
-            raise ValueError("the state of the worlds was laid out otherwise")
         if numbers["optimizer"] != self.run.optimizer:
             raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
-        self.collector.restore_state(checkpoint.arrays)
+        self.collector.slots.restore_state(checkpoint.part("worlds/"))
         self.collector.generator.bit_generator.state = numbers["actions"]
         for player, learner in enumerate(self.learners):
             learner.networks = _restored(learner.networks, player, "networks", checkpoint)
