@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import io
 import json
 import math
 import os
@@ -93,7 +94,7 @@ def _reason(error: Exception) -> str:
 def read_text(path: Path) -> str:
     """Return the text of a user's file, with all line ends as one character."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return io.TextIOWrapper(io.BytesIO(read_stored(path)), encoding="utf-8-sig").read()
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError:
