@@ -241,9 +241,11 @@ def plot(
     Raises:
         UserError: for a quantity, band or axis that the study's data do not have.
     """
+    from pneuma.answers.curves import find_curves
     from pneuma.figures.curves import plot_curves
 
-    return plot_curves(_opened(study, results), quantity, ax, **how)
+    quantities = [quantity] if quantity else []
+    return plot_curves(find_curves({"": _opened(study, results)}, quantities, **how), ax)
 
 
 def promote(

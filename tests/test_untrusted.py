@@ -14,10 +14,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from pneuma.analysis.collapse import diagnose
-from pneuma.analysis.export import exported_table
 from pneuma.analysis.outcomes import OUTCOMES, outcome
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
+from pneuma.answers.export import export_records
 from pneuma.errors import UserError
 from pneuma.files import checksum
 from pneuma.store.index import RunIndex
@@ -95,7 +95,7 @@ def test_untrusted_odd_numbers_are_numbers(store: Store, name: str, change: Any)
     (run,) = data.rows
     assert diagnose(run) is not None
     assert all(isinstance(outcome(run, outcome_name), float) for outcome_name in OUTCOMES)
-    assert len(exported_table(data, "curves", store)) and encode_published([run], {})
+    assert len(export_records(data, "curves", store).table) and encode_published([run], {})
 
 
 def test_untrusted_a_pipe_in_the_place_of_a_file_is_not_waited_for(store: Store, tmp_path: Path) -> None:

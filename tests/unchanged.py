@@ -20,8 +20,9 @@ from typing import Any
 
 import pyarrow as pa
 
-from pneuma.analysis.export import encode_frame, exported_table
+from pneuma.analysis.export import encode_frame
 from pneuma.analysis.runs import open_study
+from pneuma.answers.export import export_records
 from pneuma.errors import UserError
 from pneuma.store.index import RunIndex
 from pneuma.store.store import Store
@@ -102,7 +103,7 @@ def _tables() -> dict[str, str]:
             continue
         for table in TABLES:
             try:
-                encoded = encode_frame(exported_table(data, table, store), "csv")
+                encoded = encode_frame(export_records(data, table, store).table, "csv")
                 found[f"{name} {table}"] = _digest(encoded.decode())
             except UserError:
                 found[f"{name} {table}"] = "refused"

@@ -28,13 +28,16 @@ from pneuma.analysis.claims.words import verdicts_by_claim
 from pneuma.analysis.export import encode_frame
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
+from pneuma.answers.curves import TRAILING_WINDOW, find_curves
+from pneuma.answers.one_action import find_one_action
+from pneuma.answers.outcomes import show_outcomes
 from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError
-from pneuma.figures.curves import TRAILING_WINDOW, curves_page
+from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import Page, save_page
-from pneuma.figures.one_action import one_action_page
 from pneuma.figures.origin import KEYS
 from pneuma.figures.search import draw_search
+from pneuma.figures.shares import one_action_page
 from pneuma.figures.style import MOST_IN_A_PANEL
 from pneuma.figures.summary import summary_page
 from pneuma.presets import BASES, WORLDS
@@ -194,16 +197,17 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str
     index, pages = _published(results), []
     for figure, (of, _) in THESIS_FIGURES.items():
         if of == study:
-            pages.append(curves_page(thesis_columns(index, figure), THESIS_QUANTITIES, basename=figure))
+            curves = find_curves(thesis_columns(index, figure), THESIS_QUANTITIES)
+            pages.append(curves_page(curves, basename=figure))
     if study == OWN_GAME:
-        pages.append(curves_page(_own_columns(index, study), OWN_QUANTITIES, basename=study))
+        pages.append(curves_page(find_curves(_own_columns(index, study), OWN_QUANTITIES), basename=study))
     elif study == noise_scale.STUDY:
         pages.append(noise_scale.noise_page(noise_scale.open_noise_scale(index)))
     elif study == "acrobot":
         pages.append(_elsewhere(index))
     elif study in IN_ONE_ACTION:
         runs_there = study_runs(index, study, "godot")
-        pages += [replace(one_action_page(runs_there), basename=study)] if runs_there else []
+        pages += [replace(one_action_page(find_one_action(runs_there)), basename=study)] if runs_there else []
     elif study not in WHOLE:
         pages += _study_pages(index, study, beside.get(study))
     return _save(folder, pages)
@@ -214,7 +218,7 @@ def _elsewhere(index: RunIndex) -> Page:
     columns = {title: data for title, data in found.items() if data}
     title, first = next(iter(columns.items()))
     named = first.study.model_copy(update={"title": "tanh or ReLU, and Adam's betas, in other environments"})
-    return curves_page({**columns, title: replace(first, study=named)}, basename="elsewhere")
+    return curves_page(find_curves({**columns, title: replace(first, study=named)}), basename="elsewhere")
 
 
 def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
@@ -234,8 +238,8 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
         whole = every.runs["condition"][every.runs["end"] >= (1 - SLACK) * every.runs["end"].median()]
         names = [name for name in data.conditions if data.engines(name) != {"sb3"}]
         ours, beside = data.of_conditions(names), every.of_conditions([*whole])
-        how: Any = {"band": "runs", "window": TRAILING_WINDOW, "beside": beside}
-        return [curves_page(ours, "return", study, **how)]
+        answer = find_curves({"": ours}, ["return"], beside, band="runs", window=TRAILING_WINDOW)
+        return [curves_page(answer, study)]
     if FORKS in study:  # runs end episodes at unlike steps: curves of all of them have holes
         columns = {
             title: replace(each, study=each.study.model_copy(update={"outcomes": FORK_OUTCOMES}))
@@ -244,11 +248,13 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
         data = next(iter(columns.values()))
     if len(data.study.outcomes) > 1:
         several = len(columns) > 1
-        pages = [summary_page(one, study + f"-{one.world}" * several) for one in columns.values()]
+        pages = []
+        for one in columns.values():
+            pages.append(summary_page(show_outcomes({"": one}), study + f"-{one.world}" * several))
     elif data.study.outcomes or len(shown) > MOST_IN_A_PANEL:
-        pages = [summary_page(columns if len(columns) > 1 else data, basename=study)]
+        pages = [summary_page(show_outcomes(columns), basename=study)]
     else:
-        pages = [curves_page(columns, basename=study)]
+        pages = [curves_page(find_curves(columns), basename=study)]
     return pages
 
 

@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from pneuma.analysis.outcomes import find_outcome, outcome_values
+from pneuma.analysis.quantities import POWERS, SHARES
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.figures import grid, style
@@ -74,8 +75,8 @@ def noise_page(data: StudyData) -> Page:
         lambda axes: _draw(axes, cells),
         x="Learning rate over the samples of an update",
         y="Share killed",
-        x_kind=grid.POWERS,
-        y_kind=grid.SHARES,
+        x_kind=POWERS,
+        y_kind=SHARES,
     )
     words = find_outcome(OUTCOME).words
     few = cells["updates"][cells["updates"] < FEW_UPDATES]

@@ -1,4 +1,4 @@
-"""Curves: the centre of runs with a named band, on a common grid.
+"""Curves: the mean of runs with a named band, on a common grid.
 
     StudyData → `study_curves` → a `Curve` for each quantity and condition → `Curve.frame`
 
@@ -10,8 +10,7 @@ over those that have a value at t. Nothing is extrapolated.
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any, NamedTuple
@@ -24,11 +23,11 @@ from pneuma.analysis import X_AXES
 from pneuma.analysis.intervals import LEAST_RUNS, LEVEL
 from pneuma.analysis.outcomes import LARGEST, is_foreign
 from pneuma.analysis.study_data import StudyData
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import Hint, UserError, unknown_name
 from pneuma.schema import plain
 from pneuma.store.quantities import ACTION_QUANTITIES, EVALUATION_QUANTITIES, evaluation_column
 from pneuma.store.rows import Row
-from pneuma.store.series import Series, make_grid
+from pneuma.store.series import make_grid
 from pneuma.study.shipped import random_returns_file
 
 STEPS, EPISODES, WALL_CLOCK = X_AXES
@@ -42,7 +41,7 @@ class Curve:
         runs: a row for each point, by its place on the horizontal axis, and a column for each run; NaN where
             it has no value.
         diverged: (runs,) whether each run diverged.
-        log: whether centre and bands are of logarithms, for a logarithmic axis. Values of zero or less then
+        log: whether mean and bands are of logarithms, for a logarithmic axis. Values of zero or less then
             count as none.
     """
 
@@ -52,19 +51,22 @@ class Curve:
     log: bool = False
 
     def frame(self, band: str = "none") -> pd.DataFrame:
-        """Return x, centre, low, high of a band, and the count of runs with a value, of each point.
+        """Return x, mean, low, high of a band, and the number of runs with a value, of each point.
 
         They are NaN where there are none, or too few for the band.
         """
         values, band = self.values, checked_band(band)
         count = values.count(axis=1)
-        centre = values.mean(axis=1)
         low, high = _edges(values, band)
         enough = count >= BANDS[band].least_runs
-        table = pd.DataFrame({"centre": centre, "low": low.where(enough), "high": high.where(enough)})
+        table = pd.DataFrame({
+            "mean": values.mean(axis=1),
+            "low": low.where(enough),
+            "high": high.where(enough),
+        })  # fmt: skip
         if self.log:
             table = 10.0**table
-        return table.assign(count=count).rename_axis("x").reset_index()
+        return table.assign(runs=count).rename_axis("x").reset_index()
 
     @property
     def run_count(self) -> int:
@@ -82,10 +84,10 @@ class Curve:
     def stops(self) -> list[tuple[float, float]]:
         """Where the curve of each diverged run ends, and its value there, for runs with any value."""
         stops: list[tuple[float, float]] = []
-        for diverged, (_, values) in zip(self.diverged, self.runs.items(), strict=False):
-            known = values.dropna()
-            if diverged and len(known):
-                stops.append((float(known.index[-1]), float(known.iloc[-1])))
+        for values in self.runs.loc[:, np.array(self.diverged, bool)].T.to_numpy():
+            points = np.flatnonzero(~np.isnan(values))
+            if len(points):
+                stops.append((float(self.runs.index[points[-1]]), float(values[points[-1]])))
         return stops
 
 
@@ -119,69 +121,58 @@ def study_curves(
             if runs:
                 series = [_series(data, run, name, window, x) for run in runs]
                 diverged = [run.status == "diverged" for run in runs]
-                frame = _on_one_grid(series, is_even=x != STEPS)
-                curves[name].append(Curve(condition, frame, diverged))
+                curves[name].append(Curve(condition, _on_one_grid(series, is_even=x != STEPS), diverged))
     return curves
 
 
-def _series(data: StudyData, run: Row, name: str, window: str | None, x: str) -> Series:
-    """Return the places and values of one run's curve."""
+def _series(data: StudyData, run: Row, name: str, window: str | None, x: str) -> pd.Series:
+    """Return the values of one run's curve by their places."""
     if name in EVALUATION_QUANTITIES:
         steps, values = run.evaluations("step"), run.evaluations(evaluation_column(name))
-        last = np.append(steps[1:] != steps[:-1], True)[: len(steps)]  # of several at one step
-        steps, values = steps[last], values[last] if len(values) else np.full(last.sum(), np.nan)
+        if not len(values):
+            values = np.full(len(steps), np.nan)
     else:
         steps, values = data.grid, data.curve(run, name, window)
     if x == WALL_CLOCK:
-        return _seconds(run, steps), values
-    if x == EPISODES:
-        return _episodes(run, steps), values
-    return steps, values
+        steps = _seconds(run, steps)
+    elif x == EPISODES:
+        steps = _episodes(run, steps)
+    series = pd.Series(values, steps, dtype=float)
+    return series[~series.index.duplicated(keep="last")]  # of several evaluations at one step
 
 
-def _on_one_grid(series: Sequence[Series], is_even: bool) -> pd.DataFrame:
+def _on_one_grid(series: Sequence[pd.Series], is_even: bool) -> pd.DataFrame:
     """Return the values of runs at common places: even ones, their own, or those of the run with fewest."""
-    longest = max((places for places, _ in series), key=len)
-    columns: list[np.ndarray] = []
-    if not is_even and all(np.array_equal(places, longest[: len(places)]) for places, _ in series):
-        for _, values in series:
-            columns.append(np.pad(values, (0, len(longest) - len(values)), constant_values=np.nan))
-        return pd.DataFrame(np.transpose(columns), index=longest)
-    grid = min((places for places, _ in series if len(places)), key=len, default=longest)
+    longest = max(series, key=len).index
+    if not is_even and all(values.index.equals(longest[: len(values)]) for values in series):
+        return pd.DataFrame(dict(enumerate(series)), index=longest)
+    grid: Any = min((values.index for values in series if len(values)), key=len, default=longest)
     if is_even:
-        grid = make_grid(max(np.nanmax(places, initial=0.0) for places, _ in series))
-    for places, values in series:
-        known = np.isfinite(values) & np.isfinite(places)
-        column = np.full(len(grid), np.nan)
-        if known.any():
-            column = np.interp(grid, places[known], values[known], left=np.nan, right=np.nan)
-        columns.append(column)
-    return pd.DataFrame(np.transpose(columns), index=grid)
+        grid = make_grid(max(values.index.max() for values in series if len(values)))
+    columns: dict[int, Any] = {}
+    for number, values in enumerate(series):
+        known = values[np.isfinite(values)]
+        columns[number] = np.nan
+        if len(known):
+            columns[number] = np.interp(grid, known.index, known, left=np.nan, right=np.nan)
+    return pd.DataFrame(columns, index=grid)
 
 
 def _seconds(run: Row, steps: np.ndarray) -> np.ndarray:
     """Return the seconds that a run had trained at some steps, from its own start."""
     trained = run.end - run.begun
     if not run.wall_seconds or trained <= 0:
-        raise UserError(f"--x {WALL_CLOCK}: run {run.run_id} in {run.what} has no times")
+        raise UserError(Hint("x", WALL_CLOCK), f": run {run.run_id} in {run.what} has no times")
     return (steps - run.begun) * run.wall_seconds / trained
 
 
 def _episodes(run: Row, steps: np.ndarray) -> np.ndarray:
     """Return the episodes that a run had finished at some steps."""
-    lengths = run.curve("length")
-    known = np.isfinite(lengths)
-    if not known.any():
-        raise UserError(f"--x {EPISODES}: run {run.run_id} in {run.what} has no lengths of episodes")
-    length = np.interp(run.grid, run.grid[known], lengths[known])
-    ended = np.cumsum(np.diff(run.grid, prepend=0.0) / length)
+    known_steps, lengths = run.known_curve("length")
+    if not len(lengths):
+        raise UserError(Hint("x", EPISODES), f": run {run.run_id} in {run.what} has no lengths of episodes")
+    ended = np.cumsum(np.diff(run.grid, prepend=0.0) / np.interp(run.grid, known_steps, lengths))
     return np.interp(steps, [0.0, *run.grid], [0.0, *ended])
-
-
-def _shows_nothing(data: StudyData, name: str) -> bool:
-    """Return whether no run has a value of a quantity, or ever takes the action whose share it is."""
-    least = 0.0 if name in ACTION_QUANTITIES else -math.inf
-    return not any((data.curve(run, name) > least).any() for run in data.rows)
 
 
 def curve_names(data: StudyData) -> list[str]:
@@ -190,27 +181,46 @@ def curve_names(data: StudyData) -> list[str]:
     Quantities of evaluations without any value are left out. So are, where there are no monsters, those of
     training, and actions that no run takes.
     """
-    trained = list(data.quantities)
-    if is_foreign(data):
-        trained = [name for name in trained if not _shows_nothing(data, name)]
-    if not data.evaluated:
-        return trained
-    table = data.evaluations
-    columns = {name: evaluation_column(name) for name in EVALUATION_QUANTITIES}
-    evaluated = [name for name, of in columns.items() if of in table and table[of].notna().any()]
-    return [*evaluated, *trained]
+    names: list[str] = []
+    if data.evaluated:
+        table = data.evaluations
+        for name in EVALUATION_QUANTITIES:
+            column = evaluation_column(name)
+            if column in table and table[column].notna().any():
+                names.append(name)
+    are_all_shown = not is_foreign(data)
+    for name in data.quantities:
+        if are_all_shown or _shows_something(data, name):
+            names.append(name)
+    return names
 
 
-def curves_table(curves: Mapping[str, list[Curve]], band: str) -> pd.DataFrame:
-    """Return curves as a tidy table, one row per point, condition and quantity."""
+def _shows_something(data: StudyData, name: str) -> bool:
+    """Return whether some run has a value of a quantity, or takes the action whose share it is."""
+    least = 0.0 if name in ACTION_QUANTITIES else -np.inf
+    return any((data.curve(run, name) > least).any() for run in data.rows)
+
+
+def curves_table(curves: Mapping[str, Sequence[Curve]], bands: Iterable[str]) -> pd.DataFrame:
+    """Return curves with their bands as a tidy table, one row per point, band, condition and quantity."""
     frames: list[pd.DataFrame] = []
     for quantity, group in curves.items():
         for curve in group:
-            frame = curve.frame(band).assign(band=checked_band(band), condition=curve.condition)
-            frames.append(frame.assign(quantity=quantity))
+            for band in map(checked_band, bands):
+                frame = curve.frame(band)
+                frames.append(frame.assign(band=band, condition=curve.condition, quantity=quantity))
     table = pd.concat(frames, ignore_index=True)
-    table = table.rename(columns={"x": "step", "centre": "mean", "count": "runs"})
-    return table[["condition", "quantity", "step", "mean", "low", "high", "band", "runs"]]
+    return table[["condition", "quantity", "x", "mean", "low", "high", "band", "runs"]]
+
+
+def reach(curves: Iterable[Curve]) -> tuple[float, float]:
+    """Return the least and greatest value of any run; 0 if none has a value."""
+    low, high = np.inf, -np.inf
+    for curve in curves:
+        values = curve.runs.to_numpy()
+        finite = values[np.isfinite(values)]
+        low, high = finite.min(initial=low), finite.max(initial=high)
+    return (0.0, 0.0) if low > high else (float(low), float(high))
 
 
 # --- The random player -------------------------------------------------------------------------------
@@ -267,14 +277,14 @@ def _have(fields: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:
 @cache
 def _measured_worlds() -> list[dict[str, Any]]:
     file = random_returns_file()
-    return [*json.loads(file.read_text(encoding="utf-8")).values()] if file.is_file() else []
+    return list(json.loads(file.read_text(encoding="utf-8")).values()) if file.is_file() else []
 
 
 # --- Bands -----------------------------------------------------------------------------------------
 
 
 class Band(NamedTuple):
-    """A band around the centre of runs.
+    """A band around the mean of runs.
 
     Attributes:
         label: its words in a legend.
@@ -310,10 +320,10 @@ def _edges(values: pd.DataFrame, band: str) -> tuple[pd.Series, pd.Series]:
     """Return the lower and upper edge of a band; NaN for one without edges."""
     if band == "minmax":
         return values.min(axis=1), values.max(axis=1)
-    centre, half = values.mean(axis=1), values.std(axis=1)
+    mean, half = values.mean(axis=1), values.std(axis=1)
     if band == "ci":
         count = values.count(axis=1)
         half *= special.stdtrit(np.maximum(count - 1, 1), (1 + LEVEL) / 2) / np.sqrt(count)
     elif band != "sd":
         half *= np.nan
-    return centre - half, centre + half
+    return mean - half, mean + half

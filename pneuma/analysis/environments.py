@@ -44,18 +44,23 @@ def by_environment(data: StudyData) -> dict[str, StudyData]:
     levels: dict[str, dict[str, str]] = {}
     names: dict[str, dict[str, str]] = {}
     for condition, fields in data.fields.items():
-        levels[condition], data_by_env = {}, []
+        levels[condition], words = {}, []
         for factor, level in study.levels.get(condition, {}).items():
             if any("env" in set_fields for set_fields in study.factors.get(factor, {}).values()):
                 continue
             levels[condition][factor] = level
             with_factor = f"{factor}={level}"  # where values have no names
-            data_by_env.append(with_factor if with_factor in condition else level)
-        env = str(fields.get("env"))
-        names.setdefault(env, {})[condition] = ", ".join(data_by_env) or condition
+            words.append(with_factor if with_factor in condition else level)
+        names.setdefault(str(fields.get("env")), {})[condition] = ", ".join(words) or condition
     if study.levels:
         data = replace(data, study=study.model_copy(update={"levels": {**study.levels, **levels}}))
     return {env: data.renamed(names_in_env) for env, names_in_env in names.items()}
+
+
+def columns_of(data: StudyData) -> dict[str, StudyData]:
+    """Return a study's runs in each environment that has some; without a title if it is a single one."""
+    data_by_env = {env: env_data for env, env_data in by_environment(data).items() if env_data.rows}
+    return data_by_env if len(data_by_env) > 1 else {"": data}
 
 
 def in_environment_of(data: StudyData, second: StudyData) -> StudyData | None:
@@ -122,7 +127,7 @@ def over_environments(data_by_env: Parts, outcome: str = OUTCOME) -> pd.DataFram
 
 
 def profiles(data_by_env: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
-    """Return the share of runs with a score above each x: condition, x, centre, low, high, runs."""
+    """Return the share of runs with a score above each x: condition, x, share, low, high, runs."""
     scores_by_condition = scores(data_by_env, outcome)
     if not scores_by_condition:
         raise UserError(f"no condition has runs in every environment: {', '.join(data_by_env)}")
@@ -133,7 +138,7 @@ def profiles(data_by_env: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
     for condition, by_env in scores_by_condition.items():
         low, high = bootstrap(above, by_env, resamples=RESAMPLES // 10)
         runs = ", ".join(str(len(values)) for values in by_env)
-        curve = {"x": thresholds, "centre": above(by_env), "low": low, "high": high}
+        curve = {"x": thresholds, "share": above(by_env), "low": low, "high": high}
         frames.append(pd.DataFrame({"condition": condition, **curve, "runs": runs}))
     return pd.concat(frames, ignore_index=True)
 

@@ -1,4 +1,4 @@
-"""Export a study's records as one table in a file for other programs, and publish its rows."""
+"""Encode tables for other programs, and publish a study's rows."""
 
 from __future__ import annotations
 
@@ -9,74 +9,12 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from pneuma.analysis import EDGED_BANDS, EXPORT_TABLES
-from pneuma.analysis.curves import curve_names, curves_table, study_curves
 from pneuma.analysis.intervals import decimals, shown
-from pneuma.analysis.study_data import RUN_KEY_COLUMNS, StudyData
-from pneuma.analysis.summaries import summary_table
-from pneuma.errors import Hint, UserError
+from pneuma.analysis.study_data import StudyData
+from pneuma.errors import UserError
 from pneuma.store.index import RunIndex
 from pneuma.store.published import encode_published
-from pneuma.store.quantities import EPISODE_QUANTITIES
-from pneuma.store.row_builder import record_frame
 from pneuma.store.store import Store
-
-# --- Tables ---------------------------------------------------------------------------------------
-
-
-def exported_table(
-    data: StudyData, table: str, store: Store, window: str | None = None, band: str = EDGED_BANDS[0]
-) -> pd.DataFrame:
-    """Return one of `EXPORT_TABLES`. It contains no times, so that the same runs give the same table.
-
-    Args:
-        data: an opened study.
-        table: its name.
-        store: the results folder, which has the records of episodes and updates.
-        window: of curves: which episodes a point averages.
-        band: of curves: what low and high are, one of `EDGED_BANDS`.
-
-    Raises:
-        UserError: if the runs do not have such records.
-    """
-    if table == "curves":
-        return _curves(data, window, band)
-    if table == "summary":
-        return summary_table(data)
-    if table == "evaluations" and data.evaluated:
-        return data.evaluations
-    if table == "evaluations" or (data.averaged_over and table != "metrics"):
-        other_tables = ", ".join(name for name in EXPORT_TABLES if name != table)
-        raise UserError(f"study {data.study.name}: {data.what} holds no {table}; try {other_tables}")
-    if any(run.published for run in data.rows):
-        lack = f"study {data.study.name}: published tables do not contain {table}"
-        raise UserError(f"{lack}; train the runs, or choose others with ", Hint("steps"))
-    frames = []
-    for keys in data.runs[list(RUN_KEY_COLUMNS)].to_dict("records"):
-        frame = record_frame(store, str(keys["run_id"]), table)
-        frame = frame.drop(columns=list(RUN_KEY_COLUMNS), errors="ignore")
-        for place, name in enumerate(RUN_KEY_COLUMNS):
-            frame.insert(place, name, keys[name])
-        frames.append(frame)
-    return pd.concat(frames, ignore_index=True)
-
-
-def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
-    """Return all curves that every run has. Returns that were averaged when recorded are named so."""
-    recorded, checked_window = curve_names(data), data.checked_window(window)
-    names = []
-    for name in EPISODE_QUANTITIES:
-        if name in recorded and data.has_curve(name, checked_window):
-            names.append(name)
-    if "share_killed" in recorded:
-        names.append("share_killed")
-    if not names:
-        raise UserError(f"study {data.study.name}: {data.what} has no returns, and so no curves")
-    table = curves_table(study_curves(data, names, window), band)
-    if data.averaged_over is not None:
-        table["averaged_over"] = data.averaged_over
-    return table
-
 
 # --- Published tables -----------------------------------------------------------------------------
 

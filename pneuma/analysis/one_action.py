@@ -27,7 +27,7 @@ def runs_not_staying(data: StudyData, condition: str) -> pd.DataFrame:
     """Return the share of a condition's runs that do not yet stay in one action (Kaplan and Meier 1958).
 
     Returns:
-        A row for each step at which the share may change: x, centre, and the ends low and high of its 95 %
+        A row for each step at which the share may change: x, share, and the ends low and high of its 95 %
         interval (log-log), NaN where there is none.
     """
     runs = data.of_condition(condition)
@@ -39,16 +39,12 @@ def runs_not_staying(data: StudyData, condition: str) -> pd.DataFrame:
     share = stats.ecdf(stats.CensoredData(uncensored=came[stays], right=last[~stays])).sf
     with warnings.catch_warnings(action="ignore"):  # there is no interval before the first run stays
         ends = share.confidence_interval(LEVEL, method="log-log")
-    table = pd.DataFrame(
-        {
-            "x": share.quantiles,
-            "centre": share.probabilities,
-            "low": ends.low.probabilities,
-            "high": ends.high.probabilities,
-        }
-    )
-    start = pd.DataFrame({"x": [0.0], "centre": [1.0]})
-    return pd.concat([start, table], ignore_index=True)
+    return pd.DataFrame({
+        "x": [0.0, *share.quantiles],
+        "share": [1.0, *share.probabilities],
+        "low": [np.nan, *ends.low.probabilities],
+        "high": [np.nan, *ends.high.probabilities],
+    })  # fmt: skip
 
 
 def time_in_one_action(data: StudyData, condition: str) -> Curve:

@@ -377,9 +377,6 @@ class StudyData:
         values = run.curve(quantity, window)
         return values if run.budget == self.budget else held_curve(run.grid, values, self.grid, run.end)
 
-    def has_curve(self, quantity: str, window: str) -> bool:
-        return all(window in run.windows_of(quantity) for run in self.rows)
-
     def checked_window(self, window: str | None) -> str:
         """Return a window of `windows`; the first if None."""
         if window is None:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import pandas as pd
 
+    from pneuma.analysis.study_data import StudyData
+
 
 @dataclass(frozen=True)
 class Answer:
@@ -47,3 +49,10 @@ class Answer:
 
     def _repr_html_(self) -> str:
         return self.cells[0].to_html(index=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyAnswer(Answer):
+    """An answer from whose tables and study a figure is drawn."""
+
+    data: StudyData

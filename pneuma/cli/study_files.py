@@ -92,6 +92,10 @@ class Drawing:
         """Those of `OF_CURVES` that are given."""
         return {name: getattr(self, name) for name in OF_CURVES if getattr(self, name)}
 
+    @property
+    def is_of_curves(self) -> bool:
+        return bool(self.quantity or self.beside or self.curve_options)
+
 
 def plot(
     selection: opt.RunFilter,
@@ -103,8 +107,7 @@ def plot(
 
     A study of several environments has a panel for each.
     """
-    is_of_curves = drawing.quantity or drawing.beside or drawing.curve_options
-    if drawing.figure in (SUMMARY, PROFILE, ONE_ACTION) and is_of_curves:
+    if drawing.figure not in (None, CURVES) and drawing.is_of_curves:
         options = "--quantity, --band, --window, --x, --beside and --log"
         raise UserError(f"{options} require --figure {CURVES}")
     formats, store = read_formats(drawing.formats, out), selection.store
@@ -119,102 +122,83 @@ def plot(
     if drawing.beside:
         if len(drawing.beside) > 1:
             raise UserError("--beside takes one study: import the logs of several under one --name")
-        (name,) = drawing.beside
-        beside = opt.RunFilter(results=selection.results, world=selection.world).open(name)
+        beside = opt.RunFilter(results=selection.results, world=selection.world).open(drawing.beside[0])
+    if names:
+        pages = [_draw(selection.open(name), drawing, beside) for name in names]
+    else:
+        pages = _draw_all(selection, drawing, beside)
 
-    def draw(folder: Path) -> Iterator[Path]:
-        for page in _pages(selection, drawing, names, beside):
+    def save(folder: Path) -> Iterator[Path]:
+        for page in pages:
             yield from save_page(page, folder, formats, look)
 
-    files = keep_files(store, out, draw)
-    return Result({"figures": files}, wrote(files))
+    files = keep_files(store, out, save)
+    answers = [page.answer.document for page in pages if page.answer]
+    return Result({"figures": files, "answers": answers}, wrote(files))
 
 
-def _pages(
-    selection: opt.RunFilter, drawing: Drawing, names: opt.Several, beside: StudyData | None
-) -> Iterator[Page]:
-    """Yield the figures of some studies, or of those that were run here and can be drawn."""
-    if names:
-        for name in names:
-            yield _page(selection.open(name), drawing, beside)
-        return
+def _draw_all(selection: opt.RunFilter, drawing: Drawing, beside: StudyData | None) -> list[Page]:
+    """Return the figures of the studies that were run here and can be drawn."""
     from pneuma.analysis.runs import studies_here
 
+    pages: list[Page] = []
     problems: list[UserError] = []
-    is_any_drawn = False
     for data in studies_here(selection.index, selection.world):
-        if not len(data.finished):
-            continue
-        try:
-            opened = replace(selection, world=data.world or None).open(data.study.file)
-            yield _page(opened, drawing, beside)
-            is_any_drawn = True
-        except UserError as error:
-            problems.append(error)
-    if problems and not is_any_drawn:
-        raise problems[0]
-    if not is_any_drawn:
-        raise UserError(f"no run of a study has finished in {selection.store.root}")
+        if len(data.finished):
+            try:
+                opened = replace(selection, world=data.world or None).open(data.study.file)
+                pages.append(_draw(opened, drawing, beside))
+            except UserError as error:
+                problems.append(error)
+    if not pages:
+        raise next(iter(problems), UserError(f"no run of a study has finished in {selection.store.root}"))
     for problem in problems:
         say(Message("Note: ", *problem.args, "."))
+    return pages
 
 
-def _page(data: StudyData, drawing: Drawing, beside: StudyData | None) -> Page:
+def _draw(data: StudyData, drawing: Drawing, beside: StudyData | None) -> Page:
     """Return the figure of a study."""
-    from pneuma.analysis.environments import by_environment
-    from pneuma.figures.curves import curves_page, profile_page
+    from pneuma.analysis.environments import columns_of
+    from pneuma.answers.curves import find_curves
+    from pneuma.answers.outcomes import show_outcomes
+    from pneuma.answers.profiles import profile_scores
+    from pneuma.figures import shares
+    from pneuma.figures.curves import curves_page
     from pneuma.figures.origin import lines_of_runs
     from pneuma.figures.summary import summary_page
     from pneuma.figures.words import fits_panel
 
-    data_by_env = {env: env_data for env, env_data in by_environment(data).items() if env_data.rows}
-    drawn = data_by_env if len(data_by_env) > 1 else data
-    if beside is not None and data.asked.conditions:
-        beside = _alike_conditions(data, data_by_env, beside)
-    figure = drawing.figure
+    columns, figure = columns_of(data), drawing.figure
     if figure is None:
-        is_of_curves = drawing.quantity or beside or drawing.curve_options
-        fits = all(map(fits_panel, data_by_env.values())) and not data.study.outcomes
-        figure = CURVES if is_of_curves or fits else SUMMARY
+        fits = all(map(fits_panel, columns.values())) and not data.study.outcomes
+        figure = CURVES if drawing.is_of_curves or fits else SUMMARY
+    if figure == PROFILE:
+        return shares.profile_page(profile_scores(data))
+    if figure == ONE_ACTION:
+        from pneuma.answers.one_action import find_one_action  # SciPy's statistics take half a second
+
+        return shares.one_action_page(find_one_action(data))
     if figure == SUMMARY:
-        page = summary_page(drawn)
-    elif figure == CURVES:
-        quantities = _quantities(data, drawing.quantity or [])
-        page = curves_page(drawn, quantities, beside=beside, **drawing.curve_options)
-    elif figure == ONE_ACTION:
-        from pneuma.figures.one_action import one_action_page  # SciPy's statistics take half a second
-
-        page = one_action_page(data)
-    elif len(data_by_env) == 1:
-        raise UserError(f"--figure {figure}: is over several environments; {data.study.name} has one")
+        page = summary_page(show_outcomes(columns))
     else:
-        page = profile_page(data, data_by_env)
-    if len(data_by_env) == 1:
-        return page
-    studies = [data] if beside is None else [data, beside]
-    return replace(page, runs=lines_of_runs(*studies))  # under the names that tell the environment
+        quantities = _quantities(data, drawing)
+        page = curves_page(find_curves(columns, quantities, beside, **drawing.curve_options))
+    if len(columns) > 1:  # under the names that contain the environment
+        page = replace(page, runs=lines_of_runs(*filter(None, [data, beside])))
+    return page
 
 
-def _alike_conditions(data: StudyData, data_by_env: dict[str, StudyData], beside: StudyData) -> StudyData:
-    """Return the conditions of another study that are called as some of a study; all if none is."""
-    names = set(data.conditions)
-    for env_data in data_by_env.values():
-        names.update(env_data.conditions)
-    same_names = [name for name in beside.conditions if name in names and beside.of_condition(name)]
-    return beside.of_conditions(same_names) if same_names else beside
-
-
-def _quantities(data: StudyData, names: list[str]) -> list[str]:
+def _quantities(data: StudyData, drawing: Drawing) -> list[str]:
     """Return the quantities to draw, with `all` and `actions` expanded."""
     from pneuma.analysis.curves import curve_names
 
     recorded = curve_names(data)
-    groups = {EVERY_QUANTITY: recorded, ACTIONS: [name for name in ACTION_QUANTITIES if name in recorded]}
+    actions = [name for name in ACTION_QUANTITIES if name in recorded]
+    groups = {EVERY_QUANTITY: recorded, ACTIONS: actions or [ACTIONS]}
     quantities: list[str] = []
-    for name in names:
+    for name in drawing.quantity or ():
         quantities += groups.get(name, [name])
-    if names and not quantities:
-        raise UserError(f"study {data.study.name}: {data.what} has no {names[0]}")
     return quantities
 
 
@@ -272,13 +256,15 @@ def export(
     if not is_printed:
         check_file(out, EXPORT_SUFFIXES)
     data = selection.open(name)
-    from pneuma.analysis.export import encode_frame, exported_table
+    from pneuma.analysis.export import encode_frame
+    from pneuma.answers.export import export_records
 
-    frame = exported_table(data, table, selection.store, window, band or EDGED_BANDS[0])
+    answer = export_records(data, table, selection.store, window, band or EDGED_BANDS[0])
     if is_printed:
-        return Result({}, file=encode_frame(frame, "csv"))
-    write_file(out, encode_frame(frame, EXPORT_SUFFIXES[out.suffix.lower()]))
-    return Result({"file": out, "rows": len(frame)}, [f"wrote {out}: {counted(len(frame), 'row')}"])
+        return Result({}, file=encode_frame(answer.table, "csv"))
+    write_file(out, encode_frame(answer.table, EXPORT_SUFFIXES[out.suffix.lower()]))
+    text = f"wrote {out}: {counted(len(answer.table), 'row')}"
+    return Result({"file": out, **answer.about}, [text])
 
 
 # --- publish --------------------------------------------------------------------------------------

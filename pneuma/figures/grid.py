@@ -24,14 +24,14 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 
-from pneuma.errors import UserError, print_aside
+from pneuma.analysis.quantities import POWERS, SHARES, VALUES
+from pneuma.answers.answer import Answer
+from pneuma.errors import Hint, UserError
 from pneuma.figures import style
 from pneuma.figures.origin import origin_text
 from pneuma.figures.style import CAPTION, GREY, INK, LINE_INCHES, WIDTH, Look, characters, clean, text_points
 from pneuma.values import per_cent
 
-VALUES, SHARES, POWERS = "values", "shares", "powers"
-"""What an axis has: numbers, shares in per cent, or numbers on a logarithmic scale."""
 FAR = 2.0
 """The random player's level is not drawn where it is this many times what is drawn away from that."""
 BELOW_ZERO = 0.02
@@ -89,7 +89,7 @@ class Page:
         caption: notes, the most important first.
         across: most panels beside each other on a page of the default width. Columns that do not fit go
             below the others.
-        spare: whether panels after the first may be left out where there is too little height.
+        answer: what it shows; None if it is no question's.
     """
 
     basename: str
@@ -100,7 +100,7 @@ class Page:
     entries: Mapping[str, Any] = field(default_factory=dict)
     caption: Sequence[str] = ()
     across: int = 4
-    spare: bool = False
+    answer: Answer | None = None
 
 
 def save_page(
@@ -211,8 +211,8 @@ def _put_texts(figure: Figure, page: Page, look: Look, x_label: str) -> Figure:
         look: may replace or leave out some.
         x_label: of all panels together, if they have the same.
 
-    Returns:
-        The figure, without panels that may be left out if the height is too little for all.
+    Raises:
+        UserError: for too little height.
     """
     headline, caption = page.headline, " ".join(filter(None, page.caption))
     if look.plain:
@@ -238,11 +238,11 @@ def _put_texts(figure: Figure, page: Page, look: Look, x_label: str) -> Figure:
     below = line * (CAPTION * len(notes) + bool(x_label)) + 0.08
     rows_of_panels = figure.axes[0].get_gridspec().nrows  # type: ignore[union-attr]
     height = look.height or above + page.inches * rows_of_panels + below
-    fitting = int((height - above - below) / LEAST_PANEL_HEIGHT)
-    if look.height and fitting < rows_of_panels:
-        return _draw_fewer(
-            page, look, fitting, least_height=above + below + LEAST_PANEL_HEIGHT * rows_of_panels
-        )
+    least_height = above + below + LEAST_PANEL_HEIGHT * rows_of_panels
+    if height < least_height:
+        advice = [] if look.plain else ["; ", Hint("plain"), " leaves out headline and caption"]
+        amount = f": at least {math.ceil(10 * least_height) / 10:.1f} inches for {len(figure.axes)} panels"
+        raise UserError(Hint("height", f"{height:g}"), amount, *advice)
     figure.set_size_inches(look.width, height)
     engine: Any = figure.get_layout_engine()
     engine.set(rect=(0, below / height, 1, 1 - (above + below) / height))
@@ -267,19 +267,6 @@ def _put_texts(figure: Figure, page: Page, look: Look, x_label: str) -> Figure:
         linespacing=1.35, va="bottom",
     )  # fmt: skip
     return figure
-
-
-def _draw_fewer(page: Page, look: Look, rows: int, least_height: float) -> Figure:
-    """Draw so many rows of a page's panels, if others may be left out."""
-    panels = [panel for row in page.grid for panel in row]
-    panel_count = max(rows, 1) * len(_arrange(page, look.width)[0])
-    if not page.spare or panel_count >= len(panels):
-        message = f"--height {look.height:g}: at least {math.ceil(10 * least_height) / 10:.1f} inches"
-        if not look.plain:
-            message += "; --plain has no headline and caption"
-        raise UserError(message)
-    print_aside(f"Note: {panel_count} of {len(panels)} panels fit the height; choose them with --quantity.")
-    return _draw(replace(page, grid=[panels[:panel_count]]), look)
 
 
 def _legend_entries(figure: Figure, page_entries: Mapping[str, Any]) -> dict[str, Any]:

@@ -26,7 +26,9 @@ from pneuma.analysis.claims.verdicts import Verdict, judge
 from pneuma.analysis.curves import curve_names
 from pneuma.analysis.runs import find_study, studies_here
 from pneuma.analysis.study_data import StudyData
+from pneuma.answers.curves import find_curves
 from pneuma.answers.evidence import evidence_of, without_folder
+from pneuma.answers.outcomes import show_outcomes
 from pneuma.errors import Hint, Say, UserError, counted
 from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import save_page
@@ -143,9 +145,10 @@ def _picture(data: StudyData, write: Callable[[Hint], str]) -> dict[str, str]:
     It has a data URI, a text alternative, and a caption with the call that draws it.
     """
     if curve_names(data) and fits_panel(data):
-        page, what = curves_page(data), f"Curves over {data.budget:,} environment steps"
+        page = curves_page(find_curves({"": data}))
+        what = f"Curves over {data.budget:,} environment steps"
     else:
-        page, what = summary_page(data), "Results of every run, and means"
+        page, what = summary_page(show_outcomes({"": data})), "Results of every run, and means"
     with TemporaryDirectory() as folder:
         (path,) = save_page(page, Path(folder), ("png",))
         source = f"data:image/png;base64,{b64encode(path.read_bytes()).decode('ascii')}"

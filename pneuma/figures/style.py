@@ -19,7 +19,7 @@ from matplotlib.text import Text
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from pneuma.errors import UserError, plain, print_aside, unknown_name
+from pneuma.errors import Hint, UserError, plain, print_aside, unknown_name
 from pneuma.figures.origin import KEYS
 
 WIDTH = 7.0
@@ -88,7 +88,8 @@ def house_style(sheet: str | dict[str, Any] = "") -> Iterator[None]:
         try:
             sheets.use([SHEET, sheet or {}])
         except (OSError, UnicodeDecodeError):
-            raise UserError(f"--style {sheet}: is neither a matplotlib style sheet nor a file") from None
+            problem = ": is neither a matplotlib style sheet nor a file"
+            raise UserError(Hint("style", sheet), problem) from None
         yield
 
 

@@ -1,4 +1,4 @@
-"""A study's words and looks in figures: headline, labels, colours, notes."""
+"""A study's words and looks in figures: headline, labels and colours of conditions."""
 
 from __future__ import annotations
 
@@ -7,15 +7,10 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from pneuma.analysis.outcomes import kinds_of_return
 from pneuma.analysis.study_data import StudyData
-from pneuma.errors import counted
 from pneuma.figures.style import MARKERS, MOST_IN_A_PANEL
 from pneuma.study.spec import CONDITION, Study
-from pneuma.values import shown_settings
 
-MOST_NAMED = 3
-"""Most conditions that a note names."""
 LINES = ("-", "--", "-.", ":")
 """They distinguish conditions of one colour."""
 
@@ -32,75 +27,11 @@ def after_thesis(figure: str) -> str:
     return f"after the thesis's Fig. {counterpart[1]}.{counterpart[2]}"
 
 
-def notes_of(data: StudyData, returns: bool = False, beside: StudyData | None = None) -> list[str]:
-    """Return notes for any figure of a study, the most important first.
-
-    Args:
-        data: the study.
-        returns: whether the figure is of returns.
-        beside: a study whose returns are drawn too.
-    """
-    notes = [f"{' and '.join(names)} have identical settings." for names in data.same]
-    engines: dict[str, list[str]] = {}
-    for name in data.conditions:
-        for engine in data.engines(name):
-            engines.setdefault(engine, []).append(name)
-    if len(engines) > 1:
-        engine_texts = [f"{engine} ({named(names)})" for engine, names in sorted(engines.items())]
-        notes.append(f"The conditions were trained by different engines: {', '.join(engine_texts)}.")
-    units = kinds_of_return(data)
-    if beside:
-        units |= kinds_of_return(beside)
-    if returns and len(units) > 1:
-        notes.append("Returns with different rewards or numbers of players cannot be compared.")
-    missing: list[str] = []
-    for name in data.conditions:
-        runs = data.of_condition(name)
-        if not runs:
-            missing.append(name)
-            continue
-        longest = max(run.budget for run in runs)  # other conditions may go further
-        at_end = sum(run.status == "done" and run.end >= longest for run in runs)
-        if at_end < len(runs):
-            notes.append(f"{at_end} of {len(runs)} runs of {name} reach the end.")
-    if missing:
-        notes.append(f"No runs of {named(missing)}.")
-    return notes
-
-
-def named(conditions: Sequence[str]) -> str:
-    if len(conditions) <= MOST_NAMED:
-        return "; ".join(conditions)
-    return counted(len(conditions), "condition")
-
-
-def merge_notes(columns: Mapping[str, tuple[StudyData, Iterable[str]]]) -> list[str]:
-    """Return the notes on several columns once each, after the columns that a note is on if not on all.
-
-    First come changed fields, which the headline of a study alone has.
-    """
-    titles_by_note: dict[str, list[str]] = {}
-    for title, (data, notes) in columns.items():
-        if len(columns) > 1 and data.study.settings:
-            notes = [f"runs with {shown_settings(data.study.settings)}.", *notes]
-        for note in dict.fromkeys(filter(None, notes)):
-            titles_by_note.setdefault(note, []).append(title)
-    merged: list[str] = []
-    for note, titles in titles_by_note.items():
-        if len(titles) < len(columns):
-            if note[1].islower():  # and no abbreviation
-                note = note[0].lower() + note[1:]
-            note = f"{' and '.join(titles).replace(' and The ', ' and the ')}: {note}"
-        merged.append(note)
-    return merged
-
-
-# --- Conditions --------------------------------------------------------------------------------------
-
-
 def shown_conditions(studies: Iterable[StudyData]) -> list[str]:
     """Return the conditions that have runs in any of some studies."""
-    return [*dict.fromkeys(name for data in studies for name in data.conditions if data.of_condition(name))]
+    return list(
+        dict.fromkeys(name for data in studies for name in data.conditions if data.of_condition(name))
+    )
 
 
 def labels_of(studies: Sequence[StudyData], short: Mapping[str, str] | None = None) -> dict[str, str]:
@@ -111,14 +42,14 @@ def labels_of(studies: Sequence[StudyData], short: Mapping[str, str] | None = No
         for data in studies:
             label = data.study.labels.get(condition, label)
             counts.append(len(data.of_condition(condition)))
-        if len({*counts}) == 1:
+        if len(set(counts)) == 1:
             counts = counts[:1]
         labels[condition] = f"{label} ({', '.join(map(str, counts))})"
     return labels
 
 
 def looks_of(studies: Sequence[StudyData]) -> dict[str, dict[str, Any]]:
-    """Return colour, marker and line of each condition of some studies, the same in all of them.
+    """Return colour, marker, line and label of each condition of some studies, the same in all of them.
 
     Colours are those of the style sheet in the files' order, except for those that a file names; a part of a
     study keeps the colours of the whole. Conditions that differ only in crossed factors have one colour:
@@ -132,8 +63,9 @@ def looks_of(studies: Sequence[StudyData]) -> dict[str, dict[str, Any]]:
             colour = data.study.colors.get(condition) or data.study.colors.get(group)
             if colour:
                 named_colours.setdefault(condition, colour)
-    if len({*groups.values()}) > MOST_IN_A_PANEL:
-        groups = {name: groups[name] for name in shown_conditions(studies)}
+    labels = labels_of(studies)
+    if len(set(groups.values())) > MOST_IN_A_PANEL:
+        groups = {name: groups[name] for name in labels}
     free_colours = (f"C{number}" for number in itertools.count())
     group_colours: dict[str, str] = {}
     looks: dict[str, dict[str, Any]] = {}
@@ -144,8 +76,12 @@ def looks_of(studies: Sequence[StudyData]) -> dict[str, dict[str, Any]]:
             colour = next(free_colours)
         if condition not in named_colours:
             group_colours[group] = colour
-        marker, line = MARKERS[len(looks) % len(MARKERS)], LINES[used.count(colour) % len(LINES)]
-        looks[condition] = {"color": colour, "marker": marker, "linestyle": line}
+        looks[condition] = {
+            "color": colour,
+            "marker": MARKERS[len(looks) % len(MARKERS)],
+            "linestyle": LINES[used.count(colour) % len(LINES)],
+            "label": labels.get(condition),
+        }
         used.append(colour)
     return looks
 

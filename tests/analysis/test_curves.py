@@ -101,9 +101,9 @@ def test_runs_of_different_ends_are_averaged_where_they_are(store: Store) -> Non
     long, short = {0: [(40, 2.0), (80, 4.0)]}, {0: [(40, 6.0)]}
     (curve,) = study_curves(_study(store, {("a", 0): long, ("a", 1): short}), ["return"])["return"]
     frame = curve.frame().set_index("x")
-    assert frame["count"][[39, 40, 49, 50, 80, 90]].tolist() == [0, 2, 2, 0, 1, 0]
-    assert frame["centre"][[40, 80]].tolist() == [4, 4]  # of 2 and 6; of the long one alone
-    assert np.isnan(frame["centre"][50])
+    assert frame["runs"][[39, 40, 49, 50, 80, 90]].tolist() == [0, 2, 2, 0, 1, 0]
+    assert frame["mean"][[40, 80]].tolist() == [4, 4]  # of 2 and 6; of the long one alone
+    assert np.isnan(frame["mean"][50])
 
 
 # --- Mean, bands ---------------------------------------------------------------------------------
@@ -130,7 +130,7 @@ def test_a_band_has_its_edges_and_none_for_too_few_runs(
     band: str, low: list[float], high: list[float]
 ) -> None:
     frame = CURVE.frame(band)
-    np.testing.assert_allclose(frame["centre"], [4, 3, NAN, 4])
+    np.testing.assert_allclose(frame["mean"], [4, 3, NAN, 4])
     np.testing.assert_allclose(frame["low"], [*low, NAN, NAN])
     np.testing.assert_allclose(frame["high"], [*high, NAN, NAN])
 
@@ -145,7 +145,7 @@ def test_evaluation_curves_stand_at_the_evaluations_own_steps(store: Store) -> N
     first, second = study_curves(data, ["share_killed"])["share_killed"]
     assert (first.condition, second.condition) == ("b", "a")
     np.testing.assert_array_equal(first.runs.T, [[0.25, 0.5], [0.75, NAN]])
-    assert first.frame()[["x", "centre", "count"]].to_numpy().tolist() == [[64, 0.5, 2], [128, 0.5, 1]]
+    assert first.frame()[["x", "mean", "runs"]].to_numpy().tolist() == [[64, 0.5, 2], [128, 0.5, 1]]
     np.testing.assert_array_equal(second.runs.T, [[0, 1]])
 
 
@@ -176,8 +176,8 @@ def test_curves_lie_over_episodes_and_over_time_too(store: Store) -> None:
 
 
 def test_the_table_of_curves_has_a_row_for_each_point() -> None:
-    table = curves_table({"return": [CURVE], "kills": [CURVE]}, "minmax")
-    assert list(table.columns) == ["condition", "quantity", "step", "mean", "low", "high", "band", "runs"]
+    table = curves_table({"return": [CURVE], "kills": [CURVE]}, ["minmax"])
+    assert list(table.columns) == ["condition", "quantity", "x", "mean", "low", "high", "band", "runs"]
     assert len(table) == 8
     assert table.iloc[1].to_list() == ["a", "return", 2.0, 3.0, 2.0, 4.0, "minmax", 4]
     assert table["quantity"].to_list() == ["return"] * 4 + ["kills"] * 4
@@ -190,8 +190,8 @@ def test_on_a_logarithmic_axis_means_and_intervals_are_of_logarithms() -> None:
     half = T_4 / np.sqrt(5)  # of logarithms 0, 1, 2, 0 and 2, whose deviation is 1
     for band, ends in (("ci", (10 ** (1 - half), 10 ** (1 + half))), ("minmax", (1, 100))):
         frame = curve.frame(band)
-        assert frame["count"].tolist() == [5, 3]
-        assert frame["centre"].tolist() == pytest.approx([10, 5])
+        assert frame["runs"].tolist() == [5, 3]
+        assert frame["mean"].tolist() == pytest.approx([10, 5])
         assert (frame["low"][0], frame["high"][0]) == pytest.approx(ends)
 
 

@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 
 from pneuma.analysis.curves import study_curves
-from pneuma.analysis.export import exported_table
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
+from pneuma.answers.export import export_records
 from pneuma.errors import UserError
 from pneuma.imports.tensorboard import import_tensorboard
 from pneuma.store.index import RunIndex
@@ -79,7 +79,7 @@ def test_every_quantity_has_a_curve_that_ends_with_its_run(data: StudyData) -> N
                     assert np.isfinite(curve[data.grid == run.end]).all()
                 assert np.isnan(curve[data.grid > run.end]).all()
     (b,) = [curve for curve in study_curves(data, ["return"])["return"] if curve.condition == "b"]
-    assert b.frame().set_index("x")["count"][[400, 405, 1000]].tolist() == [2, 1, 1]
+    assert b.frame().set_index("x")["runs"][[400, 405, 1000]].tolist() == [2, 1, 1]
 
 
 @pytest.mark.parametrize("data", ["runs", "logs"], indirect=True)
@@ -94,9 +94,10 @@ def test_a_published_table_is_read_as_what_it_was_made_from(
         assert other.same_numbers(run) and other.fields == run.fields
     assert again.runs[["condition", "seed"]].equals(data.runs[["condition", "seed"]])
     for table in ("curves", "summary", *(["evaluations"] if data.evaluated else [])):
-        pd.testing.assert_frame_equal(exported_table(again, table, store), exported_table(data, table, store))
+        ours, theirs = export_records(again, table, store), export_records(data, table, store)
+        pd.testing.assert_frame_equal(ours.table, theirs.table)
     with pytest.raises(UserError, match="published tables do not contain episodes|holds no episodes"):
-        exported_table(again, "episodes", store)
+        export_records(again, "episodes", store)
 
 
 def test_logs_give_what_was_logged(store: Store, tmp_path: Path) -> None:
@@ -112,7 +113,7 @@ def test_logs_give_what_was_logged(store: Store, tmp_path: Path) -> None:
     places = [at[95], at[100], at[195], at[200], at[300]]
     np.testing.assert_array_equal(curve[places], [np.nan, 0.25, 0.25, np.nan, 0.75])
     assert data.curve(a, "entropy")[at[100]] == 0.125 and a.signs == {"no entropy": [(200, 200)]}
-    table = exported_table(data, "metrics", store)
+    table = export_records(data, "metrics", store).table
     assert list(table.columns)[3:] == ["step", "return_mean_100", "entropy", "approx_kl", "logged/own"]
     np.testing.assert_array_equal(table["return_mean_100"], [0.25, np.nan, *(k / 4 for k in range(3, 11))])
 

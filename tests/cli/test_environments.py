@@ -8,9 +8,12 @@ import pytest
 from PIL import Image
 
 from pneuma.analysis.environments import by_environment, profiles
+from pneuma.answers.curves import find_curves
+from pneuma.answers.outcomes import show_outcomes
+from pneuma.answers.profiles import profile_scores
 from pneuma.api import open_data
 from pneuma.config import as_fields
-from pneuma.figures.curves import curves_page, profile_page
+from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.summary import summary_page
 from pneuma.figures.words import looks_of
@@ -105,7 +108,8 @@ def test_a_figure_has_a_panel_for_each_environment(study: Path) -> None:
 
 def test_panels_have_the_evaluated_return_and_their_own_names_of_conditions(study: Path) -> None:
     parts = by_environment(open_data(study))
-    usual, trained, summary = curves_page(parts), curves_page(parts, "return"), summary_page(parts)
+    usual, trained = curves_page(find_curves(parts)), curves_page(find_curves(parts, ["return"]))
+    summary = summary_page(show_outcomes(parts))
     assert [panel.title for panel in _panels(usual)[:2]] == ["CartPole-v1", "Acrobot-v1"]
     assert _panels(usual)[0].y == "Return in evaluation" and _panels(trained)[0].y == "Return in training"
     assert _panels(summary)[0].rows == ["ppo (4)", "a2c (4)"]
@@ -123,7 +127,7 @@ def test_what_logs_beside_a_study_average_is_told(study: Path) -> None:
     mean = "logs: mean of the last 100 episodes."
     for averaged, note in (((), "logs: as logged."), (("--averaged-over", "100"), mean)):
         printed(*words, *averaged)
-        page = curves_page(by_environment(open_data(study)), beside=open_data("logs"))
+        page = curves_page(find_curves(by_environment(open_data(study)), beside=open_data("logs")))
         assert _panels(page)[0].y == "Return in training"
         assert f"{note} The environment of logs is not recorded." in page.caption
     plot = ("study", "plot", study, "--out", "beside.png", "--beside", "logs")
@@ -144,12 +148,14 @@ def test_a_profile_is_of_the_runs_of_all_environments(study: Path) -> None:
     """Of scores around 1 and 3/4 (ppo), and 1/2 and 1/4 (a2c), eight runs each."""
     data = by_environment(open_data(study))
     found = profiles(data).set_index("condition")
-    above = {name: of.set_index("x")["centre"] for name, of in found.groupby("condition")}
+    above = {name: of.set_index("x")["share"] for name, of in found.groupby("condition")}
     for name, at, share in (("ppo", 0.5, 1), ("ppo", 0.9, 0.5), ("a2c", 0.4, 0.5), ("a2c", 0.9, 0)):
         assert above[name][above[name].index >= at].iloc[0] == share
     assert call("study", "plot", study, "--figure", "profile", "--out", "profile.png").code == 0
-    caption = profile_page(open_data(study), data).caption[0]
-    assert "0 and 1 are 0 and 100 in CartPole-v1, −500 and −100 in Acrobot-v1." in caption
+    assert (
+        "0 and 1 are 0 and 100 in CartPole-v1, −500 and −100 in Acrobot-v1."
+        in profile_scores(open_data(study)).notes[0]
+    )
     told = call("study", "plot", "activation", "--figure", "profile")
     assert (told.code, "is over several environments; activation has one" in told.err) == (2, True)
 

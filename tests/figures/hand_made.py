@@ -11,9 +11,10 @@ from matplotlib.text import Text
 
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
+from pneuma.answers.curves import find_curves
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.figures.curves import curves_page
-from pneuma.figures.grid import save_page
+from pneuma.figures.grid import Page, save_page
 from pneuma.store.index import RunIndex
 from pneuma.store.store import Store
 from pneuma.study.plan import Query
@@ -68,10 +69,13 @@ class HandMade:
     def data(self) -> StudyData:
         return open_study(RunIndex(self.store, shipped=False), Query(study="mine"))
 
+    def page(self, *quantities: str, **how: Any) -> Page:
+        return curves_page(find_curves({"": self.data}, quantities, **how))
+
     def draw(
-        self, folder: Path, formats: tuple[str, ...] = ("svg",), beside: StudyData | None = None, **how: Any
+        self, folder: Path, *quantities: str, formats: Sequence[str] = ("svg",), **how: Any
     ) -> list[Path]:
-        return save_page(curves_page(self.data, beside=beside, **how), folder, formats)
+        return save_page(self.page(*quantities, **how), folder, formats)
 
 
 def legend(figure: Figure) -> list[str]:

@@ -15,6 +15,7 @@ from PIL import Image
 from pneuma import __version__
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.runs import open_study
+from pneuma.answers.curves import find_curves
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.figures.curves import curves_page
@@ -54,8 +55,8 @@ def test_every_run_of_another_study_is_drawn_beside(
 ) -> None:
     data = study.data
     other = replace(data, study=data.study.model_copy(update={"name": "other", "title": "Another"}))
-    study.draw(tmp_path, quantities=(quantity,))
-    (path,) = study.draw(tmp_path, quantities=(quantity,), beside=other)
+    study.draw(tmp_path, quantity)
+    (path,) = study.draw(tmp_path, quantity, beside=other)
     alone, beside = (figure.axes[0] for figure in drawn)
     assert path.stem == f"mine-{quantity}-beside-other"
     assert len(beside.lines) == len(alone.lines) + 4
@@ -70,10 +71,10 @@ def test_runs_beside_are_of_the_same_environment_or_not_drawn(
 ) -> None:
     other = HandMade(tmp_path / "other", "CartPole-v1")
     other.add("tanh", 0)
-    with pytest.raises(UserError, match="--beside mine: its runs are in CartPole-v1, not in pneuma/Pneu"):
+    with pytest.raises(UserError, match="beside='mine': its runs are in CartPole-v1, not in pneuma/Pneu"):
         study.draw(tmp_path, beside=other.data)
-    both = curves_page({"One": study.data, "Other": other.data}, "return", "both", beside=other.data)
-    save_page(both, tmp_path, ("svg",))
+    both = find_curves({"One": study.data, "Other": other.data}, ["return"], beside=other.data)
+    save_page(curves_page(both), tmp_path, ("svg",))
     one, beside = drawn[0].axes
     assert [any(line.get_linestyle() == "--" for line in axes.lines) for axes in (one, beside)] == [
         False,
@@ -84,7 +85,7 @@ def test_runs_beside_are_of_the_same_environment_or_not_drawn(
 def test_the_random_players_return_is_no_share(tmp_path: Path, drawn: list[Figure]) -> None:
     study = HandMade(tmp_path, "CartPole-v1")
     study.add("tanh", 0, returned=22.0)
-    study.draw(tmp_path, quantities="evaluated_return")
+    study.draw(tmp_path, "evaluated_return")
     assert legend(drawn[0])[-1] == "random player (22)"
 
 
@@ -189,8 +190,8 @@ def test_columns_share_colours_and_a_label_is_written_once(
     other = HandMade(tmp_path / "other")
     for condition in ("relu", "tanh"):
         other.add(condition, 0)
-    page = curves_page({"One": study.data.of_conditions("tanh"), "Other": other.data}, basename="both")
-    save_page(page, tmp_path, ("svg",))
+    both = find_curves({"One": study.data.of_conditions("tanh"), "Other": other.data})
+    save_page(curves_page(both), tmp_path, ("svg",))
     axes = drawn[0].axes
     colours = [{line.get_color() for line in panel.lines if line.get_marker() == "o"} for panel in axes]
     assert colours == [{"C0"}] * 4  # of tanh
@@ -208,7 +209,7 @@ def test_bands_end_at_the_bounds_of_a_return(tmp_path: Path, drawn: list[Figure]
     study = HandMade(tmp_path, "CartPole-v1")
     for seed, returned in enumerate((500.0, 500.0, 200.0)):
         study.add("tanh", seed, returned=returned)
-    study.draw(tmp_path, quantities="evaluated_return", band="sd")
+    study.draw(tmp_path, "evaluated_return", band="sd")
     (band,) = drawn[0].axes[0].collections
     extents = band.get_paths()[0].get_extents()
     assert (extents.y0, extents.y1) == (pytest.approx(400 - 3e4**0.5), 500)
@@ -219,7 +220,7 @@ def test_every_return_has_the_random_players_line(drawn: list[Figure], tmp_path:
     index = RunIndex(Store("none"))
     for world in WORLDS:
         data = open_study(index, Query("optimizer", world, conditions=("non-stationary",)))
-        save_page(curves_page(data, "return"), tmp_path, ("svg",))
+        save_page(curves_page(find_curves({"": data}, ["return"])), tmp_path, ("svg",))
         (line,) = (line for line in drawn[-1].axes[0].lines if line.get_label() == "random player")
         assert np.max(line.get_xdata()) == pytest.approx(data.budget, rel=0.01)
         assert np.min(line.get_xdata()) == 0 or world == "godot"

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from pneuma.answers.curves import find_curves
 from pneuma.api import plot
 from pneuma.errors import UserError
 from pneuma.figures.curves import curves_page
@@ -46,11 +47,11 @@ def test_a_log_axis_of_zeros_is_none_and_a_condition_of_zeros_is_named(
     for seed in (0, 1):
         zeros.add("none", seed, evaluations=(0.0,) * 4)
         study.add("none", seed, evaluations=(0.0,) * 4)
-    zeros.draw(tmp_path, quantities="share_killed", log=True)
+    zeros.draw(tmp_path, "share_killed", log=True)
     assert drawn[0].axes[0].get_yscale() == "linear" and "none (2)" in words(drawn[0])
     assert "Monsters killed in evaluation: no value is above 0, so the axis is linear." in words(drawn[0])
     assert "logarithm" not in words(drawn[0])
-    study.draw(tmp_path, quantities="share_killed", log=True)
+    study.draw(tmp_path, "share_killed", log=True)
     assert drawn[1].axes[
         0
     ].get_yscale() == "log" and "Some of none (2 runs) have no value in a panel" in words(drawn[1])
@@ -68,8 +69,9 @@ def texts(figure: Figure) -> list[str]:
 def test_a_figure_has_the_size_and_title_that_are_asked_for(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
-    page = curves_page(study.data, ["return", "share_killed"])
-    save_page(page, tmp_path, PNG, look=Look(width=3.25, height=5, title="Mine"))
+    save_page(
+        study.page("return", "share_killed"), tmp_path, PNG, look=Look(width=3.25, height=5, title="Mine")
+    )
     (figure,) = drawn
     assert figure.get_size_inches().tolist() == [3.25, 5]
     assert texts(figure)[0] == "Mine"
@@ -79,28 +81,25 @@ def test_a_figure_has_the_size_and_title_that_are_asked_for(
         assert text.get_window_extent().x1 <= figure.bbox.x1
 
 
-def test_a_panel_is_left_out_where_the_height_is_too_little_for_it_unless_it_was_asked_for(
-    study: HandMade, tmp_path: Path, drawn: list[Figure], capsys: pytest.CaptureFixture[str]
+def test_panels_and_legend_do_not_overlap_at_the_least_height(
+    study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
-    """At 3.25 by 2.4 inches two panels overlapped, and 2.2 were refused."""
-    for height, panels in ((4.0, 2), (2.4, 1), (2.2, 1)):
-        save_page(curves_page(study.data), tmp_path, PNG, look=Look(3.25, height, plain=True))
+    """At 3.25 by 2.4 inches two panels overlapped."""
+    with pytest.raises(UserError, match=r"height='2.4': at least 3.6 inches for 2 panels$"):
+        save_page(study.page(), tmp_path, PNG, look=Look(3.25, 2.4, plain=True))
+    for quantities, height in (((), 3.6), (("return",), 2.3)):
+        save_page(study.page(*quantities), tmp_path, PNG, look=Look(3.25, height, plain=True))
         assert drawn[-1].get_size_inches().tolist() == [3.25, height]
-        assert len(drawn[-1].axes) == panels
         tight = [axes.get_tightbbox() for axes in drawn[-1].axes]
         boxes = [box.padded(-1) for box in tight if box is not None]
         boxes.append(drawn[-1].legends[0].get_window_extent())
         assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
-    assert "Note: 1 of 2 panels fit the height; choose them with --quantity." in capsys.readouterr().err
-    both = curves_page(study.data, ["return", "share_killed"])
-    with pytest.raises(UserError, match=r"--height 2.4: at least \d.\d inches"):
-        save_page(both, tmp_path, PNG, look=Look(3.25, 2.4, plain=True))
 
 
 def test_columns_of_worlds_go_below_each_other_where_they_do_not_fit(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
-    page = curves_page({"One world": study.data, "Another world": study.data}, "return")
+    page = curves_page(find_curves({"One world": study.data, "Another world": study.data}, ["return"]))
     for width in (7.0, 3.0):
         save_page(page, tmp_path, PNG, look=Look(width=width))
     beside, below = ([*figure.axes] for figure in drawn)
@@ -115,7 +114,7 @@ def test_columns_of_worlds_go_below_each_other_where_they_do_not_fit(
 def test_a_plain_figure_has_a_legend_and_no_other_words(
     study: HandMade, tmp_path: Path, drawn: list[Figure]
 ) -> None:
-    save_page(curves_page(study.data), tmp_path, PNG, look=Look(plain=True))
+    save_page(study.page(), tmp_path, PNG, look=Look(plain=True))
     assert texts(drawn[0]) == ["Environment steps"]
     assert legend(drawn[0])
 
@@ -123,7 +122,7 @@ def test_a_plain_figure_has_a_legend_and_no_other_words(
 def test_a_style_sheet_colours_conditions(study: HandMade, tmp_path: Path) -> None:
     sheet = tmp_path / "mine.mplstyle"
     sheet.write_text("axes.prop_cycle: cycler('color', ['112233', '445566'])\n")
-    (path,) = save_page(curves_page(study.data), tmp_path, ("svg",), look=Look(sheet=str(sheet)))
+    (path,) = save_page(study.page(), tmp_path, ("svg",), look=Look(sheet=str(sheet)))
     assert "stroke: #112233" in (svg := path.read_text()) and "stroke: #445566" in svg
 
 
@@ -133,7 +132,7 @@ def test_a_style_sheets_size_of_text_is_that_of_all_texts(
     """Ticks have five sixths of it, captions 0.78; what the sheet sets itself stays."""
     sheet = tmp_path / "mine.mplstyle"
     sheet.write_text("font.size: 12\naxes.labelsize: 7\n")
-    save_page(curves_page(study.data), tmp_path, PNG, look=Look(height=6, sheet=str(sheet)))
+    save_page(study.page(), tmp_path, PNG, look=Look(height=6, sheet=str(sheet)))
     axes = drawn[0].axes[0]
     assert axes._left_title.get_fontsize() == 12  # type: ignore[attr-defined]
     assert axes.yaxis.label.get_fontsize() == 7
@@ -145,11 +144,10 @@ def test_a_style_sheets_size_of_text_is_that_of_all_texts(
 @pytest.mark.parametrize(
     ("look", "said"),
     [
-        (Look(sheet="no-such-sheet"), "--style no-such-sheet: "),
-        (Look(height=0.5), "inches; --plain has no headline and caption"),
-        (Look(height=0.5, plain=True), r"--height 0.5: at least \d\.\d inches$"),
+        (Look(sheet="no-such-sheet"), "style='no-such-sheet': "),
+        (Look(height=0.5), r"height='0.5': at least \d\.\d inches for 2 panels; plain leaves out headline"),
     ],
 )
 def test_what_cannot_be_drawn_is_told(study: HandMade, tmp_path: Path, look: Look, said: str) -> None:
     with pytest.raises(UserError, match=said):
-        save_page(curves_page(study.data), tmp_path, PNG, look=look)
+        save_page(study.page(), tmp_path, PNG, look=look)

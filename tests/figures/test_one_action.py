@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from pneuma.answers.one_action import find_one_action
 from pneuma.errors import UserError
 from pneuma.figures.grid import save_page
-from pneuma.figures.one_action import one_action_page
+from pneuma.figures.shares import one_action_page
 
 from .hand_made import HandMade, words
 
@@ -25,7 +26,7 @@ def test_runs_that_come_to_stay_in_one_action_are_counted_when_they_do(
     study.add("tanh", 1, evaluations=(), actions=[out] * 4 + [always] * 6)
     study.add("tanh", 2, evaluations=(), actions=[always, out] * 5)  # often in it, and never stays
     study.add("tanh", 3, evaluations=(), actions=[out] * 10, status="diverged", end=400)
-    save_page(one_action_page(study.data), tmp_path, ("svg",))
+    save_page(one_action_page(find_one_action(study.data)), tmp_path, ("svg",))
     left, right = drawn[0].axes
     stairs = np.asarray(left.lines[0].get_xydata()).tolist()
     assert stairs == [[0, 1], [300, 0.75], [400, 0.75], [500, 0.375], [1000, 0.375]]
@@ -38,4 +39,4 @@ def test_runs_that_come_to_stay_in_one_action_are_counted_when_they_do(
 
 def test_one_action_needs_evaluations_of_actions(study: HandMade) -> None:
     with pytest.raises(UserError, match="has no evaluations with commonest_action"):
-        one_action_page(study.data)
+        find_one_action(study.data)

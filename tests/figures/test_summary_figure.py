@@ -9,6 +9,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from pneuma.answers.outcomes import show_outcomes
 from pneuma.figures.grid import save_page
 from pneuma.figures.summary import summary_page
 
@@ -32,7 +33,7 @@ def five(tmp_path: Path) -> HandMade:
 
 
 def test_every_run_is_a_dot_beside_the_means(five: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
-    save_page(summary_page(five.data), tmp_path, ("svg",))
+    save_page(summary_page(show_outcomes({"": five.data})), tmp_path, ("svg",))
     (runs,) = drawn[0].axes
     assert _points(runs, "o") == pytest.approx([0.1, 0.1, 0.2, 0.3, 0.3, 0.2, 0.3, 0.3, 0.5, 0.7])
     assert _points(runs, "D") == pytest.approx([0.2, 0.4])

@@ -1,0 +1,78 @@
+"""Figures of shares over all runs: performance profiles, and runs in one action."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.patches import Patch
+
+from pneuma.analysis.environments import by_environment
+from pneuma.analysis.quantities import SHARES
+from pneuma.answers.answer import StudyAnswer
+from pneuma.figures import grid, style
+from pneuma.figures.grid import Page, Panel
+from pneuma.figures.origin import lines_of_runs
+from pneuma.figures.words import headline_of, looks_of
+
+OPACITY = 0.2
+
+
+def profile_page(answer: StudyAnswer) -> Page:
+    """Return the figure of performance profiles (Agarwal et al. 2021): the share of runs above each score."""
+    table, looks = answer.table, looks_of(list(by_environment(answer.data).values()))
+
+    def draw(axes: Axes) -> None:
+        _draw_lines(axes, table, looks, marker="")
+        axes.set(xlim=(table["x"].min(), table["x"].max()), ylim=(0, 1 + grid.BELOW_ZERO))
+
+    panel = Panel(draw, x="Score", y="Share of runs above it", y_kind=SHARES)
+    return _page(answer, "profile", "performance profiles", [panel])
+
+
+def one_action_page(answer: StudyAnswer) -> Page:
+    """Return the figure of a study's conditions: a curve of survival, and the time by fifths of training."""
+    looks = looks_of([answer.data])
+
+    def draw_survival(axes: Axes) -> None:
+        look = {"drawstyle": "steps-post", "markevery": [-1]}
+        _draw_lines(axes, answer.tables["staying"], looks, step="post", **look)
+        axes.set(xlim=(0, answer.data.budget), ylim=(-grid.BELOW_ZERO, 1 + grid.BELOW_ZERO))
+
+    def draw_times(axes: Axes) -> None:
+        _draw_lines(axes, answer.tables["time"], looks)
+        axes.set(ylim=(-grid.BELOW_ZERO, max(axes.get_ylim()[1], 0.01)))
+
+    survival = ("Not yet staying in one action", "Environment steps", "Share of runs")
+    times = ("Time in one action", "Fifth of training", "Share of evaluations")
+    panels = [Panel(draw_survival, *survival, y_kind=SHARES), Panel(draw_times, *times, y_kind=SHARES)]
+    return _page(answer, "one-action", "runs in one action", panels)
+
+
+def _draw_lines(
+    axes: Axes,
+    table: pd.DataFrame,
+    looks: Mapping[str, Mapping[str, Any]],
+    step: Any = None,
+    **line: Any,
+) -> None:
+    """Draw the share of each condition over x, in a band from low to high."""
+    for condition, frame in table.groupby("condition", sort=False):
+        look = {**looks[str(condition)], **line}
+        grid.draw_band(axes, frame, (0, 1), color=look["color"], alpha=OPACITY, step=step)
+        axes.plot(frame["x"], frame["share"], clip_on=False, **look)
+
+
+def _page(answer: StudyAnswer, name: str, subject: str, panels: list[Panel]) -> Page:
+    return Page(
+        basename=answer.data.basename(name),
+        grid=[panels],
+        inches=style.PANEL_INCHES,
+        headline=headline_of(answer.data, subject),
+        runs=lines_of_runs(answer.data),
+        entries={"95 % interval": Patch(color=style.INK, alpha=OPACITY, linewidth=0)},
+        caption=answer.notes,
+        answer=answer,
+    )
