@@ -26,7 +26,7 @@ from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullForm
 
 from pneuma.analysis.quantities import POWERS, SHARES, VALUES
 from pneuma.answers.answer import Answer
-from pneuma.errors import Hint, UserError
+from pneuma.errors import Hint, UserError, counted
 from pneuma.figures import style
 from pneuma.figures.origin import origin_text
 from pneuma.figures.style import CAPTION, GREY, INK, LINE_INCHES, WIDTH, Look, characters, clean, text_points
@@ -241,7 +241,8 @@ def _put_texts(figure: Figure, page: Page, look: Look, x_label: str) -> Figure:
     least_height = above + below + LEAST_PANEL_HEIGHT * rows_of_panels
     if height < least_height:
         advice = [] if look.plain else ["; ", Hint("plain"), " leaves out headline and caption"]
-        amount = f": at least {math.ceil(10 * least_height) / 10:.1f} inches for {len(figure.axes)} panels"
+        panels = counted(len(figure.axes), "panel")
+        amount = f": at least {math.ceil(10 * least_height) / 10:.1f} inches for {panels}"
         raise UserError(Hint("height", f"{height:g}"), amount, *advice)
     figure.set_size_inches(look.width, height)
     engine: Any = figure.get_layout_engine()
