@@ -23,7 +23,7 @@ from pneuma.store.last_queries import forget_query
 from pneuma.store.store import Identity, Status, Store, checkpoint_files
 from pneuma.study.identity import run_id
 from pneuma.training.executors import local
-from pneuma.training.executors.base import LOCAL_CONFIG, Event, Job
+from pneuma.training.executors.base import Event, ExecutorConfig, Job
 
 from ..cli.calls import call
 
@@ -161,7 +161,7 @@ def test_a_run_whose_folder_is_a_link_is_not_trained_into_and_nothing_there_is_s
     folder.parent.mkdir(parents=True, exist_ok=True)
     folder.symlink_to(theirs)
     events = list[Event]()
-    local.train_runs(Job({run_id(run): run}, store, LOCAL_CONFIG), events.append)
+    local.train_runs(Job({run_id(run): run}, store, ExecutorConfig()), events.append)
     (end,) = [event for event in events if event["event"] == "end"]
     assert (
         end["status"] == "crashed"

@@ -19,7 +19,7 @@ from pneuma.errors import StorageError
 from pneuma.store.store import Store
 from pneuma.study.identity import run_id
 from pneuma.training.executors import local
-from pneuma.training.executors.base import LOCAL_CONFIG, Event, Job
+from pneuma.training.executors.base import Event, ExecutorConfig, Job
 from pneuma.training.executors.local import Interrupts
 
 RUN = make_run({"steps": 256})
@@ -28,7 +28,7 @@ TWO = {run_id(run): run for run in (RUN, replace(RUN, seed=1))}
 
 def train(runs: dict[str, Run], folder: Path) -> list[Event]:
     events: list[Event] = []
-    local.train_runs(Job(runs, Store(folder / "results"), LOCAL_CONFIG), events.append)
+    local.train_runs(Job(runs, Store(folder / "results"), ExecutorConfig()), events.append)
     return events
 
 

@@ -18,7 +18,7 @@ from pneuma.config import make_run
 from pneuma.errors import UserError
 from pneuma.store.store import Store
 from pneuma.training.executors import ray
-from pneuma.training.executors.base import LOCAL_CONFIG, Job
+from pneuma.training.executors.base import ExecutorConfig, Job
 from pneuma.training.executors.local import worker_environment
 
 from .begun import begin, end_begun, hold, outcome, wait_until, write_study
@@ -84,7 +84,7 @@ def checkpoint_folders(folder: Path) -> set[Path]:
 
 def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="cannot see /shared/results: all nodes must share that folder"):
-        job = Job({"a0" * 8: make_run({})}, Store("/shared/results"), LOCAL_CONFIG)
+        job = Job({"a0" * 8: make_run({})}, Store("/shared/results"), ExecutorConfig())
         ray.train_here(job.to_json(), ray.versions(), str(tmp_path))
 
 

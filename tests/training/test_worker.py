@@ -24,12 +24,14 @@ from pneuma.store.store import Status, Store, run_identity
 from pneuma.store.tables import from_parquet
 from pneuma.study.identity import run_id
 from pneuma.training import worker
-from pneuma.training.executors.base import LOCAL_CONFIG, ExecutorConfig, Job
+from pneuma.training.executors.base import ExecutorConfig, Job
 from pneuma.training.executors.local import worker_environment
 
 RUNS = [make_run({"seed": seed, "steps": 512, "horizon": 256}) for seed in (0, 1)]
 FIRST, SECOND = map(run_id, RUNS)
 TABLES = {"episodes.parquet", "metrics.parquet", "evaluations.parquet"}
+
+HERE = ExecutorConfig()
 
 
 class _Engine:
@@ -52,7 +54,7 @@ class _Engine:
 
 
 def _train(
-    engine: _Engine, folder: Path, monkeypatch: pytest.MonkeyPatch, config: ExecutorConfig = LOCAL_CONFIG
+    engine: _Engine, folder: Path, monkeypatch: pytest.MonkeyPatch, config: ExecutorConfig = HERE
 ) -> tuple[bool, Store, list[dict[str, Any]]]:
     monkeypatch.setattr(worker, "train_run", engine.train)
     store, events = Store(folder), io.StringIO()
@@ -127,7 +129,7 @@ def test_a_machine_without_tensorboard_trains_all_the_same(
 
 def test_a_worker_leaves_within_seconds_when_its_parent_does(tmp_path: Path) -> None:
     run = make_run({"steps": 10**9})
-    job = Job({run_id(run): run}, Store(tmp_path), LOCAL_CONFIG)
+    job = Job({run_id(run): run}, Store(tmp_path), HERE)
     process = subprocess.Popen(
         [sys.executable, "-m", "pneuma.training.worker", str(os.getpid())],
         stdin=subprocess.PIPE,

@@ -70,9 +70,6 @@ class ExecutorConfig:
     address: str | None = None
 
 
-LOCAL_CONFIG = ExecutorConfig()
-
-
 @dataclass(frozen=True)
 class Job:
     """Runs to train, by their ids. Workers and nodes get it as a line of JSON, never as a file.
