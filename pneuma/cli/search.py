@@ -13,7 +13,7 @@ from pneuma.cli import options as opt
 from pneuma.cli.hints import command
 from pneuma.cli.output import (
     Result,
-    Table,
+    answer_result,
     check_file,
     keep_files,
     listed_result,
@@ -23,14 +23,13 @@ from pneuma.cli.output import (
     wrote,
 )
 from pneuma.cli.study_run import train as train_study
-from pneuma.errors import UserError, counted, unknown_name
+from pneuma.errors import UserError, unknown_name
 from pneuma.search import FIRST_SEED
 from pneuma.store.store import Store
 from pneuma.study import shipped, spec
 
 if TYPE_CHECKING:
-    from optuna.trial import FrozenTrial
-
+    from pneuma.answers.answer import Answer
     from pneuma.search.log import Record
     from pneuma.study.plan import Plan
     from pneuma.training.execute import CellResult
@@ -88,35 +87,13 @@ def show(name: SearchName, world: opt.World = None) -> Result:
 def status(name: SearchName, location: Location) -> Result:
     """Show the progress of a search, and its best trials."""
     record = location.read(name)
-    return Result(record.document(), _status(record, name, location))
+    from pneuma.answers.search import list_trials
 
-
-def _status(record: Record, name: str, location: Location) -> Iterator[str | Table]:
-    from pneuma.search.log import STATES
-    from pneuma.search.spec import shown_params
-
-    budget, best = record.budget, record.best
-    source = "Published, without its runs" if record.published else "Optuna's log"
-    yield f"{source}: {record.path}"
-    amount = f"{counted(len(budget.seeds), 'seed')} each, {budget.steps:,} steps a run"
-    yield f"{len(record.ended)} of {counted(budget.trials, 'trial')}, {amount}"
-    for objective in record.search.objectives.values():
-        yield f"Value: {objective.direction} the {objective.over_seeds} over seeds of {objective.outcome}"
-    front = best if isinstance(best, list) else [best]
-    rows = []
-    for trial in record.ended:
-        mark = "  *" if trial.number in front else ""
-        note = str(trial.user_attrs.get("note", ""))
-        state = STATES[trial.state]
-        rows.append((mark, trial.number, state, _value(trial), shown_params(trial.params), note))
-    yield Table(("", "trial", "", "value", "", ""), rows)
-    if isinstance(best, int):
-        yield f"Best (*): trial {best}. Confirm it with: {location.command('promote', name)}"
-    elif best:
-        yield f"Pareto front (*): trials {', '.join(map(str, best))}."
-    else:
-        yield "No trial is complete yet."
-    yield f"Look closer with: {location.command('plot', name)}"
+    result = answer_result(list_trials(record))
+    lines = [f"Look closer with: {location.command('plot', name)}"]
+    if isinstance(record.best, int):
+        lines.append(f"Confirm the best one with: {location.command('promote', name)}")
+    return replace(result, shown=[*result.shown, *lines])
 
 
 @app.command(short_help="Draw a search.")
@@ -151,6 +128,7 @@ def run(
 ) -> Result:
     """Run a hyperparameter search, or resume it. Several processes can share the work."""
     from pneuma import api
+    from pneuma.answers.search import list_trials
     from pneuma.search.spec import load_search
     from pneuma.search.trials import Unfinished, run_search
 
@@ -171,13 +149,13 @@ def run(
         )
 
     document: dict[str, Any] = {}
-    code = printed = 0
+    code = reported = 0
     try:
         for record in run_search(search, budget, location.store, train, report):
-            document = record.document()
-            for line in _news(record, printed):
+            answer = list_trials(record)
+            for line in _news(answer, reported):
                 report(line)
-            printed = len(document["trials"])
+            document, reported = answer.document, len(answer.table)
     except Unfinished as error:
         say(f"Stopped: {error}. To try crashed runs again, add --retry-failed.")
         code = 1
@@ -191,25 +169,14 @@ def run(
     return Result(document, lines, code=code)
 
 
-def _news(record: Record, printed: int) -> Iterator[str]:
-    """Yield a line for each trial that has ended after those that were printed, then the best one so far."""
-    from pneuma.search.log import STATES
-    from pneuma.search.spec import shown_params
-
-    best, ended = record.best, record.ended
-    for trial in ended[printed:]:
-        text = f"trial {trial.number}: {STATES[trial.state]}, {_value(trial)}; {shown_params(trial.params)}"
-        note = trial.user_attrs.get("note")
-        yield f"{text}; {note}" if note else text
-    if len(ended) > printed or not ended:
-        best_text = f"front: {best}" if best else "none is complete yet"
-        if isinstance(best, int):
-            best_text = f"best: trial {best}, {_value(record.trials[best])}"
-        yield f"{len(ended)} of {counted(record.budget.trials, 'trial')}; {best_text}"
-
-
-def _value(trial: FrozenTrial) -> str:
-    return ", ".join(f"{value:.4g}" for value in trial.values or ()) or "no value"
+def _news(answer: Answer, reported: int) -> Iterator[str]:
+    """Yield a line for each trial that has ended since, then how far the search is."""
+    trials = answer.cells[0]
+    for trial in trials[reported:].to_dict("records"):
+        text = f"trial {trial['trial']}: {trial['state']}, {trial['value']}; {trial['parameters']}"
+        yield f"{text}; {trial['note']}" if trial["note"] else text
+    if len(trials) > reported or not len(trials):
+        yield f"{answer.notes[0]}. {answer.legend[0]}"
 
 
 # --- promote --------------------------------------------------------------------------------------

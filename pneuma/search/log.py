@@ -114,30 +114,6 @@ class Record:
             return sorted(trial.number for trial in self.study.best_trials)
         return self.study.best_trial.number if self.complete else None
 
-    def document(self) -> dict[str, Any]:
-        """Return it as JSON."""
-        trials = []
-        for trial in self.ended:
-            trials.append(
-                {
-                    "number": trial.number,
-                    "params": trial.params,
-                    "values": trial.values or [],
-                    "state": STATES[trial.state],
-                    "run_ids": trial.user_attrs.get("run_ids", []),
-                    "reports": trial.intermediate_values,
-                    "note": str(trial.user_attrs.get("note", "")),
-                }
-            )
-        return {
-            "search": self.search.name,
-            "trials_asked": self.budget.trials,
-            "seeds": self.budget.seeds,
-            "steps": self.budget.steps,
-            "trials": trials,
-            "best": self.best,
-        }
-
 
 # --- Writing ---------------------------------------------------------------------------------------
 

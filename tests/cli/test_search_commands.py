@@ -74,7 +74,7 @@ def test_a_search_is_told_as_json_and_trains_nothing_twice(
     assert {p: p.stat().st_mtime_ns for p in results.glob("runs/*/status.json")} == before
     told = described("search", "status", "small", "--results", results, "--json")  # its file is here
     assert told["trials"] == document["trials"]
-    assert "Best (*)" in printed("search", "status", path, "--results", results)
+    assert f"Best: trial {document['best']}." in printed("search", "status", path, "--results", results)
     again = described("search", "run", "small", "--results", results, "--json")
     assert again["trials"] == document["trials"]
     assert "A small search" in printed("search", "show", "small")
