@@ -107,23 +107,23 @@ ROLLOUT_LEARNERS = ("ppo", "a2c", "trpo", "recurrent-ppo")
 """Learners whose `n_steps` are the steps of a rollout, which is the field `horizon`."""
 
 
-def find_algorithm(name: str) -> Algorithm:
+def find_algorithm(algorithm_name: str) -> Algorithm:
     """Return an algorithm by its name, or a learner by `module:Class`."""
-    return ALGORITHMS.get(name) or Algorithm(learner=name)
+    return ALGORITHMS.get(algorithm_name) or Algorithm(learner=algorithm_name)
 
 
-def is_own_algorithm(name: str) -> bool:
+def is_own_algorithm(algorithm_name: str) -> bool:
     """Return whether an algorithm is a class of neither Stable-Baselines3 nor sb3-contrib."""
-    module, colon, _ = name.rpartition(":")
+    module, colon, _ = algorithm_name.rpartition(":")
     return bool(colon) and module.partition(".")[0] not in ("stable_baselines3", "sb3_contrib")
 
 
 def default_fields(algorithm: str, optimizer: str = "") -> dict[str, Any]:
     """Return the defaults of an algorithm and of an optimizer, which is the algorithm's own if left out."""
-    about = find_algorithm(algorithm)
-    optimizer = optimizer or about.defaults.get("optimizer", "")
-    defaults = dict(about.defaults)
+    chosen_algorithm = find_algorithm(algorithm)
+    optimizer = optimizer or chosen_algorithm.defaults.get("optimizer", "")
+    defaults = dict(chosen_algorithm.defaults)
     if optimizer:
         defaults |= OPTIMIZERS[optimizer].defaults
-        defaults |= about.optimizers.get(optimizer, {})
+        defaults |= chosen_algorithm.optimizers.get(optimizer, {})
     return defaults

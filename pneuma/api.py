@@ -83,13 +83,13 @@ def run_study(
     """
     most_workers, store = _count("workers", workers) or available_cores(), _store(results)
     planned = plan_study(_query(study, world, preset, seeds, steps, conditions, settings), store)
-    config = ExecutorConfig(workers=most_workers)
-    outcomes = train_plan(planned, store, config, quiet=quiet, on_progress=on_progress)
-    if unwell := [outcome for outcome in outcomes if not outcome.status.finished]:
-        cell, status = unwell[0].cell, unwell[0].status
+    executor_config = ExecutorConfig(workers=most_workers)
+    outcomes = train_plan(planned, store, executor_config, quiet=quiet, on_progress=on_progress)
+    if unfinished := [outcome for outcome in outcomes if not outcome.status.finished]:
+        cell, status = unfinished[0].cell, unfinished[0].status
         raise UserError(
-            f"{len(unwell)} of {len(outcomes)} runs did not finish: {cell.condition} seed {cell.seed} "
-            f"{status.name} {unwell[0].reason}; see {store.run_folder(cell.run_id) / 'error.txt'}"
+            f"{len(unfinished)} of {len(outcomes)} runs did not finish: {cell.condition} seed {cell.seed} "
+            f"{status.name} {unfinished[0].reason}; see {store.run_folder(cell.run_id) / 'error.txt'}"
         )
     return open_data(study, results, preset=spec.LAST, world=world)
 
@@ -129,16 +129,16 @@ def train_plan(
 
     Runs pause at the step `config.until`.
     """
-    todo, notes = execute.prepare(planned, store, retry_failed, config.until)
+    missing, notes = execute.prepare(planned, store, retry_failed, config.until)
     if own_path := planned.study.own_path:
-        files = {path for cell in planned.cells for path in user_files(as_fields(cell.run))}
-        config = replace(config, project=project(Path(own_path), files))
+        own_files = {own_file for cell in planned.cells for own_file in user_files(as_fields(cell.run))}
+        config = replace(config, project=project(Path(own_path), own_files))
     for note in list(planned.notes) + list(notes):
         say(f"Note: {note}.")
-    if todo:
-        say(f"Training {counted(len(todo), 'run')}; compiling for the first time takes up to a minute.")
-    with ProgressDisplay(todo, store, quiet or on_progress is not None, config.until) as display:
-        return execute.execute(planned, todo, store, config, on_progress or display.update)
+    if missing:
+        say(f"Training {counted(len(missing), 'run')}; compiling for the first time takes up to a minute.")
+    with ProgressDisplay(missing, store, quiet or on_progress is not None, config.until) as display:
+        return execute.execute(planned, missing, store, config, on_progress or display.update)
 
 
 def open_data(
@@ -197,9 +197,9 @@ def compare(
     """
     from pneuma.answers.comparison import compare
 
-    second = None if other is None else _opened(other, results)
-    names = (outcomes,) if isinstance(outcomes, str) else tuple(outcomes)
-    return compare(_opened(study, results), a, b, names, second)
+    second_data = None if other is None else _opened(other, results)
+    outcome_names = (outcomes,) if isinstance(outcomes, str) else tuple(outcomes)
+    return compare(_opened(study, results), a, b, outcome_names, second_data)
 
 
 def summarize(study: StudyData | Where, outcomes: Sequence[str] = (), results: Where | None = None) -> Answer:
@@ -215,8 +215,8 @@ def summarize(study: StudyData | Where, outcomes: Sequence[str] = (), results: W
     """
     from pneuma.answers.summary import summarize
 
-    names = (outcomes,) if isinstance(outcomes, str) else tuple(outcomes)
-    return summarize(_opened(study, results), names)
+    outcome_names = (outcomes,) if isinstance(outcomes, str) else tuple(outcomes)
+    return summarize(_opened(study, results), outcome_names)
 
 
 def plot(
@@ -281,10 +281,10 @@ def promote(
     from pneuma.search.promote import find_trial, promotion_study, write_study
 
     store = _store(results)
-    record = read_record(store, os.fspath(search), world)
-    trial_found = find_trial(record, trial)
-    text = promotion_study(record, trial_found, _seeds(seeds) or (), _count("steps", steps))
-    return run_study(write_study(store, record, text), results, workers=workers, quiet=quiet)
+    search_record = read_record(store, os.fspath(search), world)
+    trial_found = find_trial(search_record, trial)
+    study_text = promotion_study(search_record, trial_found, _seeds(seeds) or (), _count("steps", steps))
+    return run_study(write_study(store, search_record, study_text), results, workers=workers, quiet=quiet)
 
 
 def load_policy(
@@ -308,24 +308,26 @@ def load_policy(
     """
     store = _store(results)
     full_id = find_run(store, run_id)
-    run = trusted_settings(store, full_id, trust)
-    policy = stored_policy(store, full_id, run)
-    env = read_field(Run, "env", run.get("env"))
-    if is_gymnasium_id(env):
-        settings = json.loads(run.get("env_kwargs") or "{}")
+    run_settings = trusted_settings(store, full_id, trust)
+    policy = stored_policy(store, full_id, run_settings)
+    env_id = read_field(Run, "env", run_settings.get("env"))
+    if is_gymnasium_id(env_id):
+        settings = json.loads(run_settings.get("env_kwargs") or "{}")
     else:
-        settings = {key: run[key] for key in OF_WORLDS if key in run}
-    return policy, env, settings
+        settings = {
+            field_name: run_settings[field_name] for field_name in OF_WORLDS if field_name in run_settings
+        }
+    return policy, env_id, settings
 
 
 def stored_policy(store: Store, run_id: str, settings: Mapping[str, Any]) -> Policy | LearnedPolicy:
     """Read the final policy of a run with these settings, which may be untrusted; nothing is unpickled."""
     from pneuma.engines.policy import LEARNER_FILE, POLICY_FILE, read_sound_policy
 
-    files = store.checksums(run_id)
-    if POLICY_FILE in files:
+    checksums = store.checksums(run_id)
+    if POLICY_FILE in checksums:
         return read_sound_policy(store.read_file(run_id, POLICY_FILE))
-    if LEARNER_FILE in files:
+    if LEARNER_FILE in checksums:
         from pneuma.engines.sb3_open import load_learner
 
         return load_learner(stored_run(settings), store.read_file(run_id, LEARNER_FILE))
@@ -367,8 +369,8 @@ def evaluate(
     from pneuma.engines.evaluation import Evaluation, OwnAgent
     from pneuma.engines.policy import Policy, check_fits
 
-    world = asdict(make_env_config(dict(settings or {}), env_id))
-    run = make_run({**world, "env": env_id, "seed": seed, "evaluation_episodes": episodes})
+    world_settings = asdict(make_env_config(dict(settings or {}), env_id))
+    run = make_run({**world_settings, "env": env_id, "seed": seed, "evaluation_episodes": episodes})
     evaluation = Evaluation(run)
     if isinstance(agent, Policy):
         check_fits(agent, evaluation.worlds)
@@ -396,13 +398,13 @@ def _query(
     conditions: Sequence[str],
     settings: Mapping[str, Any] | None,
 ) -> plan.Query:
-    names = (conditions,) if isinstance(conditions, str) else tuple(conditions)
+    condition_names = (conditions,) if isinstance(conditions, str) else tuple(conditions)
     query = plan.Query(
         world=world,
         preset=preset,
         seeds=_seeds(seeds),
         steps=_count("steps", steps),
-        conditions=names,
+        conditions=condition_names,
         settings=plain(dict(settings or {})),
     )
     return query.named(os.fspath(study))
@@ -418,8 +420,8 @@ def _seeds(seeds: int | Sequence[int] | None) -> tuple[int, ...] | None:
         raise UserError(f"seeds = {seeds!r} is not allowed: a count, or different whole numbers") from None
 
 
-def _count(name: str, value: object) -> int | None:
-    count: int | None = plain(value)
+def _count(argument_name: str, argument: object) -> int | None:
+    count: int | None = plain(argument)
     if count is not None and not (isinstance(count, int) and count >= 1):
-        raise UserError(f"{name} = {count} is not allowed: a whole number of at least 1")
+        raise UserError(f"{argument_name} = {count} is not allowed: a whole number of at least 1")
     return count

@@ -58,8 +58,8 @@ Schedule = Literal["constant", "linear"]
 # --- The configuration ---------------------------------------------------------------------------
 
 
-def _read_layers(value: Any) -> tuple[int, ...]:
-    widths = (value,) if type(value) is int else tuple(value)
+def _read_layers(layers: Any) -> tuple[int, ...]:
+    widths = (layers,) if type(layers) is int else tuple(layers)
     if not 1 <= len(widths) <= 8:
         raise ValueError
     for width in widths:
@@ -76,69 +76,69 @@ Fraction = Annotated[float, Interval(ge=0, le=0.999999)]
 Steps = Annotated[int, Interval(ge=1, le=10**12)]
 
 
-def _read_limit(value: object) -> float | None:
+def _read_limit(limit: object) -> float | None:
     """Read the limit of a norm; "none" means no limit."""
-    if value is None or value == "none":
+    if limit is None or limit == "none":
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= 1e9:
+    if isinstance(limit, bool) or not isinstance(limit, int | float) or not 0 < limit <= 1e9:
         raise ValueError
-    return float(value)
+    return float(limit)
 
 
 _FOREIGN = re.compile(r"(?!(?i:pneuma))([\w.-]+/)?[\w.-]+-v\d+")
 """The form of an id of other environments that are registered with Gymnasium."""
 
 
-def is_gymnasium_id(env: object) -> bool:
+def is_gymnasium_id(env_id: object) -> bool:
     """Return whether a name is the id of a Gymnasium environment other than Pneuma's own."""
-    return isinstance(env, str) and _FOREIGN.fullmatch(env) is not None
+    return isinstance(env_id, str) and _FOREIGN.fullmatch(env_id) is not None
 
 
-def _read_env(value: Any) -> str:
-    if value in ENVIRONMENTS or is_gymnasium_id(value):
-        return str(value)
+def _read_env(env_id: Any) -> str:
+    if env_id in ENVIRONMENTS or is_gymnasium_id(env_id):
+        return str(env_id)
     raise ValueError
 
 
-def _read_arguments(value: Any) -> str:
+def _read_arguments(arguments: Any) -> str:
     """Read a table of keyword arguments as JSON; equal tables give equal text."""
-    table = json.loads(value or "{}") if isinstance(value, str) else value
-    if not isinstance(table, Mapping):
+    argument_table = json.loads(arguments or "{}") if isinstance(arguments, str) else arguments
+    if not isinstance(argument_table, Mapping):
         raise ValueError
-    if not table:
+    if not argument_table:
         return ""
-    return json.dumps(plain(table, floats_to_integers=False), sort_keys=True, allow_nan=False)
+    return json.dumps(plain(argument_table, floats_to_integers=False), sort_keys=True, allow_nan=False)
 
 
-def _read_wrappers(value: Any) -> tuple[str, ...]:
+def _read_wrappers(wrappers: Any) -> tuple[str, ...]:
     """Read classes, of `gymnasium.wrappers` where no module is named, with their arguments as JSON."""
-    if value == "":
+    if wrappers == "":
         return ()
-    if isinstance(value, str):
-        value = [value] if "{" in value else value.split(",")
-    if isinstance(value, Mapping):
-        value = [value]
-    return tuple(_read_wrapper(wrapper) for wrapper in value)
+    if isinstance(wrappers, str):
+        wrappers = [wrappers] if "{" in wrappers else wrappers.split(",")
+    if isinstance(wrappers, Mapping):
+        wrappers = [wrappers]
+    return tuple(_read_wrapper(wrapper) for wrapper in wrappers)
 
 
-def _read_wrapper(value: Any) -> str:
+def _read_wrapper(wrapper: Any) -> str:
     arguments: Any
-    if isinstance(value, Mapping):
-        arguments = dict(value)
-        name = arguments.pop("name", "")
+    if isinstance(wrapper, Mapping):
+        arguments = dict(wrapper)
+        class_name = arguments.pop("name", "")
     else:
-        name, brace, rest = value.partition("{")
-        arguments = brace + rest
-    if name and ":" not in name:
-        name = f"gymnasium.wrappers:{name}"
-    if not re.fullmatch(rf"({MODULE}):\w+", name):
+        class_name, brace, arguments_text = wrapper.partition("{")
+        arguments = brace + arguments_text
+    if class_name and ":" not in class_name:
+        class_name = f"gymnasium.wrappers:{class_name}"
+    if not re.fullmatch(rf"({MODULE}):\w+", class_name):
         raise ValueError
-    return name + _read_arguments(arguments)
+    return class_name + _read_arguments(arguments)
 
 
-def _read_algorithm(value: Any) -> str:
-    if value in ALGORITHMS or re.fullmatch(rf"({MODULE}):\w+", value):
-        return str(value)
+def _read_algorithm(algorithm: Any) -> str:
+    if algorithm in ALGORITHMS or re.fullmatch(rf"({MODULE}):\w+", algorithm):
+        return str(algorithm)
     raise ValueError
 
 
@@ -296,11 +296,15 @@ class Run(EnvConfig):
 FIELDS = about_fields(Run)
 """What is known of each field of a run."""
 OF_WORLDS = tuple(about_fields(EnvConfig))
-OF_GYMNASIUM = tuple(name for name, about in FIELDS.items() if about.read_by == (OF_GYMNASIUM_ENV,))
+OF_GYMNASIUM = tuple(
+    field_name for field_name, declaration in FIELDS.items() if declaration.read_by == (OF_GYMNASIUM_ENV,)
+)
 """Fields of environments other than Pneuma's, in place of those of `EnvConfig`."""
-OF_OPEN_LEARNERS = tuple(name for name, about in FIELDS.items() if about.read_by == (OF_OPEN_LEARNER,))
+OF_OPEN_LEARNERS = tuple(
+    field_name for field_name, declaration in FIELDS.items() if declaration.read_by == (OF_OPEN_LEARNER,)
+)
 """Fields by which Stable-Baselines3 trains as a script of one's own would, without exact resume."""
-ANNEALED = tuple(name for name in FIELDS if f"{name}_schedule" in FIELDS)
+ANNEALED = tuple(field_name for field_name in FIELDS if f"{field_name}_schedule" in FIELDS)
 """Fields that may fall over a run, each by a schedule of its own, as rl-baselines3-zoo's settings need."""
 
 
@@ -311,40 +315,44 @@ def make_run(settings: Mapping[str, object]) -> Run:
     optimizer. What these do not read is at the default of `Run`, so that two ways to write the same training
     give the same run. The budget is rounded up to whole horizons.
     """
-    env = str(settings.get("env", ENVIRONMENTS[0]))
-    usual = vars(Run())
-    values: dict[str, Any] = {}
-    for name, value in read_fields(Run, with_environment(env, settings)).items():
-        if value is not None or usual[name] is not None:
-            values[name] = value
-    if not is_gymnasium_id(env):
-        values = resolve_world(values)
+    env_id = str(settings.get("env", ENVIRONMENTS[0]))
+    run_defaults = vars(Run())
+    field_values: dict[str, Any] = {}
+    for field_name, field_value in read_fields(Run, with_environment(env_id, settings)).items():
+        if field_value is not None or run_defaults[field_name] is not None:
+            field_values[field_name] = field_value
+    if not is_gymnasium_id(env_id):
+        field_values = resolve_world(field_values)
 
-    naming = ("env", "algorithm") + OF_OPEN_LEARNERS
-    learner = Run(**{name: values[name] for name in naming if name in values})
-    values |= _rollout_steps(learner, values)
-    defaults = default_fields(learner.algorithm, values.get("optimizer", ""))
-    complete = {**defaults, **values}
-    learner = replace(learner, optimizer=complete.get("optimizer", learner.optimizer))
+    learner_fields = ("env", "algorithm") + OF_OPEN_LEARNERS
+    learner = Run(**{name: field_values[name] for name in learner_fields if name in field_values})
+    field_values |= _rollout_steps(learner, field_values)
+    defaults = default_fields(learner.algorithm, field_values.get("optimizer", ""))
+    all_values = {**defaults, **field_values}
+    learner = replace(learner, optimizer=all_values.get("optimizer", learner.optimizer))
     readers = _read_by(learner.env, learner.algorithm, learner.optimizer, is_open(learner))
-    if values.get("learners") == "independent" and "learners" not in readers:
+    if field_values.get("learners") == "independent" and "learners" not in readers:
         _refuse("learners = independent", f"{learner.algorithm} trains one policy for all players")
-    run = Run(**{name: value for name, value in complete.items() if name in readers})
-    idle = readers - reads(run)
-    run = replace(run, **{name: defaults.get(name, usual[name]) for name in idle})
-    run = replace(run, engine=_engine(run, values.get("engine", "")))
+    run = Run(
+        **{field_name: field_value for field_name, field_value in all_values.items() if field_name in readers}
+    )
+    unread = readers - reads(run)
+    run = replace(run, **{name: defaults.get(name, run_defaults[name]) for name in unread})
+    run = replace(run, engine=_engine(run, field_values.get("engine", "")))
     _check_learner(run)
     return replace(run, steps=round_up(run, run.steps))
 
 
-def _rollout_steps(run: Run, values: Mapping[str, Any]) -> dict[str, int]:
+def _rollout_steps(run: Run, settings: Mapping[str, Any]) -> dict[str, int]:
     """Return the horizon of a learner that is told the length of its rollouts as `n_steps`."""
-    steps = json.loads(run.algorithm_kwargs or "{}").get("n_steps")
-    if steps is None or run.algorithm not in ROLLOUT_LEARNERS:
+    n_steps = json.loads(run.algorithm_kwargs or "{}").get("n_steps")
+    if n_steps is None or run.algorithm not in ROLLOUT_LEARNERS:
         return {}
-    horizon: int = read_fields(Run, {"horizon": steps})["horizon"]
-    if values.get("horizon", horizon) != horizon:
-        _refuse(f"horizon = {values['horizon']}", f"algorithm_kwargs has n_steps = {steps}: leave one out")
+    horizon: int = read_fields(Run, {"horizon": n_steps})["horizon"]
+    if settings.get("horizon", horizon) != horizon:
+        _refuse(
+            f"horizon = {settings['horizon']}", f"algorithm_kwargs has n_steps = {n_steps}: leave one out"
+        )
     return {"horizon": horizon}
 
 
@@ -355,7 +363,7 @@ def round_up(run: Run, steps: int) -> int:
 
 def reads(run: Run) -> frozenset[str]:
     """Return the names of the fields that affect a run, given its other fields."""
-    idle = {
+    idle_fields = {
         "dampening": not run.momentum,
         "clip": run.gradient_limit is None,
         "learners": run.players == 1,
@@ -364,25 +372,25 @@ def reads(run: Run) -> frozenset[str]:
         "algorithm_kwargs": not run.algorithm_kwargs,
     }
     readers = _read_by(run.env, run.algorithm, run.optimizer, is_open(run))
-    return readers - {name for name, is_idle in idle.items() if is_idle}
+    return readers - {field_name for field_name, is_idle in idle_fields.items() if is_idle}
 
 
 @cache
-def _read_by(env: str, algorithm: str, optimizer: str, is_open_run: bool) -> frozenset[str]:
+def _read_by(env_id: str, algorithm: str, optimizer: str, is_open_run: bool) -> frozenset[str]:
     readers = {OF_OPEN_LEARNER}
-    read: set[str] = set()
-    if is_gymnasium_id(env):
+    fields_read: set[str] = set()
+    if is_gymnasium_id(env_id):
         readers.add(OF_GYMNASIUM_ENV)
     if algorithm == "ppo" or not is_open_run:  # others are told all else by `algorithm_kwargs`
         readers.add(algorithm)
-        read |= OPTIMIZERS[optimizer].defaults.keys()
-    for name, about in FIELDS.items():
-        is_of_another_world = name in OF_WORLDS and is_gymnasium_id(env)
-        if not is_of_another_world and (not about.read_by or readers & set(about.read_by)):
-            read.add(name)
+        fields_read |= OPTIMIZERS[optimizer].defaults.keys()
+    for field_name, declaration in FIELDS.items():
+        is_of_another_world = field_name in OF_WORLDS and is_gymnasium_id(env_id)
+        if not is_of_another_world and (not declaration.read_by or readers & set(declaration.read_by)):
+            fields_read.add(field_name)
     if algorithm in VALUE_BASED and not is_open_run:  # what is replayed was seen otherwise
-        read -= {"normalize_observations", "normalize_rewards"}
-    return frozenset(read)
+        fields_read -= {"normalize_observations", "normalize_rewards"}
+    return frozenset(fields_read)
 
 
 def is_open(run: Run) -> bool:
@@ -405,7 +413,7 @@ def _engine(run: Run, engine: str) -> str:
     """Return the engine that a study sets, or the first one that can train a run."""
     limitation = beyond_engine(run)
     engines = find_algorithm(run.algorithm).engines
-    able_engines = [name for name in engines if name != ENGINES[0] or not limitation]
+    able_engines = [engine_name for engine_name in engines if engine_name != ENGINES[0] or not limitation]
     if not engine:
         return able_engines[0]
     if engine not in able_engines:
@@ -426,8 +434,8 @@ def _check_learner(run: Run) -> None:
     if run.learners == "independent" and run.engine != ENGINES[0]:
         _refuse("learners = independent", f"{run.engine} trains one policy for all players")
     if "optimizer" in reads(run) and run.engine not in OPTIMIZERS[run.optimizer].engines:
-        able = " or ".join(OPTIMIZERS[run.optimizer].engines)
-        _refuse(f"optimizer = {run.optimizer}", f"the engine {run.engine} lacks it; {able} has it")
+        able_engines = " or ".join(OPTIMIZERS[run.optimizer].engines)
+        _refuse(f"optimizer = {run.optimizer}", f"the engine {run.engine} lacks it; {able_engines} has it")
     if run.train_every and run.horizon % run.train_every:
         _refuse(f"train_every = {run.train_every}", f"horizon = {run.horizon} is no multiple of it")
     if run.held_out_levels and not run.level.startswith("random:train:"):
@@ -435,23 +443,23 @@ def _check_learner(run: Run) -> None:
 
 
 def env_config(run: Run) -> EnvConfig:
-    return EnvConfig(**{name: getattr(run, name) for name in OF_WORLDS})
+    return EnvConfig(**{field_name: getattr(run, field_name) for field_name in OF_WORLDS})
 
 
 def evaluation_config(run: Run) -> EnvConfig:
-    config = env_config(run)
+    world_config = env_config(run)
     if not run.held_out_levels:
-        return config
-    return replace(config, level="random:test:0", random_levels=run.held_out_levels)
+        return world_config
+    return replace(world_config, level="random:test:0", random_levels=run.held_out_levels)
 
 
 def as_fields(config: EnvConfig) -> dict[str, Any]:
     """Return a configuration as a flat dictionary for JSON, which `make_run` reads."""
-    values = dict(vars(config))
-    for name, value in values.items():
-        if isinstance(value, tuple):
-            values[name] = list(value)
-    return values
+    field_values = dict(vars(config))
+    for field_name, field_value in field_values.items():
+        if isinstance(field_value, tuple):
+            field_values[field_name] = list(field_value)
+    return field_values
 
 
 def stream_seed(key: int | str, purpose: str, slot: int = 0) -> int:

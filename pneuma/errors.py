@@ -53,10 +53,10 @@ class Message(str):
 
     parts: tuple[str | Hint, ...]
 
-    def __new__(cls, *parts: str | Hint) -> Message:
+    def __new__(cls, *message_parts: str | Hint) -> Message:
         """Join the parts."""
-        message = super().__new__(cls, "".join(map(str, parts)))
-        message.parts = parts
+        message = super().__new__(cls, "".join(map(str, message_parts)))
+        message.parts = message_parts
         return message
 
 
@@ -67,11 +67,11 @@ def silent(message: str) -> None:
     """Say nothing."""
 
 
-def written(message: str, write: Callable[[Hint], str]) -> str:
+def written(message: str, write_hint: Callable[[Hint], str]) -> str:
     """Return a text or message whose hints are written by a function."""
     message_parts: Iterable[str | Hint] = getattr(message, "parts", (message,))
     return "".join(
-        write(message_part) if isinstance(message_part, Hint) else message_part
+        write_hint(message_part) if isinstance(message_part, Hint) else message_part
         for message_part in message_parts
     )
 
@@ -98,9 +98,9 @@ class RunWarning(UserWarning):
     """An oddity of a run that is trained anyway; reported once per run, and stored with it."""
 
 
-def install_extra(name: str) -> str:
+def install_extra(extra_name: str) -> str:
     """Return the command that installs an extra from Pneuma's folder; PyPI's `pneuma` is another project."""
-    return f"pip install '.[{name}]' in Pneuma's folder"
+    return f"pip install '.[{extra_name}]' in Pneuma's folder"
 
 
 def plain(text: str) -> str:
@@ -114,10 +114,10 @@ def plain(text: str) -> str:
     return "".join(character if character.isprintable() else f"\\u{ord(character):04x}" for character in text)
 
 
-def print_aside(text: str) -> None:
+def print_aside(message: str) -> None:
     """Print a line on standard error, which stops nothing if its reader has gone."""
     with suppress(OSError):
-        print(plain(text), file=sys.stderr, flush=True)
+        print(plain(message), file=sys.stderr, flush=True)
 
 
 def counted(count: int, noun: str) -> str:
@@ -130,28 +130,28 @@ def tallied(words: Iterable[str]) -> str:
     return ", ".join(f"{count} {word}" for word, count in Counter(words).items())
 
 
-def nearest_name(word: str, names: Iterable[str]) -> str:
-    """Return ' (did you mean X?)' for the most similar of `names`; empty if none is similar.
+def nearest_name(word: str, known_names: Iterable[str]) -> str:
+    """Return ' (did you mean X?)' for the most similar of `known_names`; empty if none is similar.
 
     A name that others give the same thing is near as well, or a first word: `lr` of `learning_rate`, `reward`
     of `final-return`, `entropy` of `entropy_coefficient`.
     """
-    candidates, typed = list(names), str(word).lower()
-    meant = MEANT.get(typed, typed)
-    similar = [name for name in (meant, f"final-{meant}".replace("_", "-")) if name in candidates]
-    beginnings = [name for name in candidates if name.startswith(f"{typed}_")]
-    similar = similar or beginnings[:1] or difflib.get_close_matches(typed, candidates, 1, NEAR)
+    candidates, typed_word = list(known_names), str(word).lower()
+    usual_name = MEANT.get(typed_word, typed_word)
+    similar = [name for name in (usual_name, f"final-{usual_name}".replace("_", "-")) if name in candidates]
+    beginnings = [name for name in candidates if name.startswith(f"{typed_word}_")]
+    similar = similar or beginnings[:1] or difflib.get_close_matches(typed_word, candidates, 1, NEAR)
     return f" (did you mean {similar[0]}?)" if similar else ""
 
 
-def unknown_name(category: str, word: str, names: Iterable[str]) -> UserError:
-    """Return the error for a name that is not among `names`."""
-    listed = list(names)
+def unknown_name(category: str, word: str, known_names: Iterable[str]) -> UserError:
+    """Return the error for a name that is not among `known_names`."""
+    listed = list(known_names)
     hint, separator = nearest_name(word, listed), "; " if any("," in name for name in listed) else ", "
     hidden_count = len(listed) - MOST_LISTED
     if hidden_count > 1 and hint:
         return UserError(f"unknown {category} {word!r}{hint}")
     if hidden_count > 1:
-        likest = difflib.get_close_matches(str(word).lower(), listed, MOST_LISTED, 0)
-        listed = [*(name for name in listed if name in likest), f"{hidden_count} more"]
+        closest_names = difflib.get_close_matches(str(word).lower(), listed, MOST_LISTED, 0)
+        listed = [*(name for name in listed if name in closest_names), f"{hidden_count} more"]
     return UserError(f"unknown {category} {word!r}{hint}; known are {separator.join(listed)}")

@@ -34,12 +34,12 @@ LONGEST_INTEGER = 20
 """Characters of the least number of 64 bits."""
 
 
-def shipped_folder(package: str, name: str) -> Path:
+def shipped_folder(package: str, folder_name: str) -> Path:
     """Return a folder of data that comes with Pneuma: as a package, or at the top of the repository."""
     try:
         module = import_module(package)
     except ModuleNotFoundError:
-        return Path(__file__).parents[1] / name
+        return Path(__file__).parents[1] / folder_name
     return Path(next(iter(module.__path__)))
 
 
@@ -68,8 +68,8 @@ def stored_file(path: Path) -> Iterator[None]:
     except UserError:
         raise
     except Exception as error:
-        file = getattr(error, "filename", None) or path
-        raise UserError(f"{file}: cannot be read ({_reason(error)})") from None
+        unreadable_file = getattr(error, "filename", None) or path
+        raise UserError(f"{unreadable_file}: cannot be read ({_reason(error)})") from None
 
 
 def read_stored(path: Path) -> bytes:
@@ -84,8 +84,8 @@ def _reason(error: Exception) -> str:
     """Return why something cannot be read, in one line."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
-    lines = str(error).splitlines() or [""]
-    first_line = lines[0][:LONGEST_REASON]
+    error_lines = str(error).splitlines() or [""]
+    first_line = error_lines[0][:LONGEST_REASON]
     if isinstance(error, ValueError):
         return first_line
     return f"{type(error).__name__}: {first_line}"
@@ -107,7 +107,7 @@ _STORAGE_PROBLEMS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
 _TEMPORARY_NAME = re.compile(r"\..+\.[0-9a-f]{32}")
 
 
-def write_whole(path: Path, data: bytes) -> None:
+def write_whole(path: Path, contents: bytes) -> None:
     """Write a file whole or not at all, even if the process is killed meanwhile.
 
     A link is refused, by an OSError. A pipe, a terminal or the like is written to directly.
@@ -115,17 +115,17 @@ def write_whole(path: Path, data: bytes) -> None:
     if path.is_symlink():
         raise OSError(errno.ELOOP, "is a link; name the file itself")
     if path.exists() and not path.is_file():
-        path.write_bytes(data)
+        path.write_bytes(contents)
     else:
-        replace_files(path.parent, {path.name: data})
+        replace_files(path.parent, {path.name: contents})
 
 
-def create_whole(path: Path, data: bytes) -> None:
+def create_whole(path: Path, contents: bytes) -> None:
     """Write a file that does not exist yet, whole or not at all; leave one that exists as it is."""
     temporary = _temporary_path(path)
     try:
         with _named_in_errors(path):
-            temporary.write_bytes(data)
+            temporary.write_bytes(contents)
         with suppress(FileExistsError):
             os.link(temporary, path)
     finally:
@@ -137,17 +137,17 @@ def replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
     All are on the disk before the first one replaces an existing file.
     """
-    temporary_paths = {name: _temporary_path(folder / name) for name in files}
+    temporary_paths = {file_name: _temporary_path(folder / file_name) for file_name in files}
     try:
-        for name, temporary in temporary_paths.items():
-            with _named_in_errors(folder / name), open(temporary, "xb") as file:
-                file.write(files[name])
-        for name, temporary in temporary_paths.items():
-            with _named_in_errors(folder / name), open(temporary, "rb") as file:
-                os.fsync(file.fileno())
-        for name, temporary in temporary_paths.items():
-            with _named_in_errors(folder / name):
-                os.replace(temporary, folder / name)
+        for file_name, temporary in temporary_paths.items():
+            with _named_in_errors(folder / file_name), open(temporary, "xb") as temporary_file:
+                temporary_file.write(files[file_name])
+        for file_name, temporary in temporary_paths.items():
+            with _named_in_errors(folder / file_name), open(temporary, "rb") as temporary_file:
+                os.fsync(temporary_file.fileno())
+        for file_name, temporary in temporary_paths.items():
+            with _named_in_errors(folder / file_name):
+                os.replace(temporary, folder / file_name)
     except BaseException:
         for temporary in temporary_paths.values():
             temporary.unlink(missing_ok=True)
@@ -170,23 +170,23 @@ def _named_in_errors(path: Path) -> Iterator[None]:
 
 def stale_files(folder: Path) -> list[Path]:
     """Return the temporary files that were left in a folder when a process was killed."""
-    stale = []
-    for name in names_in(folder):
-        if _TEMPORARY_NAME.fullmatch(name):
-            path = folder / name
+    stale_paths = []
+    for file_name in names_in(folder):
+        if _TEMPORARY_NAME.fullmatch(file_name):
+            file_path = folder / file_name
             with suppress(FileNotFoundError):  # its process has just moved it to its place
-                age = time.time() - path.stat().st_mtime
-                if age > STALE_SECONDS:
-                    stale.append(path)
-    return stale
+                age_seconds = time.time() - file_path.stat().st_mtime
+                if age_seconds > STALE_SECONDS:
+                    stale_paths.append(file_path)
+    return stale_paths
 
 
 def write_error(path: Path, error: OSError) -> UserError:
     """Return the error for a file that cannot be written; a StorageError where no file could be."""
-    text = f"{error.filename or path}: cannot be written ({error.strerror or error})"
+    message = f"{error.filename or path}: cannot be written ({error.strerror or error})"
     if is_storage_problem(error):
-        return StorageError(f"{text}; once the disk can be written, the same command continues")
-    return UserError(text)
+        return StorageError(f"{message}; once the disk can be written, the same command continues")
+    return UserError(message)
 
 
 def is_storage_problem(error: BaseException) -> bool:
@@ -202,18 +202,18 @@ _CHECKSUM_LINE = ',\n  "sha256": "'
 _END = "\n}\n"
 
 
-def to_json(value: object) -> bytes:
-    return (json.dumps(value, indent=2) + "\n").encode()
+def to_json(document: object) -> bytes:
+    return (json.dumps(document, indent=2) + "\n").encode()
 
 
-def parse_json(data: bytes | str) -> dict[str, Any]:
+def parse_json(json_text: bytes | str) -> dict[str, Any]:
     """Parse a JSON object whose numbers are finite and of at most 64 bits, as all that is written here.
 
     Raises:
         ValueError: for anything else.
     """
     try:
-        document = _DECODER.decode(data if isinstance(data, str) else data.decode())
+        document = _DECODER.decode(json_text if isinstance(json_text, str) else json_text.decode())
     except (RecursionError, MemoryError) as error:
         raise ValueError(str(error)) from None
     if not isinstance(document, dict):
@@ -221,16 +221,16 @@ def parse_json(data: bytes | str) -> dict[str, Any]:
     return document
 
 
-def _parse_integer(text: str) -> int:
-    if len(text) > LONGEST_INTEGER or not -(2**63) <= int(text) < 2**63:
-        raise ValueError(f"the number {text[:LONGEST_INTEGER]} … is too large")
-    return int(text)
+def _parse_integer(digits: str) -> int:
+    if len(digits) > LONGEST_INTEGER or not -(2**63) <= int(digits) < 2**63:
+        raise ValueError(f"the number {digits[:LONGEST_INTEGER]} … is too large")
+    return int(digits)
 
 
-def _parse_float(text: str) -> float:
-    number = float(text)
+def _parse_float(digits: str) -> float:
+    number = float(digits)
     if not math.isfinite(number):
-        raise ValueError(f"the number {text[:LONGEST_INTEGER]} is not finite")
+        raise ValueError(f"the number {digits[:LONGEST_INTEGER]} is not finite")
     return number
 
 
@@ -238,8 +238,8 @@ def _parse_float(text: str) -> float:
 _DECODER = json.JSONDecoder(parse_int=_parse_integer, parse_float=_parse_float, parse_constant=_parse_float)
 
 
-def checksum(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
+def checksum(contents: bytes) -> str:
+    return hashlib.sha256(contents).hexdigest()
 
 
 def dump_checksummed(document: Mapping[str, Any]) -> bytes:
@@ -251,10 +251,10 @@ def dump_checksummed(document: Mapping[str, Any]) -> bytes:
 def load_checksummed(path: Path) -> dict[str, Any] | None:
     """Return a document that `dump_checksummed` wrote; None if it is missing or damaged."""
     try:
-        data = read_stored(path)
-        start, _, end = data.rpartition(_CHECKSUM_LINE.encode())
-        without_checksum = start + _END.encode()
-        if end.decode() != f'{checksum(without_checksum)}"{_END}':
+        contents = read_stored(path)
+        document_start, _, checksum_text = contents.rpartition(_CHECKSUM_LINE.encode())
+        without_checksum = document_start + _END.encode()
+        if checksum_text.decode() != f'{checksum(without_checksum)}"{_END}':
             return None
         document = parse_json(without_checksum)
     except (OSError, ValueError):

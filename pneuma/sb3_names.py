@@ -16,17 +16,17 @@ from pneuma.errors import UserError
 
 
 def _names_of_ppo() -> dict[str, str]:
-    names = {}
-    for name, about in FIELDS.items():
-        if about.arguments and (not about.read_by or "ppo" in about.read_by):
-            names[about.arguments[0]] = name
-    return names
+    own_names = {}
+    for field_name, declaration in FIELDS.items():
+        if declaration.arguments and (not declaration.read_by or "ppo" in declaration.read_by):
+            own_names[declaration.arguments[0]] = field_name
+    return own_names
 
 
 NAMES = _names_of_ppo()
 """The fields that PPO has by another name."""
 PASSED_ON = "algorithm_kwargs"
-_ACTIVATIONS = {f"nn.{torch_class}": name for name, torch_class in ACTIVATIONS.items()}
+_ACTIVATIONS = {f"nn.{torch_class}": activation for activation, torch_class in ACTIVATIONS.items()}
 WRONG_TEXT = (KeyError, TypeError, ValueError, SyntaxError, RecursionError, MemoryError)
 """What `read_arguments_text` raises."""
 
@@ -40,64 +40,64 @@ def own_fields(settings: Mapping[str, Any]) -> dict[str, Any]:
 def fields_and_keys(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
     """Return fields by Pneuma's own names, and the key that sets each. An error begins with its key."""
     fields: dict[str, Any] = {}
-    keys: dict[str, str] = {}
+    keys_by_field: dict[str, str] = {}
     for key, setting in settings.items():
-        for name, value in _translate(key, setting).items():
-            before = fields.get(name, {})
-            if name == PASSED_ON and isinstance(before, Mapping) and isinstance(value, Mapping):
-                value = {**before, **value}
-            elif name in fields:
-                raise UserError(f"{key} and {keys[name]} both set {name}: leave out one")
-            fields[name] = value
-            keys.setdefault(name, key)
-    return fields, keys
+        for field_name, value in _translate(key, setting).items():
+            earlier = fields.get(field_name, {})
+            if field_name == PASSED_ON and isinstance(earlier, Mapping) and isinstance(value, Mapping):
+                value = {**earlier, **value}
+            elif field_name in fields:
+                raise UserError(f"{key} and {keys_by_field[field_name]} both set {field_name}: leave out one")
+            fields[field_name] = value
+            keys_by_field.setdefault(field_name, key)
+    return fields, keys_by_field
 
 
-def _translate(key: str, value: Any) -> dict[str, Any]:
+def _translate(key: str, setting: Any) -> dict[str, Any]:
     if key in NAMES:
-        return {NAMES[key]: value}
+        return {NAMES[key]: setting}
     if key in _READERS:
-        return _READERS[key](key, value)
-    return {key: value}
+        return _READERS[key](key, setting)
+    return {key: setting}
 
 
-def annealed_from(value: Any) -> float | None:
+def annealed_from(setting: Any) -> float | None:
     """Return the number of lin_3e-4, the zoo's word for a value that falls from there to 0; else None."""
-    if isinstance(value, str) and re.fullmatch(r"lin_(\d+(\.\d*)?|\.\d+)(e-?\d+)?", value):
-        return float(value.removeprefix("lin_"))
+    if isinstance(setting, str) and re.fullmatch(r"lin_(\d+(\.\d*)?|\.\d+)(e-?\d+)?", setting):
+        return float(setting.removeprefix("lin_"))
     return None
 
 
-def _read_schedule(key: str, value: Any) -> dict[str, Any]:
-    first = annealed_from(value)
-    if first is None:
-        return {key: value}
-    return {key: first, f"{key}_schedule": "linear"}
+def _read_schedule(key: str, setting: Any) -> dict[str, Any]:
+    first_value = annealed_from(setting)
+    if first_value is None:
+        return {key: setting}
+    return {key: first_value, f"{key}_schedule": "linear"}
 
 
-def _read_normalize(key: str, value: Any) -> dict[str, Any]:
-    if not isinstance(value, bool):
+def _read_normalize(key: str, setting: Any) -> dict[str, Any]:
+    if not isinstance(setting, bool):
         one_by_one = "normalize_observations and normalize_rewards set one alone"
-        raise UserError(f"{key} = {value!r} is not allowed: true or false; {one_by_one}")
-    return {"normalize_observations": value, "normalize_rewards": value}
+        raise UserError(f"{key} = {setting!r} is not allowed: true or false; {one_by_one}")
+    return {"normalize_observations": setting, "normalize_rewards": setting}
 
 
-def _read_policy(key: str, value: Any) -> dict[str, Any]:
-    return {} if value == "MlpPolicy" else {key: value}
+def _read_policy(key: str, policy: Any) -> dict[str, Any]:
+    return {} if policy == "MlpPolicy" else {key: policy}
 
 
-def _pass_on(key: str, value: Any) -> dict[str, Any]:
+def _pass_on(key: str, argument: Any) -> dict[str, Any]:
     """Read an argument that is no field, if it is not at the learner's own default."""
-    return {} if value in (False, None, -1) else {PASSED_ON: {key: value}}
+    return {} if argument in (False, None, -1) else {PASSED_ON: {key: argument}}
 
 
-def _read_policy_kwargs(key: str, value: Any) -> dict[str, Any]:
+def _read_policy_kwargs(key: str, setting: Any) -> dict[str, Any]:
     """Read a table, or the zoo's text "dict(net_arch=dict(pi=[64], vf=[64]), activation_fn=nn.ReLU)".
 
     Networks of pi and vf, and three activations, are fields; all else is passed on to the policy.
     """
     try:
-        arguments = {**(read_arguments_text(value) if isinstance(value, str) else value)}
+        arguments = {**(read_arguments_text(setting) if isinstance(setting, str) else setting)}
         fields = _read_net_arch(arguments.pop("net_arch", None))
         if arguments.get("activation_fn") in _ACTIVATIONS:
             fields["activation"] = _ACTIVATIONS[arguments.pop("activation_fn")]
@@ -105,7 +105,7 @@ def _read_policy_kwargs(key: str, value: Any) -> dict[str, Any]:
             fields[PASSED_ON] = {key: arguments}
         return fields
     except WRONG_TEXT:
-        raise UserError(f"{key} = {value!r} is not allowed: a table or dict(…)") from None
+        raise UserError(f"{key} = {setting!r} is not allowed: a table or dict(…)") from None
 
 
 def _read_net_arch(layers: Any) -> dict[str, Any]:
@@ -119,13 +119,13 @@ def _read_net_arch(layers: Any) -> dict[str, Any]:
     return {"actor": layers, "critic": layers}
 
 
-def read_arguments_text(text: str) -> Any:
+def read_arguments_text(arguments_text: str) -> Any:
     """Return the arguments that a text such as "dict(net_arch=[64, 64])" has, by name; nothing is called.
 
     Raises:
         Exception: one of `WRONG_TEXT`, for any other text.
     """
-    return _evaluate(ast.parse(text, mode="eval").body)
+    return _evaluate(ast.parse(arguments_text, mode="eval").body)
 
 
 def _evaluate(node: ast.expr) -> Any:
@@ -133,7 +133,7 @@ def _evaluate(node: ast.expr) -> Any:
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "dict":
         return {str(keyword.arg): _evaluate(keyword.value) for keyword in node.keywords}
     if isinstance(node, ast.List):
-        return [_evaluate(item) for item in node.elts]
+        return [_evaluate(element) for element in node.elts]
     if isinstance(node, ast.Attribute):
         return ast.unparse(node)
     return ast.literal_eval(node)

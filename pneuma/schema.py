@@ -49,14 +49,16 @@ class Table(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _only_known_keys(cls, data: Any) -> Any:
-        if not isinstance(data, Mapping):
-            return data
-        names = [name for name, field in cls.model_fields.items() if not field.exclude]
-        unknown = [key for key in data if key not in names]
+    def _only_known_keys(cls, table: Any) -> Any:
+        if not isinstance(table, Mapping):
+            return table
+        field_names = [name for name, field in cls.model_fields.items() if not field.exclude]
+        unknown = [key for key in table if key not in field_names]
         if unknown:
-            raise all_wrong({key: str(unknown_name("key", key, names)) for key in unknown[:MOST_LISTED]})
-        return data
+            raise all_wrong(
+                {key: str(unknown_name("key", key, field_names)) for key in unknown[:MOST_LISTED]}
+            )
+        return table
 
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -78,12 +80,12 @@ def all_wrong(messages: Mapping[str, str]) -> PydanticCustomError:
 def passes(check: Callable[[Any], object]) -> AfterValidator:
     """Return a validator that accepts values for which a function raises no `UserError`."""
 
-    def validate(value: Any) -> Any:
+    def validate(field_value: Any) -> Any:
         try:
-            check(value)
+            check(field_value)
         except UserError as error:
             raise wrong(str(error)) from None
-        return value
+        return field_value
 
     return AfterValidator(validate)
 
@@ -124,26 +126,26 @@ def plain(value: Any, levels: int = DEEPEST, floats_to_integers: bool = True) ->
 # --- Fields of a dataclass -------------------------------------------------------------------------
 
 
-def read_field(owner: type, key: str, value: Any) -> Any:
+def read_field(dataclass_type: type, field_name: str, field_value: Any) -> Any:
     """Check the value of a field of a dataclass and return it in its type."""
-    if key not in _hints(owner):
-        raise unknown_name("key", key, _hints(owner))
-    data = plain({key: value})
+    if field_name not in _hints(dataclass_type):
+        raise unknown_name("key", field_name, _hints(dataclass_type))
+    table = plain({field_name: field_value})
     try:
-        return _adapter(owner, key).validate_python(data[key])
+        return _adapter(dataclass_type, field_name).validate_python(table[field_name])
     except ValidationError as error:
-        (_, _, message), *_ = mistakes_in(data, error, at=(key,))
+        (_, _, message), *_ = mistakes_in(table, error, table_path=(field_name,))
         raise UserError(message) from None
 
 
 @cache
-def _hints(owner: type) -> dict[str, Any]:
-    return get_type_hints(owner, include_extras=True)
+def _hints(dataclass_type: type) -> dict[str, Any]:
+    return get_type_hints(dataclass_type, include_extras=True)
 
 
 @cache
-def _adapter(owner: type, key: str) -> TypeAdapter[Any]:
-    return TypeAdapter(_hints(owner)[key], config=CONFIG)
+def _adapter(dataclass_type: type, field_name: str) -> TypeAdapter[Any]:
+    return TypeAdapter(_hints(dataclass_type)[field_name], config=CONFIG)
 
 
 # --- Files -----------------------------------------------------------------------------------------
@@ -157,47 +159,47 @@ class TomlFile:
     text: str
     data: dict[str, Any]
 
-    def mistake(self, where: Where, message: str, key: str = "") -> UserError:
-        return self.mistakes([(where, key, message)])
+    def mistake(self, table_path: Where, message: str, key: str = "") -> UserError:
+        return self.mistakes([(table_path, key, message)])
 
     def mistakes(self, mistakes: Iterable[Mistake]) -> UserError:
         """Return the error that lists mistakes in the order of their lines, all in one line."""
         texts_by_line = []
-        for where, key, message in mistakes:
-            text = f"[{'.'.join(where)}] {message}" if where else message
-            line = _line_of(self.text, where + (key,) if key else where)
-            if line:
-                text = f"line {line}: {text}"
-            texts_by_line.append((line or 0, text))
+        for table_path, key, message in mistakes:
+            mistake_text = f"[{'.'.join(table_path)}] {message}" if table_path else message
+            line_number = _line_of(self.text, table_path + (key,) if key else table_path)
+            if line_number:
+                mistake_text = f"line {line_number}: {mistake_text}"
+            texts_by_line.append((line_number or 0, mistake_text))
         texts_by_line.sort(key=itemgetter(0))
-        text = "; ".join(text for _, text in texts_by_line)
-        separator = ", " if text.startswith("line ") else ": "
-        return UserError(f"{self.path}{separator}{text}")
+        all_texts = "; ".join(mistake_text for _, mistake_text in texts_by_line)
+        separator = ", " if all_texts.startswith("line ") else ": "
+        return UserError(f"{self.path}{separator}{all_texts}")
 
-    def table(self, where: Where) -> dict[str, Any]:
+    def table(self, table_path: Where) -> dict[str, Any]:
         """Return a table, empty when there is none, and refuse another value in its place."""
         value: Any = self.data
-        for key in where:
+        for key in table_path:
             value = value.get(key, {})
             if not isinstance(value, dict):
-                raise self.mistake(where[:-1], f"{key} must be a table, not {shown(value)}", key)
+                raise self.mistake(table_path[:-1], f"{key} must be a table, not {shown(value)}", key)
         return dict(value)
 
 
 def read_toml(path: Path) -> TomlFile:
-    text = read_text(path)
+    toml_text = read_text(path)
     try:
-        if len(text) > LONGEST_FILE:
+        if len(toml_text) > LONGEST_FILE:
             raise ValueError(f"more than {LONGEST_FILE:,} characters")
-        return TomlFile(path, text, plain(tomllib.loads(text)))
+        return TomlFile(path, toml_text, plain(tomllib.loads(toml_text)))
     except (ValueError, RecursionError) as error:  # numbers of thousands of digits, endless brackets
         raise UserError(f"{path}: not TOML: {error}") from None
 
 
 def read_model(
     model: type[Model],
-    file: TomlFile,
-    where: Where = (),
+    toml_file: TomlFile,
+    table_path: Where = (),
     defaults: Mapping[str, Any] = {},
     overrides: Mapping[str, Any] = {},
 ) -> Model:
@@ -205,21 +207,21 @@ def read_model(
 
     Args:
         model: what the table must be.
-        file: the file.
-        where: the table's path in it; the whole file by default.
+        toml_file: the file.
+        table_path: the table's path in it; the whole file by default.
         defaults: values of missing keys.
         overrides: values that replace the table's.
     """
-    data = {**defaults, **file.table(where), **overrides}
+    table = {**defaults, **toml_file.table(table_path), **overrides}
     try:
-        return model.model_validate(data)
+        return model.model_validate(table)
     except ValidationError as error:
         mistakes = []
-        for path, key, message in mistakes_in(data, error):
-            mistakes.append((where + path, key, message))
-        raise file.mistakes(mistakes) from None
+        for mistake_path, key, message in mistakes_in(table, error):
+            mistakes.append((table_path + mistake_path, key, message))
+        raise toml_file.mistakes(mistakes) from None
     except UserError as error:  # of a validator, which knows no file
-        raise file.mistake(where, str(error)) from None
+        raise toml_file.mistake(table_path, str(error)) from None
 
 
 # --- From pydantic's errors to words ---------------------------------------------------------------
@@ -232,66 +234,66 @@ PLAINER = {
 }  # fmt: skip
 
 
-def mistakes_in(data: Mapping[str, Any], error: ValidationError, at: Where = ()) -> list[Mistake]:
-    """Return the mistakes in some data, or at a path in it: of each of its keys one.
+def mistakes_in(table: Mapping[str, Any], error: ValidationError, table_path: Where = ()) -> list[Mistake]:
+    """Return the mistakes in a table, or at a path in it: of each of its keys one.
 
     Where a key has several, as where it could be a number or a table, the one that lies deepest says most.
     """
     deepest: dict[Any, Any] = {}
     for details in error.errors(include_url=False, include_input=False):
-        details["loc"] = at + details["loc"]
+        details["loc"] = table_path + details["loc"]
         key = details["loc"][:1]
         if key not in deepest or len(details["loc"]) > len(deepest[key]["loc"]):
             deepest[key] = details
     mistakes = []
     for details in list(deepest.values())[:MOST_LISTED]:
-        mistakes += _mistakes(details, data)
+        mistakes += _mistakes(details, table)
     return mistakes
 
 
-def _mistakes(error: Mapping[str, Any], data: Mapping[str, Any]) -> list[Mistake]:
+def _mistakes(details: Mapping[str, Any], table: Mapping[str, Any]) -> list[Mistake]:
     """Return an error of pydantic as mistakes, of which `wrong` may have several."""
-    error_type, context = error["type"], error.get("ctx", {})
+    error_type, context = details["type"], details.get("ctx", {})
     if error_type == "missing":
-        (*where, key) = map(str, error["loc"])
-        return [(tuple(where), "", f"the key {key!r} is missing")]
-    path, value = _find(error["loc"], data)
-    if error_type == "wrong" and isinstance(value, Mapping):
-        return [(path, key, message) for key, message in context["messages"].items()]
-    (*where, key) = path
-    names = context.get("names") or re.findall(r"'([^']*)'", str(context.get("expected", "")))
-    allowed = error["msg"].replace("Input should be ", "must be ")
-    for words, plainer_words in PLAINER.items():
-        allowed = allowed.replace(words, plainer_words)
+        (*table_path, key) = map(str, details["loc"])
+        return [(tuple(table_path), "", f"the key {key!r} is missing")]
+    key_path, wrong_value = _find(details["loc"], table)
+    if error_type == "wrong" and isinstance(wrong_value, Mapping):
+        return [(key_path, key, message) for key, message in context["messages"].items()]
+    (*table_path, key) = key_path
+    allowed_names = context.get("names") or re.findall(r"'([^']*)'", str(context.get("expected", "")))
+    allowed = details["msg"].replace("Input should be ", "must be ")
+    for pydantic_words, plainer_words in PLAINER.items():
+        allowed = allowed.replace(pydantic_words, plainer_words)
     if error_type == "wrong":
         message = f"{key}: {next(iter(context['messages'].values()))}"
-    elif error["loc"][-1] == "[key]" and names:
-        message = str(unknown_name("key", key, names))
-    elif error["loc"][-1] == "[key]":
+    elif details["loc"][-1] == "[key]" and allowed_names:
+        message = str(unknown_name("key", key, allowed_names))
+    elif details["loc"][-1] == "[key]":
         message = f"the name {key!r} is not allowed: {allowed}"
     elif error_type in ("dict_type", "model_type", "mappings_type"):
-        message = f"{key} must be a table, not {shown(value)}"
+        message = f"{key} must be a table, not {shown(wrong_value)}"
     else:
-        message = f"{key} = {shown(value)} is not allowed{_hint(value, names)}: {allowed}"
-    return [(tuple(where), key, message)]
+        message = f"{key} = {shown(wrong_value)} is not allowed{_hint(wrong_value, allowed_names)}: {allowed}"
+    return [(tuple(table_path), key, message)]
 
 
-def _find(location: Iterable[Any], data: Mapping[str, Any]) -> tuple[Where, Any]:
+def _find(location: Iterable[Any], table: Mapping[str, Any]) -> tuple[Where, Any]:
     """Return the path and the value at a location of pydantic, which also names models and list items."""
-    path: Where = ()
-    value: Any = data
+    key_path: Where = ()
+    value: Any = table
     for key in location:
         if isinstance(value, Mapping) and key in value:
-            path, value = path + (str(key),), value[key]
-    return path, value
+            key_path, value = key_path + (str(key),), value[key]
+    return key_path, value
 
 
-def _hint(value: object, names: Iterable[str]) -> str:
+def _hint(wrong_value: object, allowed_names: Iterable[str]) -> str:
     """Return a hint at the name that was meant by a word, or by the first one of a list that has a hint."""
-    words = value if isinstance(value, list | tuple) else [value]
+    words = wrong_value if isinstance(wrong_value, list | tuple) else [wrong_value]
     for word in words:
-        if isinstance(word, str) and word not in names:
-            hint = nearest_name(word, names)
+        if isinstance(word, str) and word not in allowed_names:
+            hint = nearest_name(word, allowed_names)
             if hint:
                 return hint
     return ""
@@ -311,19 +313,19 @@ _SETS = re.compile(rf"^[ \t]*(?:\[+[ \t]*({_PATH})[ \t]*\]+[ \t]*(?:#.*)?$|({_PA
 _LONG_TEXT = re.compile(r'""".*?"""' + r"|'''.*?'''", re.DOTALL)
 
 
-def _line_of(text: str, target: Where) -> int | None:
+def _line_of(toml_text: str, target_path: Where) -> int | None:
     """Return the line, from 1, where a path is set or begins, or else the closest table around it."""
-    text = _LONG_TEXT.sub(lambda match: "\n" * match[0].count("\n"), text)
-    table: Where = ()
+    toml_text = _LONG_TEXT.sub(lambda match: "\n" * match[0].count("\n"), toml_text)
+    table_path: Where = ()
     closest_line, closest_depth = None, 0
-    for match in _SETS.finditer(text):
+    for match in _SETS.finditer(toml_text):
         header, key_path = match[1], match[2]
-        path = tuple(key.strip("\"'") for key in re.findall(_KEY, header or key_path))
+        full_path = tuple(key.strip("\"'") for key in re.findall(_KEY, header or key_path))
         if header:
-            table = path
+            table_path = full_path
         else:
-            path = table + path
-        depth = min(len(path), len(target))
-        if depth > closest_depth and path[:depth] == target[:depth]:
-            closest_line, closest_depth = text.count("\n", 0, match.start()) + 1, depth
+            full_path = table_path + full_path
+        depth = min(len(full_path), len(target_path))
+        if depth > closest_depth and full_path[:depth] == target_path[:depth]:
+            closest_line, closest_depth = toml_text.count("\n", 0, match.start()) + 1, depth
     return closest_line

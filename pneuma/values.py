@@ -46,9 +46,9 @@ class Reads:
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         from pydantic_core import PydanticCustomError, core_schema
 
-        def read(value: Any) -> Any:
+        def read(field_value: Any) -> Any:
             try:
-                return self.read(value)
+                return self.read(field_value)
             except Exception:  # whatever a value of another kind makes of it
                 context = {"allowed": self.allowed, "names": self.names}
                 raise PydanticCustomError("allowed", "{allowed}", context) from None
@@ -84,61 +84,64 @@ def declare(
     paces: bool = False,
 ) -> Any:
     """Return the default of a dataclass's field with its `About`; several names are separated by commas."""
-    about = About(_names(read_by), _names(arguments), paces)
-    return field(default=default, metadata={"about": about})
+    declaration = About(_names(read_by), _names(arguments), paces)
+    return field(default=default, metadata={"about": declaration})
 
 
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(text.split(", ")) if text else ()
+def _names(names_text: str) -> tuple[str, ...]:
+    return tuple(names_text.split(", ")) if names_text else ()
 
 
-def about_fields(owner: type) -> dict[str, About]:
+def about_fields(dataclass_type: type) -> dict[str, About]:
     """Return what is known of each field of a dataclass."""
-    return {item.name: item.metadata.get("about", About()) for item in fields(owner)}
+    return {
+        dataclass_field.name: dataclass_field.metadata.get("about", About())
+        for dataclass_field in fields(dataclass_type)
+    }
 
 
 def matching(pattern: str, allowed: str) -> Reads:
     """Restrict text to a form."""
 
-    def read(value: Any) -> str:
-        if not isinstance(value, str) or not re.fullmatch(pattern, value):
+    def read(field_value: Any) -> str:
+        if not isinstance(field_value, str) or not re.fullmatch(pattern, field_value):
             raise ValueError
-        return value
+        return field_value
 
     return Reads(read, allowed)
 
 
-def names_like(pattern: str, allowed: str, names: tuple[str, ...] = ()) -> Reads:
+def names_like(pattern: str, allowed: str, known_names: tuple[str, ...] = ()) -> Reads:
     """Restrict a value to names of a form: one, or a list with one per player. The result is a tuple.
 
     In text form the names are separated by commas, which no name contains.
     """
 
-    def read(value: Any) -> tuple[str, ...]:
-        names_given = tuple(value.split(",") if isinstance(value, str) else value)
+    def read(field_value: Any) -> tuple[str, ...]:
+        names_given = tuple(field_value.split(",") if isinstance(field_value, str) else field_value)
         if not 1 <= len(names_given) <= MOST_NAMES:
             raise ValueError
         if not all(isinstance(name, str) and re.fullmatch(pattern, name) for name in names_given):
             raise ValueError
         return names_given
 
-    return Reads(read, allowed, names)
+    return Reads(read, allowed, known_names)
 
 
-def shown_value(value: object) -> str:
+def shown_value(field_value: object) -> str:
     """Return a field's value as text: a list without brackets, None as "none"."""
-    if isinstance(value, list | tuple):
-        return ", ".join(map(shown_value, value)) or "none"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return "none" if value in (None, "") else str(value)
+    if isinstance(field_value, list | tuple):
+        return ", ".join(map(shown_value, field_value)) or "none"
+    if isinstance(field_value, bool):
+        return str(field_value).lower()
+    return "none" if field_value in (None, "") else str(field_value)
 
 
 def short(value: object) -> str:
     """Return a value as short as it can be written: 3e-4, kills, [0.9, 0.999]. Different values differ."""
     if isinstance(value, float):
-        digits, _, power = f"{value:e}".partition("e")
-        scientific = f"{digits.rstrip('0').rstrip('.')}e{int(power)}"
+        digits, _, exponent = f"{value:e}".partition("e")
+        scientific = f"{digits.rstrip('0').rstrip('.')}e{int(exponent)}"
         shortest = min(f"{value:g}", scientific, key=len)
         return shortest if float(shortest) == value else repr(value)
     if isinstance(value, str):
@@ -152,30 +155,34 @@ def per_cent(share: float) -> str:
 
 
 def shown_settings(settings: Mapping[str, Any]) -> str:
-    return ", ".join(f"{key} = {shown_value(value)}" for key, value in settings.items())
+    return ", ".join(
+        f"{field_name} = {shown_value(field_value)}" for field_name, field_value in settings.items()
+    )
 
 
 def setting_words(settings: Mapping[str, Any]) -> list[str]:
     """Return changed fields as words of a command."""
-    return [f"--set={key}={_value_word(value)}" for key, value in settings.items()]
+    return [f"--set={field_name}={_value_word(field_value)}" for field_name, field_value in settings.items()]
 
 
-def _value_word(value: Any) -> str:
+def _value_word(field_value: Any) -> str:
     """Return a value as `read_value` reads it."""
-    if value is None or isinstance(value, bool):
-        return shown_value(value)
-    if isinstance(value, Mapping):
-        items = ", ".join(f"{key} = {json.dumps(item)}" for key, item in value.items())
-        return f"{{{items}}}"
-    if isinstance(value, tuple):
-        value = list(value)
-    return str(value)
+    if field_value is None or isinstance(field_value, bool):
+        return shown_value(field_value)
+    if isinstance(field_value, Mapping):
+        argument_list = ", ".join(
+            f"{argument_name} = {json.dumps(argument)}" for argument_name, argument in field_value.items()
+        )
+        return f"{{{argument_list}}}"
+    if isinstance(field_value, tuple):
+        field_value = list(field_value)
+    return str(field_value)
 
 
 def read_settings(words: Iterable[str]) -> dict[str, Any]:
     """Return the changed fields that `setting_words` gave as words."""
     pairs = (word.removeprefix("--set=").split("=", 1) for word in words)
-    return {key: read_value(value) for key, value in pairs}
+    return {field_name: read_value(field_value) for field_name, field_value in pairs}
 
 
 LONGEST_NAME = 100
@@ -183,7 +190,7 @@ MOST_SEEDS = 10_000
 SEEDS_ALLOWED = f"a count from 1 to {MOST_SEEDS}, a list of different seeds, or text such as 3,5,8 or 1..5"
 
 
-def read_seeds(value: object, first: int = 0) -> tuple[int, ...]:
+def read_seeds(seeds: object, first_seed: int = 0) -> tuple[int, ...]:
     """Read seeds: a count n, for the n seeds from the first on; a list; or text with numbers and ranges.
 
     As text, `"5"` is a count, `"5,"` is the seed 5 alone, and `"1..5"` includes both ends.
@@ -191,28 +198,28 @@ def read_seeds(value: object, first: int = 0) -> tuple[int, ...]:
     Raises:
         ValueError: for anything else, including repeated seeds.
     """
-    if isinstance(value, str):
-        value = _seeds_of_text(value)
-    if type(value) is int and 1 <= value <= MOST_SEEDS:
-        return tuple(range(first, first + value))
-    if not isinstance(value, list | tuple) or not value:
+    if isinstance(seeds, str):
+        seeds = _seeds_of_text(seeds)
+    if type(seeds) is int and 1 <= seeds <= MOST_SEEDS:
+        return tuple(range(first_seed, first_seed + seeds))
+    if not isinstance(seeds, list | tuple) or not seeds:
         raise ValueError
-    if not all(type(seed) is int and 0 <= seed < 2**32 for seed in value):
+    if not all(type(seed) is int and 0 <= seed < 2**32 for seed in seeds):
         raise ValueError
-    if len(set(value)) < len(value):
+    if len(set(seeds)) < len(seeds):
         raise ValueError
-    return tuple(value)
+    return tuple(seeds)
 
 
-def _seeds_of_text(text: str) -> int | list[int]:
+def _seeds_of_text(seeds_text: str) -> int | list[int]:
     """Return the count that a text names, or the list of its seeds."""
-    if "," not in text and ".." not in text:
-        return int(text)
+    if "," not in seeds_text and ".." not in seeds_text:
+        return int(seeds_text)
     seeds: list[int] = []
-    for item in text.split(","):
-        if item.strip():
-            first, dots, last = item.partition("..")
-            seed_range = range(int(first), int(last if dots else first) + 1)
+    for range_text in seeds_text.split(","):
+        if range_text.strip():
+            first_seed, dots, last_seed = range_text.partition("..")
+            seed_range = range(int(first_seed), int(last_seed if dots else first_seed) + 1)
             if len(seed_range) > MOST_SEEDS:
                 raise ValueError
             seeds.extend(seed_range)
@@ -227,43 +234,45 @@ def shown_seeds(seeds: Iterable[int]) -> str:
             ranges[-1] = [ranges[-1][0], seed]
         else:
             ranges.append([seed])
-    return ",".join("..".join(map(str, ends)) for ends in ranges)
+    return ",".join("..".join(map(str, range_ends)) for range_ends in ranges)
 
 
 def seeds_option(seeds: Collection[int]) -> str:
     """Return seeds as the value of an option: as `shown_seeds`, but `7,` for the seed 7 alone."""
-    text = shown_seeds(seeds)
-    return f"{text}," if len(seeds) == 1 else text
+    seeds_text = shown_seeds(seeds)
+    return f"{seeds_text}," if len(seeds) == 1 else seeds_text
 
 
 def settings_name(settings: Mapping[str, Any], *words: str) -> str:
     """Return a file name for changed fields; the end of a long one is replaced by a checksum."""
-    settings_texts = [f"{key}={shown_value(value)}" for key, value in settings.items()]
-    text = "-".join(settings_texts + list(words))
-    name = re.sub(r"[^\w.=+-]+", "-", text).strip("-")
-    if len(name) > LONGEST_NAME:
-        digest = hashlib.sha256(text.encode(errors="replace")).hexdigest()
-        name = f"{name[:LONGEST_NAME]}-{digest[:6]}"
-    return name
+    settings_texts = [
+        f"{field_name}={shown_value(field_value)}" for field_name, field_value in settings.items()
+    ]
+    settings_text = "-".join(settings_texts + list(words))
+    file_name = re.sub(r"[^\w.=+-]+", "-", settings_text).strip("-")
+    if len(file_name) > LONGEST_NAME:
+        digest = hashlib.sha256(settings_text.encode(errors="replace")).hexdigest()
+        file_name = f"{file_name[:LONGEST_NAME]}-{digest[:6]}"
+    return file_name
 
 
-def read_value(text: str) -> Any:
+def read_value(value_text: str) -> Any:
     """Read a value as TOML would, also without a list's brackets, a word's quotes, or a 0 before a point."""
-    if not text:
-        return text
-    with_zeros = re.sub(r"(?<![\w.])\.(?=\d)", "0.", text)
-    for form in (text, f"[{text}]", with_zeros, f"[{with_zeros}]"):
+    if not value_text:
+        return value_text
+    with_zeros = re.sub(r"(?<![\w.])\.(?=\d)", "0.", value_text)
+    for toml_form in (value_text, f"[{value_text}]", with_zeros, f"[{with_zeros}]"):
         with suppress(ValueError, RecursionError):
-            return tomllib.loads(f"value = {form}")["value"]
-    if text.startswith("[") and text.endswith("]"):
-        return [read_value(item) for item in split_list(text[1:-1])]
-    return text
+            return tomllib.loads(f"value = {toml_form}")["value"]
+    if value_text.startswith("[") and value_text.endswith("]"):
+        return [read_value(item_text) for item_text in split_list(value_text[1:-1])]
+    return value_text
 
 
-def split_list(text: str) -> list[str]:
+def split_list(list_text: str) -> list[str]:
     """Return the items of a list without its brackets; a list in it is one item."""
     items, depth = [""], 0
-    for character in text:
+    for character in list_text:
         if character in "[{":
             depth += 1
         elif character in "]}":

@@ -60,7 +60,7 @@ class Budget(Table):
     """[presets.NAME]: the size of a search: trials, the seeds of each, and agent steps of each run."""
 
     trials: Annotated[int, Interval(ge=1)]
-    seeds: Annotated[tuple[int, ...], Reads(partial(read_seeds, first=FIRST_SEED), SEEDS_ALLOWED)]
+    seeds: Annotated[tuple[int, ...], Reads(partial(read_seeds, first_seed=FIRST_SEED), SEEDS_ALLOWED)]
     steps: Steps
 
 
