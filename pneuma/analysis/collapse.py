@@ -54,85 +54,93 @@ class Diagnosis:
 
 
 def diagnose(run: Row) -> Diagnosis:
-    signs, update = run.signs, run.update_steps or 0
-    gap, shortest = GAP * run.budget + update, SHORTEST * run.budget
-    stuck = signs.get(NO_ENTROPY, [])
+    signs, update_steps = run.signs, run.update_steps or 0
+    gap, least_length = GAP * run.budget + update_steps, SHORTEST * run.budget
+    stuck_periods = signs.get(NO_ENTROPY, [])
     if ONE_ACTION in signs:
-        stuck = both(stuck, signs[ONE_ACTION])
+        stuck_periods = both(stuck_periods, signs[ONE_ACTION])
     # Repeated single updates are joined, but are no collapse: most updates must show the sign.
     spells = [
         spell
-        for spell in _lasting(stuck, gap, shortest)
-        if share_held(stuck, spell, update or 1) > LEAST_HELD
+        for spell in _lasting(stuck_periods, gap, least_length)
+        if share_held(stuck_periods, spell, update_steps or 1) > LEAST_HELD
     ]
-    steps, played, random = _played(run)
-    falls, losses = _falls(steps, played, random), _losses(run)
-    sunk = _lasting(losses or [], gap, shortest)
-    spells = joined(spells + falls + sunk, gap)
+    steps, performance, random_level = _played(run)
+    fall_periods, loss_periods = _falls(steps, performance, random_level), _losses(run)
+    lasting_losses = _lasting(loss_periods or [], gap, least_length)
+    spells = joined(spells + fall_periods + lasting_losses, gap)
     if not spells:
         is_evaluated = len(steps) > 0 and not run.begun  # a fork's best was its parent's
-        is_known = NO_ENTROPY in signs or losses is not None or is_evaluated
+        is_known = NO_ENTROPY in signs or loss_periods is not None or is_evaluated
         return Diagnosis(False if is_known else None)
-    onset, last = spells[0]
-    present = [sign for sign in SIGNS if share_held(signs.get(sign, []), spells[0], update or 1) > LEAST_HELD]
-    for sign, periods in ((FALL, falls), (LOSS, sunk)):
-        if any(onset <= first <= last for first, _ in periods):
-            present.append(sign)
+    onset, last_step = spells[0]
+    present_signs = [
+        sign for sign in SIGNS if share_held(signs.get(sign, []), spells[0], update_steps or 1) > LEAST_HELD
+    ]
+    for sign, periods in ((FALL, fall_periods), (LOSS, lasting_losses)):
+        if any(onset <= first_step <= last_step for first_step, _ in periods):
+            present_signs.append(sign)
     return Diagnosis(
         True,
         onset_step=int(onset),
-        onset_update=round(onset / update) if update else None,
-        signs=tuple(sign for sign in SIGNS if sign in present),
+        onset_update=round(onset / update_steps) if update_steps else None,
+        signs=tuple(sign for sign in SIGNS if sign in present_signs),
     )
 
 
-def diagnoses(data: StudyData) -> pd.DataFrame:
+def diagnoses(study_data: StudyData) -> pd.DataFrame:
     """Return the diagnosis of every finished run, one row each, in the selection's order.
 
     `collapsed` is missing where no sign that decides is recorded.
     """
-    table = pd.DataFrame([vars(diagnose(run)) for run in data.rows])
-    table["signs"] = table["signs"].map(", ".join)
-    table = table.astype({"collapsed": "boolean", "onset_step": "Int64", "onset_update": "Int64"})
-    runs = data.runs[[*RUN_KEY_COLUMNS, "status"]].reset_index(drop=True)
-    return pd.concat([runs, table], axis=1)
+    diagnosis_table = pd.DataFrame([vars(diagnose(run)) for run in study_data.rows])
+    diagnosis_table["signs"] = diagnosis_table["signs"].map(", ".join)
+    diagnosis_table = diagnosis_table.astype(
+        {"collapsed": "boolean", "onset_step": "Int64", "onset_update": "Int64"}
+    )
+    run_columns = study_data.runs[[*RUN_KEY_COLUMNS, "status"]].reset_index(drop=True)
+    return pd.concat([run_columns, diagnosis_table], axis=1)
 
 
-def incidence(data: StudyData, diagnosed: pd.DataFrame) -> pd.DataFrame:
+def incidence(study_data: StudyData, diagnosed: pd.DataFrame) -> pd.DataFrame:
     """Return how many runs of each condition collapsed: counts, share, 95 % interval.
 
     Runs whose records show no sign that decides are left out; `unknown` counts them.
 
     Args:
-        data: an opened study.
+        study_data: an opened study.
         diagnosed: its `diagnoses`.
     """
-    rows = []
-    for condition in data.conditions:
+    incidence_rows = []
+    for condition in study_data.conditions:
         runs = diagnosed[diagnosed["condition"] == condition]
-        judged = runs[runs["collapsed"].notna()]
-        count, collapsed = len(judged), int(judged["collapsed"].sum())
-        interval = incidence_interval(collapsed, count)
-        rows.append({
+        judged_runs = runs[runs["collapsed"].notna()]
+        judged_count, collapsed_count = len(judged_runs), int(judged_runs["collapsed"].sum())
+        interval = incidence_interval(collapsed_count, judged_count)
+        incidence_rows.append({
             "condition": condition,
-            "runs": count,
-            "diverged": int((judged["status"] == "diverged").sum()),
-            "collapsed": collapsed,
-            "share": collapsed / count if count else float("nan"),
+            "runs": judged_count,
+            "diverged": int((judged_runs["status"] == "diverged").sum()),
+            "collapsed": collapsed_count,
+            "share": collapsed_count / judged_count if judged_count else float("nan"),
             "low": interval.low,
             "high": interval.high,
             "interval": interval.method,
-            "unknown": len(runs) - count,
+            "unknown": len(runs) - judged_count,
         })  # fmt: skip
-    return pd.DataFrame(rows)
+    return pd.DataFrame(incidence_rows)
 
 
 # --- Signs -----------------------------------------------------------------------------------------
 
 
-def _lasting(periods: list[Stretch], gap: float, shortest: float) -> list[Stretch]:
+def _lasting(periods: list[Stretch], gap: float, least_length: float) -> list[Stretch]:
     """Join stretches across gaps and return those that last long enough for a collapse."""
-    return [(first, last) for first, last in joined(periods, gap) if last - first >= shortest]
+    return [
+        (first_step, last_step)
+        for first_step, last_step in joined(periods, gap)
+        if last_step - first_step >= least_length
+    ]
 
 
 def _losses(run: Row) -> list[Stretch] | None:
@@ -160,49 +168,58 @@ def _played(run: Row) -> tuple[np.ndarray, np.ndarray, float | None]:
         return steps, shares, float(random_shares[0]) if len(random_shares) else None
     _, spreads = run.known_evaluations("random_spread")
     steps, returns = run.known_evaluations("return")
-    unit = 2 * max(spreads[0], 0.01 * abs(random_returns[0]), 1e-9) / DEPTH
-    return steps, (returns - random_returns[0]) / unit, 0.0
+    return_unit = 2 * max(spreads[0], 0.01 * abs(random_returns[0]), 1e-9) / DEPTH
+    return steps, (returns - random_returns[0]) / return_unit, 0.0
 
 
-def _falls(steps: np.ndarray, played: np.ndarray, random: float | None) -> list[Stretch]:
+def _falls(steps: np.ndarray, performance: np.ndarray, random_level: float | None) -> list[Stretch]:
     """Return where two or more consecutive evaluations are far below the best before."""
-    if not len(played) or random is None:
+    if not len(performance) or random_level is None:
         return []
-    best = np.maximum.accumulate(played)
-    depth = DEPTH - 1e-9  # whatever the rounding of tenths
-    has_fallen = (best - random >= depth) & (played <= FALLEN_TO * best) & (best - played >= depth)
-    return [(first, last) for first, last in stretches(steps, has_fallen) if last > first]
+    best_so_far = np.maximum.accumulate(performance)
+    least_depth = DEPTH - 1e-9  # whatever the rounding of tenths
+    has_fallen = (
+        (best_so_far - random_level >= least_depth)
+        & (performance <= FALLEN_TO * best_so_far)
+        & (best_so_far - performance >= least_depth)
+    )
+    return [
+        (first_step, last_step)
+        for first_step, last_step in stretches(steps, has_fallen)
+        if last_step > first_step
+    ]
 
 
 # --- Stretches -------------------------------------------------------------------------------------
 
 
-def both(one: list[Stretch], other: list[Stretch]) -> list[Stretch]:
+def both(first_periods: list[Stretch], second_periods: list[Stretch]) -> list[Stretch]:
     """Return where two signs of the same updates hold together. Stretches of a sign do not overlap."""
-    shared, i, j = [], 0, 0
-    while i < len(one) and j < len(other):
-        first, last = max(one[i][0], other[j][0]), min(one[i][1], other[j][1])
-        if first <= last:
-            shared.append((first, last))
-        if one[i][1] < other[j][1]:
+    shared_periods, i, j = [], 0, 0
+    while i < len(first_periods) and j < len(second_periods):
+        first_step = max(first_periods[i][0], second_periods[j][0])
+        last_step = min(first_periods[i][1], second_periods[j][1])
+        if first_step <= last_step:
+            shared_periods.append((first_step, last_step))
+        if first_periods[i][1] < second_periods[j][1]:
             i += 1
         else:
             j += 1
-    return shared
+    return shared_periods
 
 
 def joined(periods: list[Stretch], gap: float) -> list[Stretch]:
     """Join stretches that overlap or whose distance is at most `gap`."""
-    overlaps: list[Stretch] = []
-    for first, last in sorted(periods):
-        if overlaps and first - overlaps[-1][1] <= gap:
-            overlaps[-1] = (overlaps[-1][0], max(overlaps[-1][1], last))
+    joined_periods: list[Stretch] = []
+    for first_step, last_step in sorted(periods):
+        if joined_periods and first_step - joined_periods[-1][1] <= gap:
+            joined_periods[-1] = (joined_periods[-1][0], max(joined_periods[-1][1], last_step))
         else:
-            overlaps.append((first, last))
-    return overlaps
+            joined_periods.append((first_step, last_step))
+    return joined_periods
 
 
-def share_held(periods: list[Stretch], within: Stretch, distance: float) -> float:
+def share_held(periods: list[Stretch], spell: Stretch, distance: float) -> float:
     """Return the share of a stretch's updates in which a sign holds."""
-    steps = sum(last - first + distance for first, last in both(periods, [within]))
-    return steps / (within[1] - within[0] + distance)
+    steps_held = sum(last_step - first_step + distance for first_step, last_step in both(periods, [spell]))
+    return steps_held / (spell[1] - spell[0] + distance)

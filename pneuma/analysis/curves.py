@@ -55,18 +55,18 @@ class Curve:
 
         They are NaN where there are none, or too few for the band.
         """
-        values, band = self.values, checked_band(band)
-        count = values.count(axis=1)
-        low, high = _edges(values, band)
-        enough = count >= BANDS[band].least_runs
-        table = pd.DataFrame({
-            "mean": values.mean(axis=1),
-            "low": low.where(enough),
-            "high": high.where(enough),
+        run_values, band = self.values, checked_band(band)
+        run_counts = run_values.count(axis=1)
+        low, high = _edges(run_values, band)
+        has_enough = run_counts >= BANDS[band].least_runs
+        curve_table = pd.DataFrame({
+            "mean": run_values.mean(axis=1),
+            "low": low.where(has_enough),
+            "high": high.where(has_enough),
         })  # fmt: skip
         if self.log:
-            table = 10.0**table
-        return table.assign(runs=count).rename_axis("x").reset_index()
+            curve_table = 10.0**curve_table
+        return curve_table.assign(runs=run_counts).rename_axis("x").reset_index()
 
     @property
     def run_count(self) -> int:
@@ -75,25 +75,25 @@ class Curve:
     @cached_property
     def values(self) -> pd.DataFrame:
         """The known values of runs, or their logarithms."""
-        known = self.runs.where(self.runs.abs() <= LARGEST)
+        known_runs = self.runs.where(self.runs.abs() <= LARGEST)
         if self.log:
-            return pd.DataFrame(np.log10(known.where(known > 0)))
-        return known
+            return pd.DataFrame(np.log10(known_runs.where(known_runs > 0)))
+        return known_runs
 
     @property
     def stops(self) -> list[tuple[float, float]]:
         """Where the curve of each diverged run ends, and its value there, for runs with any value."""
         stops: list[tuple[float, float]] = []
-        for values in self.runs.loc[:, np.array(self.diverged, bool)].T.to_numpy():
-            points = np.flatnonzero(~np.isnan(values))
+        for run_values in self.runs.loc[:, np.array(self.diverged, bool)].T.to_numpy():
+            points = np.flatnonzero(~np.isnan(run_values))
             if len(points):
-                stops.append((float(self.runs.index[points[-1]]), float(values[points[-1]])))
+                stops.append((float(self.runs.index[points[-1]]), float(run_values[points[-1]])))
         return stops
 
 
 def study_curves(
-    data: StudyData,
-    names: Sequence[str],
+    study_data: StudyData,
+    quantities: Sequence[str],
     window: str | None = None,
     x: str = STEPS,
 ) -> dict[str, list[Curve]]:
@@ -110,60 +110,68 @@ def study_curves(
     Raises:
         UserError: for a quantity that the data lack, or an axis for which some run lacks the records.
     """
-    known = curve_names(data)
+    available = curve_names(study_data)
     curves: dict[str, list[Curve]] = {}
-    for name in names:
-        if name not in known:
-            raise unknown_name(f"curve in {data.what} of study {data.study.name}", name, known)
-        curves[name] = []
-        for condition in data.conditions:
-            runs = data.of_condition(condition)
+    for quantity in quantities:
+        if quantity not in available:
+            raise unknown_name(
+                f"curve in {study_data.what} of study {study_data.study.name}", quantity, available
+            )
+        curves[quantity] = []
+        for condition in study_data.conditions:
+            runs = study_data.of_condition(condition)
             if runs:
-                series = [_series(data, run, name, window, x) for run in runs]
+                run_series = [_series(study_data, run, quantity, window, x) for run in runs]
                 diverged = [run.status == "diverged" for run in runs]
-                curves[name].append(Curve(condition, _on_one_grid(series, is_even=x != STEPS), diverged))
+                curves[quantity].append(
+                    Curve(condition, _on_one_grid(run_series, is_even=x != STEPS), diverged)
+                )
     return curves
 
 
-def _series(data: StudyData, run: Row, name: str, window: str | None, x: str) -> pd.Series:
+def _series(study_data: StudyData, run: Row, quantity: str, window: str | None, x: str) -> pd.Series:
     """Return the values of one run's curve by their places."""
-    if name in EVALUATION_QUANTITIES:
-        steps, values = run.evaluations("step"), run.evaluations(evaluation_column(name))
-        if not len(values):
-            values = np.full(len(steps), np.nan)
+    if quantity in EVALUATION_QUANTITIES:
+        steps, curve_values = run.evaluations("step"), run.evaluations(evaluation_column(quantity))
+        if not len(curve_values):
+            curve_values = np.full(len(steps), np.nan)
     else:
-        steps, values = data.grid, data.curve(run, name, window)
+        steps, curve_values = study_data.grid, study_data.curve(run, quantity, window)
     if x == WALL_CLOCK:
         steps = _seconds(run, steps)
     elif x == EPISODES:
         steps = _episodes(run, steps)
-    series = pd.Series(values, steps, dtype=float)
+    series = pd.Series(curve_values, steps, dtype=float)
     return series[~series.index.duplicated(keep="last")]  # of several evaluations at one step
 
 
-def _on_one_grid(series: Sequence[pd.Series], is_even: bool) -> pd.DataFrame:
+def _on_one_grid(run_series: Sequence[pd.Series], is_even: bool) -> pd.DataFrame:
     """Return the values of runs at common places: even ones, their own, or those of the run with fewest."""
-    longest = max(series, key=len).index
-    if not is_even and all(values.index.equals(longest[: len(values)]) for values in series):
-        return pd.DataFrame(dict(enumerate(series)), index=longest)
-    grid: Any = min((values.index for values in series if len(values)), key=len, default=longest)
+    longest_index = max(run_series, key=len).index
+    if not is_even and all(series.index.equals(longest_index[: len(series)]) for series in run_series):
+        return pd.DataFrame(dict(enumerate(run_series)), index=longest_index)
+    grid: Any = min(
+        (series.index for series in run_series if len(series)),
+        key=len,
+        default=longest_index,
+    )
     if is_even:
-        grid = make_grid(max(values.index.max() for values in series if len(values)))
+        grid = make_grid(max(series.index.max() for series in run_series if len(series)))
     columns: dict[int, Any] = {}
-    for number, values in enumerate(series):
-        known = values[np.isfinite(values)]
-        columns[number] = np.nan
-        if len(known):
-            columns[number] = np.interp(grid, known.index, known, left=np.nan, right=np.nan)
+    for run_number, series in enumerate(run_series):
+        known_values = series[np.isfinite(series)]
+        columns[run_number] = np.nan
+        if len(known_values):
+            columns[run_number] = np.interp(grid, known_values.index, known_values, left=np.nan, right=np.nan)
     return pd.DataFrame(columns, index=grid)
 
 
 def _seconds(run: Row, steps: np.ndarray) -> np.ndarray:
     """Return the seconds that a run had trained at some steps, from its own start."""
-    trained = run.end - run.begun
-    if not run.wall_seconds or trained <= 0:
+    trained_steps = run.end - run.begun
+    if not run.wall_seconds or trained_steps <= 0:
         raise UserError(Hint("x", WALL_CLOCK), f": run {run.run_id} in {run.what} has no times")
-    return (steps - run.begun) * run.wall_seconds / trained
+    return (steps - run.begun) * run.wall_seconds / trained_steps
 
 
 def _episodes(run: Row, steps: np.ndarray) -> np.ndarray:
@@ -171,55 +179,55 @@ def _episodes(run: Row, steps: np.ndarray) -> np.ndarray:
     known_steps, lengths = run.known_curve("length")
     if not len(lengths):
         raise UserError(Hint("x", EPISODES), f": run {run.run_id} in {run.what} has no lengths of episodes")
-    ended = np.cumsum(np.diff(run.grid, prepend=0.0) / np.interp(run.grid, known_steps, lengths))
-    return np.interp(steps, [0.0, *run.grid], [0.0, *ended])
+    finished_episodes = np.cumsum(np.diff(run.grid, prepend=0.0) / np.interp(run.grid, known_steps, lengths))
+    return np.interp(steps, [0.0, *run.grid], [0.0, *finished_episodes])
 
 
-def curve_names(data: StudyData) -> list[str]:
+def curve_names(study_data: StudyData) -> list[str]:
     """Return the names of all curves of a study's data.
 
     Quantities of evaluations without any value are left out. So are, where there are no monsters, those of
     training, and actions that no run takes.
     """
-    names: list[str] = []
-    if data.evaluated:
-        table = data.evaluations
-        for name in EVALUATION_QUANTITIES:
-            column = evaluation_column(name)
-            if column in table and table[column].notna().any():
-                names.append(name)
-    are_all_shown = not is_foreign(data)
-    for name in data.quantities:
-        if are_all_shown or _shows_something(data, name):
-            names.append(name)
-    return names
+    quantities: list[str] = []
+    if study_data.evaluated:
+        evaluations = study_data.evaluations
+        for quantity in EVALUATION_QUANTITIES:
+            column = evaluation_column(quantity)
+            if column in evaluations and evaluations[column].notna().any():
+                quantities.append(quantity)
+    are_all_shown = not is_foreign(study_data)
+    for quantity in study_data.quantities:
+        if are_all_shown or _shows_something(study_data, quantity):
+            quantities.append(quantity)
+    return quantities
 
 
-def _shows_something(data: StudyData, name: str) -> bool:
+def _shows_something(study_data: StudyData, quantity: str) -> bool:
     """Return whether some run has a value of a quantity, or takes the action whose share it is."""
-    least = 0.0 if name in ACTION_QUANTITIES else -np.inf
-    return any((data.curve(run, name) > least).any() for run in data.rows)
+    least_value = 0.0 if quantity in ACTION_QUANTITIES else -np.inf
+    return any((study_data.curve(run, quantity) > least_value).any() for run in study_data.rows)
 
 
 def curves_table(curves: Mapping[str, Sequence[Curve]], bands: Iterable[str]) -> pd.DataFrame:
     """Return curves with their bands as a tidy table, one row per point, band, condition and quantity."""
-    frames: list[pd.DataFrame] = []
-    for quantity, group in curves.items():
-        for curve in group:
+    curve_frames: list[pd.DataFrame] = []
+    for quantity, condition_curves in curves.items():
+        for curve in condition_curves:
             for band in map(checked_band, bands):
                 frame = curve.frame(band)
-                frames.append(frame.assign(band=band, condition=curve.condition, quantity=quantity))
-    table = pd.concat(frames, ignore_index=True)
-    return table[["condition", "quantity", "x", "mean", "low", "high", "band", "runs"]]
+                curve_frames.append(frame.assign(band=band, condition=curve.condition, quantity=quantity))
+    curve_table = pd.concat(curve_frames, ignore_index=True)
+    return curve_table[["condition", "quantity", "x", "mean", "low", "high", "band", "runs"]]
 
 
 def reach(curves: Iterable[Curve]) -> tuple[float, float]:
     """Return the least and greatest value of any run; 0 if none has a value."""
     low, high = np.inf, -np.inf
     for curve in curves:
-        values = curve.runs.to_numpy()
-        finite = values[np.isfinite(values)]
-        low, high = finite.min(initial=low), finite.max(initial=high)
+        curve_values = curve.runs.to_numpy()
+        finite_values = curve_values[np.isfinite(curve_values)]
+        low, high = finite_values.min(initial=low), finite_values.max(initial=high)
     return (0.0, 0.0) if low > high else (float(low), float(high))
 
 
@@ -229,7 +237,7 @@ NEAR = 0.02
 """Levels closer than this are drawn as one line."""
 
 
-def random_levels(data: StudyData, quantity: str) -> dict[str, float]:
+def random_levels(study_data: StudyData, quantity: str) -> dict[str, float]:
     """Return the level of the random player in each condition's world.
 
     Its share of monsters killed is that of `studies/random_returns.py`, which is one number for a world.
@@ -237,23 +245,23 @@ def random_levels(data: StudyData, quantity: str) -> dict[str, float]:
     Near levels are one. Empty if no player was recorded.
     """
     if quantity == "score":
-        return dict.fromkeys(data.conditions, 0.0)
+        return dict.fromkeys(study_data.conditions, 0.0)
     column = "random_return" if quantity == "evaluated_return" else "random_share_killed"
-    if quantity not in EVALUATION_QUANTITIES or column not in data.evaluations:
+    if quantity not in EVALUATION_QUANTITIES or column not in study_data.evaluations:
         return {}  # an imported log may have evaluations without a random player
-    levels = data.evaluations.groupby("condition", sort=False)[column].mean().dropna()
-    shares: dict[str, float] = {}
+    levels = study_data.evaluations.groupby("condition", sort=False)[column].mean().dropna()
+    kill_shares: dict[str, float] = {}
     for condition in levels.index:
         for world in _measured_worlds():
-            if column in world and _have(data.fields[condition], world["kill_settings"]):
-                shares[condition] = world[column]
-    levels.update(pd.Series(shares))
+            if column in world and _have(study_data.fields[condition], world["kill_settings"]):
+                kill_shares[condition] = world[column]
+    levels.update(pd.Series(kill_shares))
     if len(levels) and np.ptp(levels) <= NEAR:
-        levels[:] = next(iter(shares.values()), levels.mean())
+        levels[:] = next(iter(kill_shares.values()), levels.mean())
     return {str(name): float(level) for name, level in levels.items()}
 
 
-def random_returns(data: StudyData, end: float) -> pd.Series | None:
+def random_returns(study_data: StudyData, last_step: float) -> pd.Series | None:
     """Return what a random player earns in training, by step; None if it was not measured in such a world.
 
     It was measured over a million steps of four environments, as training curves are
@@ -261,23 +269,25 @@ def random_returns(data: StudyData, end: float) -> pd.Series | None:
     every step up to the end.
     """
     for world in _measured_worlds():
-        if all(_have(fields, world["settings"]) for fields in data.fields.values()):
-            curve = pd.Series(world["mean"], make_grid(world["steps"]), dtype=float).dropna()
+        if all(_have(fields, world["settings"]) for fields in study_data.fields.values()):
+            mean_returns = pd.Series(world["mean"], make_grid(world["steps"]), dtype=float).dropna()
             if world["settings"]["xp_scope"] == "episode":
-                return pd.Series(curve.mean(), [0.0, end])
-            return curve[curve.index <= end]
+                return pd.Series(mean_returns.mean(), [0.0, last_step])
+            return mean_returns[mean_returns.index <= last_step]
     return None
 
 
 def _have(fields: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:
     """Return whether fields have all the settings on which a random player's numbers depend."""
-    return all(plain(fields.get(name)) == plain(value) for name, value in settings.items())
+    return all(plain(fields.get(field_name)) == plain(value) for field_name, value in settings.items())
 
 
 @cache
 def _measured_worlds() -> list[dict[str, Any]]:
-    file = random_returns_file()
-    return list(json.loads(file.read_text(encoding="utf-8")).values()) if file.is_file() else []
+    returns_file = random_returns_file()
+    if not returns_file.is_file():
+        return []
+    return list(json.loads(returns_file.read_text(encoding="utf-8")).values())
 
 
 # --- Bands -----------------------------------------------------------------------------------------
@@ -308,22 +318,22 @@ BANDS = {
 }
 
 
-def checked_band(name: str) -> str:
+def checked_band(band: str) -> str:
     """Return a band's name in `BANDS`: people ask for mean and variance, whose root is drawn."""
-    name = "sd" if name == "variance" else name
-    if name not in BANDS:
-        raise unknown_name("band", name, BANDS)
-    return name
+    band = "sd" if band == "variance" else band
+    if band not in BANDS:
+        raise unknown_name("band", band, BANDS)
+    return band
 
 
-def _edges(values: pd.DataFrame, band: str) -> tuple[pd.Series, pd.Series]:
+def _edges(run_values: pd.DataFrame, band: str) -> tuple[pd.Series, pd.Series]:
     """Return the lower and upper edge of a band; NaN for one without edges."""
     if band == "minmax":
-        return values.min(axis=1), values.max(axis=1)
-    mean, half = values.mean(axis=1), values.std(axis=1)
+        return run_values.min(axis=1), run_values.max(axis=1)
+    mean, half_width = run_values.mean(axis=1), run_values.std(axis=1)
     if band == "ci":
-        count = values.count(axis=1)
-        half *= special.stdtrit(np.maximum(count - 1, 1), (1 + LEVEL) / 2) / np.sqrt(count)
+        run_counts = run_values.count(axis=1)
+        half_width *= special.stdtrit(np.maximum(run_counts - 1, 1), (1 + LEVEL) / 2) / np.sqrt(run_counts)
     elif band != "sd":
-        half *= np.nan
-    return mean - half, mean + half
+        half_width *= np.nan
+    return mean - half_width, mean + half_width

@@ -34,46 +34,48 @@ Scores = Sequence[np.ndarray]
 Statistic = Callable[..., np.ndarray]
 
 
-def by_environment(data: StudyData) -> dict[str, StudyData]:
+def by_environment(study_data: StudyData) -> dict[str, StudyData]:
     """Return a study's runs in each of its environments; a single part if there is one environment.
 
     Conditions are called by all that they are crossed with except the environment, so that those of different
     environments have the same names.
     """
-    study = data.study
+    study = study_data.study
     levels: dict[str, dict[str, str]] = {}
-    names: dict[str, dict[str, str]] = {}
-    for condition, fields in data.fields.items():
-        levels[condition], words = {}, []
+    names_by_env: dict[str, dict[str, str]] = {}
+    for condition, fields in study_data.fields.items():
+        levels[condition], level_names = {}, []
         for factor, level in study.levels.get(condition, {}).items():
             if any("env" in set_fields for set_fields in study.factors.get(factor, {}).values()):
                 continue
             levels[condition][factor] = level
             with_factor = f"{factor}={level}"  # where values have no names
-            words.append(with_factor if with_factor in condition else level)
-        names.setdefault(str(fields.get("env")), {})[condition] = ", ".join(words) or condition
+            level_names.append(with_factor if with_factor in condition else level)
+        names_by_env.setdefault(str(fields.get("env")), {})[condition] = ", ".join(level_names) or condition
     if study.levels:
-        data = replace(data, study=study.model_copy(update={"levels": {**study.levels, **levels}}))
-    return {env: data.renamed(names_in_env) for env, names_in_env in names.items()}
+        study_data = replace(
+            study_data, study=study.model_copy(update={"levels": {**study.levels, **levels}})
+        )
+    return {env: study_data.renamed(names_in_env) for env, names_in_env in names_by_env.items()}
 
 
-def columns_of(data: StudyData) -> dict[str, StudyData]:
+def columns_of(study_data: StudyData) -> dict[str, StudyData]:
     """Return a study's runs in each environment that has some; without a title if it is a single one."""
-    data_by_env = {env: env_data for env, env_data in by_environment(data).items() if env_data.rows}
-    return data_by_env if len(data_by_env) > 1 else {"": data}
+    data_by_env = {env: env_data for env, env_data in by_environment(study_data).items() if env_data.rows}
+    return data_by_env if len(data_by_env) > 1 else {"": study_data}
 
 
-def in_environment_of(data: StudyData, second: StudyData) -> StudyData | None:
+def in_environment_of(study_data: StudyData, other_data: StudyData) -> StudyData | None:
     """Return another study's runs in a study's environment; None without any.
 
     Those of logs are returned as they are, because logs do not contain their environment.
     """
-    if data.averaged_over or second.averaged_over:
-        return second
-    data_by_env = by_environment(second)
+    if study_data.averaged_over or other_data.averaged_over:
+        return other_data
+    data_by_env = by_environment(other_data)
     for env, env_data in data_by_env.items():
-        if env in data.environments:
-            return second if len(data_by_env) == 1 else env_data
+        if env in study_data.environments:
+            return other_data if len(data_by_env) == 1 else env_data
     return None
 
 
@@ -86,24 +88,24 @@ def references(data_by_env: Parts, outcome: str = OUTCOME) -> dict[str, tuple[fl
     Raises:
         UserError: when the two are equal, or not known.
     """
-    scales = {}
-    for env, data in data_by_env.items():
-        scale = data.study.scores.get(env)
+    scales_by_env = {}
+    for env, env_data in data_by_env.items():
+        scale = env_data.study.scores.get(env)
         if scale:
             low, high = scale.random, scale.expert
         else:
             low = high = np.nan
-            if "random_return" in data.evaluations:
-                low = float(data.evaluations["random_return"].mean())
-            for condition in data.conditions:
-                values = known_values(data, condition, outcome)
-                if len(values):
-                    high = float(np.fmax(high, values.mean()))
+            if "random_return" in env_data.evaluations:
+                low = float(env_data.evaluations["random_return"].mean())
+            for condition in env_data.conditions:
+                run_values = known_values(env_data, condition, outcome)
+                if len(run_values):
+                    high = float(np.fmax(high, run_values.mean()))
         if not np.isfinite([low, high]).all() or low == high:
             fix = f"[scores.{env}] random = …, expert = … in the study's file"
             raise UserError(f"{env}: cannot be scaled from {low:g} to {high:g}: give {fix}")
-        scales[env] = low, high
-    return scales
+        scales_by_env[env] = low, high
+    return scales_by_env
 
 
 def scores(data_by_env: Parts, outcome: str = OUTCOME) -> dict[str, list[np.ndarray]]:
@@ -111,18 +113,24 @@ def scores(data_by_env: Parts, outcome: str = OUTCOME) -> dict[str, list[np.ndar
     scores_by_condition: dict[str, list[np.ndarray]] = {}
     for env, (low, high) in references(data_by_env, outcome).items():
         for condition in data_by_env[env].conditions:
-            values = known_values(data_by_env[env], condition, outcome)
-            if len(values):
-                scores_by_condition.setdefault(condition, []).append((values - low) / (high - low))
-    return {name: by_env for name, by_env in scores_by_condition.items() if len(by_env) == len(data_by_env)}
+            run_values = known_values(data_by_env[env], condition, outcome)
+            if len(run_values):
+                scores_by_condition.setdefault(condition, []).append((run_values - low) / (high - low))
+    return {
+        name: scores_by_env
+        for name, scores_by_env in scores_by_condition.items()
+        if len(scores_by_env) == len(data_by_env)
+    }
 
 
 def over_environments(data_by_env: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
     """Return condition, statistic, value, low, high: one row for each of `AGGREGATES`."""
     rows = []
-    for condition, by_env in scores(data_by_env, outcome).items():
-        for name, aggregate in AGGREGATES.items():
-            rows.append((condition, name, float(aggregate(by_env)), *bootstrap(aggregate, by_env)))
+    for condition, env_scores in scores(data_by_env, outcome).items():
+        for statistic, aggregate in AGGREGATES.items():
+            rows.append(
+                (condition, statistic, float(aggregate(env_scores)), *bootstrap(aggregate, env_scores))
+            )
     return pd.DataFrame(rows, columns=["condition", "statistic", "value", "low", "high"])
 
 
@@ -131,16 +139,16 @@ def profiles(data_by_env: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
     scores_by_condition = scores(data_by_env, outcome)
     if not scores_by_condition:
         raise UserError(f"no condition has runs in every environment: {', '.join(data_by_env)}")
-    everything = [np.concatenate(by_env) for by_env in scores_by_condition.values()]
-    ends = np.concatenate([[0.0, 1.0], *everything])
+    all_scores = [np.concatenate(env_scores) for env_scores in scores_by_condition.values()]
+    ends = np.concatenate([[0.0, 1.0], *all_scores])
     thresholds = np.linspace(ends.min(), ends.max(), PROFILE_POINTS)
-    above, frames = partial(profile, thresholds=thresholds), []
-    for condition, by_env in scores_by_condition.items():
-        low, high = bootstrap(above, by_env, resamples=RESAMPLES // 10)
-        runs = ", ".join(str(len(values)) for values in by_env)
-        curve = {"x": thresholds, "share": above(by_env), "low": low, "high": high}
-        frames.append(pd.DataFrame({"condition": condition, **curve, "runs": runs}))
-    return pd.concat(frames, ignore_index=True)
+    share_above, profile_frames = partial(profile, thresholds=thresholds), []
+    for condition, env_scores in scores_by_condition.items():
+        low, high = bootstrap(share_above, env_scores, resamples=RESAMPLES // 10)
+        runs = ", ".join(str(len(run_scores)) for run_scores in env_scores)
+        curve = {"x": thresholds, "share": share_above(env_scores), "low": low, "high": high}
+        profile_frames.append(pd.DataFrame({"condition": condition, **curve, "runs": runs}))
+    return pd.concat(profile_frames, ignore_index=True)
 
 
 def improvements(data_by_env: Parts, a: str, b: str, outcome: str = OUTCOME) -> pd.DataFrame:
@@ -153,8 +161,11 @@ def improvements(data_by_env: Parts, a: str, b: str, outcome: str = OUTCOME) -> 
     statistics: dict[str, Statistic] = {"P(better)": improvement}
     for name, aggregate in AGGREGATES.items():
         statistics[f"{name}, difference"] = partial(_difference, aggregate)
-    pair = scores_by_condition[a], scores_by_condition[b]
-    rows = [(name, float(get(*pair)), *bootstrap(get, *pair)) for name, get in statistics.items()]
+    score_pair = scores_by_condition[a], scores_by_condition[b]
+    rows = [
+        (name, float(statistic(*score_pair)), *bootstrap(statistic, *score_pair))
+        for name, statistic in statistics.items()
+    ]
     return pd.DataFrame(rows, columns=["statistic", "value", "low", "high"])
 
 
@@ -202,6 +213,6 @@ def bootstrap(statistic: Statistic, *groups: Scores, resamples: int = RESAMPLES)
         for runs in group:
             if len(runs) < LEAST_TO_RESAMPLE:
                 return np.full((2, *np.shape(statistic(*groups))), np.nan)
-            picks = generator.integers(len(runs), size=(resamples, len(runs)))
-            resampled[-1].append(runs[picks])
+            run_indices = generator.integers(len(runs), size=(resamples, len(runs)))
+            resampled[-1].append(runs[run_indices])
     return np.quantile(statistic(*resampled), [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)

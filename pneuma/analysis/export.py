@@ -28,36 +28,39 @@ class Publication(NamedTuple):
     size: int
 
 
-def publish_runs(store: Store, data: StudyData, curves: Sequence[str]) -> Publication:
+def publish_runs(store: Store, study_data: StudyData, quantities: Sequence[str]) -> Publication:
     """Write a study's runs as rows of a published table, with the curves of some quantities.
 
     Rows that the table has already stay in it. The same runs give the same bytes.
     """
-    study, path = data.study, store.published_path(data.table_name)
-    new = {run.run_id: run for run in data.rows if not run.published}
-    if not new:
+    study, table_path = study_data.study, store.published_path(study_data.table_name)
+    new_rows = {run.run_id: run for run in study_data.rows if not run.published}
+    if not new_rows:
         raise UserError(
             f"study {study.name}: none of its runs is in {store.root}; train some before publishing"
         )
-    about: dict[str, Any] = {
+    description: dict[str, Any] = {
         "study": study.name,
-        "world": data.world or None,
+        "world": study_data.world or None,
         "settings": dict(study.settings),
     }
     listing = store.listing(study.name)
     if study.path is None and listing:
-        about["listing"] = listing
-    with store.publishing_lock(path.stem) as is_alone:
+        description["listing"] = listing
+    with store.publishing_lock(table_path.stem) as is_alone:
         if not is_alone:
-            raise UserError(f"another command is writing {path}: try again when it has ended")
-        before = RunIndex(store).tables.get(path.stem)  # what Pneuma itself publishes stays, too
-        rows = new
-        if before:
-            rows = {**before.rows(), **new}
-        order = sorted(rows.values(), key=lambda row: (row.config_id, row.budget, row.cell("seed")))
-        encoded = encode_published(order, about, curves)
-        store.write(path, encoded)
-    return Publication(path, len(new), len(rows) - len(new), len(encoded))
+            raise UserError(f"another command is writing {table_path}: try again when it has ended")
+        previous = RunIndex(store).tables.get(table_path.stem)  # what Pneuma itself publishes stays, too
+        all_rows = new_rows
+        if previous:
+            all_rows = {**previous.rows(), **new_rows}
+        ordered_rows = sorted(
+            all_rows.values(),
+            key=lambda row: (row.config_id, row.budget, row.cell("seed")),
+        )
+        encoded = encode_published(ordered_rows, description, quantities)
+        store.write(table_path, encoded)
+    return Publication(table_path, len(new_rows), len(all_rows) - len(new_rows), len(encoded))
 
 
 # --- Files ----------------------------------------------------------------------------------------
@@ -84,7 +87,7 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
     if form == "parquet":
         return bytes(frame.to_parquet(index=False))
     cells = pd.DataFrame(_formatted_rows(frame), columns=frame.columns)
-    is_numeric = [pd.api.types.is_numeric_dtype(kind) for kind in frame.dtypes]
+    is_numeric = [pd.api.types.is_numeric_dtype(column_type) for column_type in frame.dtypes]
     encode = _latex if form == "latex" else _markdown
     return encode(cells, is_numeric).encode()
 
@@ -94,16 +97,16 @@ def _formatted_rows(frame: pd.DataFrame) -> list[list[str]]:
 
     Numbers with an interval are rounded with it; others keep six digits.
     """
-    rows = []
+    formatted_rows = []
     for row in frame.to_dict("records"):
         if {"value", "low", "high"} <= row.keys():
             digits = decimals(row["value"], row["low"], row["high"])
             if row.get("statistic") == "count":
                 digits = 0
-            for key in ("value", "low", "high"):
-                row[key] = shown(row[key], digits)
-        rows.append([_formatted(value) for value in row.values()])
-    return rows
+            for column in ("value", "low", "high"):
+                row[column] = shown(row[column], digits)
+        formatted_rows.append([_formatted(value) for value in row.values()])
+    return formatted_rows
 
 
 def _formatted(value: object) -> str:
@@ -113,15 +116,15 @@ def _formatted(value: object) -> str:
 
 
 def _latex(cells: pd.DataFrame, is_numeric: Sequence[bool]) -> str:
-    columns = ""
-    for name, is_number in zip(cells, is_numeric, strict=True):
-        if cells[name].str.len().max() > LONGEST_IN_A_LINE:
-            columns += PARAGRAPH
+    column_format = ""
+    for column, is_number in zip(cells, is_numeric, strict=True):
+        if cells[column].str.len().max() > LONGEST_IN_A_LINE:
+            column_format += PARAGRAPH
         else:
-            columns += "r" if is_number else "l"
+            column_format += "r" if is_number else "l"
     is_long = len(cells) > LINES_OF_A_PAGE
-    text = cells.to_latex(index=False, escape=True, column_format=columns, longtable=is_long)
-    return text.translate(_LATEX)
+    latex = cells.to_latex(index=False, escape=True, column_format=column_format, longtable=is_long)
+    return latex.translate(_LATEX)
 
 
 def _markdown(cells: pd.DataFrame, is_numeric: Sequence[bool]) -> str:
@@ -129,10 +132,10 @@ def _markdown(cells: pd.DataFrame, is_numeric: Sequence[bool]) -> str:
     rules = ["---:" if is_number else "---" for is_number in is_numeric]
     lines = []
     for row in (cells.columns, rules, *cells.to_numpy()):
-        line = []
+        escaped_cells = []
         for cell in map(str, row):
-            for text, code in _MARKDOWN.items():
-                cell = cell.replace(text, code)
-            line.append(cell)
-        lines.append(f"| {' | '.join(line)} |\n")
+            for characters, replacement in _MARKDOWN.items():
+                cell = cell.replace(characters, replacement)
+            escaped_cells.append(cell)
+        lines.append(f"| {' | '.join(escaped_cells)} |\n")
     return "".join(lines)

@@ -55,8 +55,8 @@ def interquartile_mean(values: ArrayLike) -> np.ndarray:
     SciPy's `trim_mean`. With three runs or fewer it is the mean.
     """
     runs = np.sort(values, axis=-1)
-    cut = int(TRIMMED * runs.shape[-1])
-    return np.asarray(runs[..., cut : runs.shape[-1] - cut].mean(axis=-1))
+    trimmed = int(TRIMMED * runs.shape[-1])
+    return np.asarray(runs[..., trimmed : runs.shape[-1] - trimmed].mean(axis=-1))
 
 
 def deviation(runs: np.ndarray) -> float:
@@ -75,8 +75,8 @@ def probability_of_improvement(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     Values may be infinite. Source: rliable's `probability_of_improvement` of one task: the Mann–Whitney U
     over both counts.
     """
-    first, second = a[..., :, None], b[..., None, :]
-    return np.asarray(((first > second) + 0.5 * (first == second)).mean(axis=(-2, -1)))
+    runs_a, runs_b = a[..., :, None], b[..., None, :]
+    return np.asarray(((runs_a > runs_b) + 0.5 * (runs_a == runs_b)).mean(axis=(-2, -1)))
 
 
 def is_constant(values: np.ndarray) -> bool:
@@ -105,8 +105,8 @@ class Interval:
     def exists(self) -> bool:
         return self.method != "none"
 
-    def less(self, value: float) -> Interval:
-        return replace(self, low=self.low - value, high=self.high - value)
+    def less(self, constant: float) -> Interval:
+        return replace(self, low=self.low - constant, high=self.high - constant)
 
 
 def no_interval(reason: str = "") -> Interval:
@@ -122,18 +122,18 @@ def why_none(*arms: np.ndarray) -> str:
     return ""
 
 
-def around(centre: float, error: float, freedom: float, level: float, method: str) -> Interval:
+def around(centre: float, standard_error: float, freedom: float, level: float, method: str) -> Interval:
     """Return Student's interval of an estimate, given its standard error."""
-    half = error * special.stdtrit(freedom, (1 + level) / 2)
-    return Interval(float(centre - half), float(centre + half), method)
+    half_width = standard_error * special.stdtrit(freedom, (1 + level) / 2)
+    return Interval(float(centre - half_width), float(centre + half_width), method)
 
 
 def mean_interval(runs: np.ndarray, level: float = LEVEL) -> Interval:
     """Return Student's t interval of the mean of (runs,)."""
     if reason := why_none(runs):
         return no_interval(reason)
-    error = runs.std(ddof=1) / np.sqrt(runs.size)
-    return around(runs.mean(), error, runs.size - 1, level, "t")
+    standard_error = runs.std(ddof=1) / np.sqrt(runs.size)
+    return around(runs.mean(), standard_error, runs.size - 1, level, "t")
 
 
 def within(interval: Interval, low: float, high: float) -> Interval:
@@ -155,14 +155,16 @@ def spread_interval(a: np.ndarray, b: np.ndarray, level: float = LEVEL) -> Inter
     """Return Student's interval of the difference of mean distances from the median, a - b."""
     if reason := why_none(a, b):
         return no_interval(reason)
-    first, second = distances(a), distances(b)
-    if is_constant(first) or is_constant(second):
+    distances_a, distances_b = distances(a), distances(b)
+    if is_constant(distances_a) or is_constant(distances_b):
         far = "in an arm all runs are equally far from their median"
         return no_interval(f"{far}, so nothing shows how spreads differ")
-    freedom = first.size + second.size - 2
-    squares = sum(arm.var() * arm.size for arm in (first, second))
-    error = np.sqrt(squares / freedom * (1 / first.size + 1 / second.size))
-    return around(first.mean() - second.mean(), float(error), freedom, level, "Brown-Forsythe t")
+    freedom = distances_a.size + distances_b.size - 2
+    squares = sum(arm.var() * arm.size for arm in (distances_a, distances_b))
+    standard_error = np.sqrt(squares / freedom * (1 / distances_a.size + 1 / distances_b.size))
+    return around(
+        distances_a.mean() - distances_b.mean(), float(standard_error), freedom, level, "Brown-Forsythe t"
+    )
 
 
 def deviation_interval(runs: np.ndarray) -> Interval:
@@ -173,30 +175,34 @@ def deviation_interval(runs: np.ndarray) -> Interval:
     if runs.size < 5 or is_constant(runs):
         return no_interval()
     z = special.ndtri((1 + LEVEL) / 2)
-    cut = int(runs.size / (2 * np.sqrt(runs.size - 4)))
-    middle = np.sort(runs)[cut : runs.size - cut] if 2 * cut < runs.size else np.median(runs)
-    fourth, squares = ((runs - np.mean(middle)) ** 4).sum(), (runs.size - 1) * runs.var(ddof=1)
-    kurtosis = runs.size * fourth / squares**2
-    error = np.sqrt((kurtosis - (runs.size - 3) / runs.size) / (runs.size - 1))
-    factor = runs.size / (runs.size - z)
-    centre, half = np.log(factor * runs.var(ddof=1)), z * factor * error
-    return Interval(math.exp((centre - half) / 2), math.exp((centre + half) / 2), "Bonett")
+    trimmed = int(runs.size / (2 * np.sqrt(runs.size - 4)))
+    middle_runs = np.sort(runs)[trimmed : runs.size - trimmed] if 2 * trimmed < runs.size else np.median(runs)
+    fourth_moment, squares = ((runs - np.mean(middle_runs)) ** 4).sum(), (runs.size - 1) * runs.var(ddof=1)
+    kurtosis = runs.size * fourth_moment / squares**2
+    standard_error = np.sqrt((kurtosis - (runs.size - 3) / runs.size) / (runs.size - 1))
+    correction = runs.size / (runs.size - z)
+    log_variance, half_width = np.log(correction * runs.var(ddof=1)), z * correction * standard_error
+    return Interval(
+        math.exp((log_variance - half_width) / 2), math.exp((log_variance + half_width) / 2), "Bonett"
+    )
 
 
-def incidence_interval(count: int, runs: int, level: float = LEVEL) -> Interval:
+def incidence_interval(event_count: int, run_count: int, level: float = LEVEL) -> Interval:
     """Return Clopper and Pearson's interval of a share, which never covers less than its level."""
-    if runs < 1:
+    if run_count < 1:
         return no_interval("an arm has no runs")
-    low, high = exact_ends(count, runs, level)
+    low, high = exact_ends(event_count, run_count, level)
     return Interval(float(low), float(high), "Clopper-Pearson")
 
 
-def exact_ends(counts: ArrayLike, runs: int, level: float = LEVEL) -> tuple[np.ndarray, np.ndarray]:
+def exact_ends(
+    event_counts: ArrayLike, run_count: int, level: float = LEVEL
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the ends of Clopper and Pearson's intervals of counts of runs."""
-    counts, tail = np.asarray(counts), (1 - level) / 2
-    low = special.betaincinv(np.maximum(counts, 1), runs - counts + 1, tail)
-    high = special.betaincinv(counts + 1, np.maximum(runs - counts, 1), 1 - tail)
-    return np.where(counts > 0, low, 0.0), np.where(counts < runs, high, 1.0)
+    event_counts, tail = np.asarray(event_counts), (1 - level) / 2
+    low = special.betaincinv(np.maximum(event_counts, 1), run_count - event_counts + 1, tail)
+    high = special.betaincinv(event_counts + 1, np.maximum(run_count - event_counts, 1), 1 - tail)
+    return np.where(event_counts > 0, low, 0.0), np.where(event_counts < run_count, high, 1.0)
 
 
 def incidence_difference_interval(
@@ -230,13 +236,13 @@ def bootstrap_interval(
         return no_interval()
     estimate = float(statistic(runs))
     resampled = statistic(runs[generator.integers(0, runs.size, (RESAMPLES, runs.size))])
-    below = (
+    share_below = (
         np.count_nonzero(resampled < estimate) + 0.5 * np.count_nonzero(resampled == estimate)
     ) / RESAMPLES
-    bias = special.ndtri(np.clip(below, 0.5 / RESAMPLES, 1 - 0.5 / RESAMPLES))
+    bias = special.ndtri(np.clip(share_below, 0.5 / RESAMPLES, 1 - 0.5 / RESAMPLES))
     z = special.ndtri(np.array([(1 - LEVEL) / 2, (1 + LEVEL) / 2]))
-    shares = special.ndtr(bias + (bias + z) / (1 - _acceleration(runs, statistic) * (bias + z)))
-    low, high = np.quantile(resampled, shares)
+    percentiles = special.ndtr(bias + (bias + z) / (1 - _acceleration(runs, statistic) * (bias + z)))
+    low, high = np.quantile(resampled, percentiles)
     if low == high:  # mostly equal runs: an interval without width would claim too much
         return no_interval()
     return Interval(float(low), float(high), "BCa bootstrap")
@@ -255,22 +261,22 @@ def _acceleration(runs: np.ndarray, statistic: Callable[[ArrayLike], np.ndarray]
 
 def decimals(value: float, low: float = math.nan, high: float = math.nan) -> int:
     """Return how many decimal places a number is shown with; negative for tens and more."""
-    half = (high - low) / 2
-    if math.isfinite(half) and round(half, MOST) > 0:
-        return min(MOST, SIGNIFICANT - 1 - math.floor(math.log10(half)))
+    half_width = (high - low) / 2
+    if math.isfinite(half_width) and round(half_width, MOST) > 0:
+        return min(MOST, SIGNIFICANT - 1 - math.floor(math.log10(half_width)))
     if not math.isfinite(value) or round(value, MOST) == 0:
         return 0
     return min(MOST, ALONE - 1 - math.floor(math.log10(abs(value))))
 
 
-def shown(value: float, places: int) -> str:
+def shown(value: float, decimal_places: int) -> str:
     """Return a rounded number as text; – for NaN."""
     if math.isnan(value):
         return "–"
     if math.isinf(value):
         return "never" if value > 0 else "-inf"
-    rounded = round(value, places) + 0.0  # no minus zero
-    return f"{rounded:,.{max(places, 0)}f}"
+    rounded = round(value, decimal_places) + 0.0  # no minus zero
+    return f"{rounded:,.{max(decimal_places, 0)}f}"
 
 
 def shown_with_interval(value: float, low: float, high: float) -> str:

@@ -33,67 +33,67 @@ LEAST_NORM = 1e-8
 
 def evaluated(run: Row, column: str, take: Take) -> float:
     """Return what a function takes from a column of the evaluations."""
-    _, values = run.known_evaluations(column)
-    return float(take(values)) if len(values) else NAN
+    _, curve_values = run.known_evaluations(column)
+    return float(take(curve_values)) if len(curve_values) else NAN
 
 
-def last_value(values: np.ndarray) -> float:
-    return values[-1]
+def last_value(curve_values: np.ndarray) -> float:
+    return curve_values[-1]
 
 
-def best(values: np.ndarray) -> float:
-    return values.max()
+def best(curve_values: np.ndarray) -> float:
+    return curve_values.max()
 
 
-def fall_from_best(values: np.ndarray) -> float:
-    return values.max() - values[-1]
+def fall_from_best(curve_values: np.ndarray) -> float:
+    return curve_values.max() - curve_values[-1]
 
 
-def late_mean(values: np.ndarray) -> float:
-    return values[-LATE:].mean()
+def late_mean(curve_values: np.ndarray) -> float:
+    return curve_values[-LATE:].mean()
 
 
-def late_mean_of_known(values: np.ndarray) -> float:
+def late_mean_of_known(curve_values: np.ndarray) -> float:
     """Return the mean of the last evaluations that have a value."""
-    late = values[-LATE:]
-    finite = late[np.isfinite(late)]
-    return finite.mean() if len(finite) else NAN
+    late_values = curve_values[-LATE:]
+    finite_values = late_values[np.isfinite(late_values)]
+    return finite_values.mean() if len(finite_values) else NAN
 
 
-def late_fall(values: np.ndarray) -> float:
+def late_fall(curve_values: np.ndarray) -> float:
     """Return by how much the mean of the last evaluations is below that of as many best ones."""
-    return _best_mean(values) - late_mean(values)
+    return _best_mean(curve_values) - late_mean(curve_values)
 
 
-def shuffled_fall(values: np.ndarray) -> float:
+def shuffled_fall(curve_values: np.ndarray) -> float:
     """Return what `late_fall` is on average if the same evaluations come in random order."""
-    return _best_mean(values) - values.mean()
+    return _best_mean(curve_values) - curve_values.mean()
 
 
-def _best_mean(values: np.ndarray) -> float:
-    return np.sort(values)[-LATE:].mean()
+def _best_mean(curve_values: np.ndarray) -> float:
+    return np.sort(curve_values)[-LATE:].mean()
 
 
-def late_one_action(values: np.ndarray) -> float:
+def late_one_action(curve_values: np.ndarray) -> float:
     """Return in what share of the last evaluations one action takes over `ONE_ACTION` of the steps."""
-    return (values[-LATE:] > ONE_ACTION).mean()
+    return (curve_values[-LATE:] > ONE_ACTION).mean()
 
 
-def rise(values: np.ndarray) -> float:
+def rise(curve_values: np.ndarray) -> float:
     """Return how much a straight line through the last evaluations rises over them; NaN for one."""
-    late = values[-LATE:]
-    if len(late) < 2:
+    late_values = curve_values[-LATE:]
+    if len(late_values) < 2:
         return NAN
-    offsets = np.arange(len(late)) - (len(late) - 1) / 2
-    return (len(late) - 1) * (offsets @ late) / (offsets**2).sum()
+    offsets = np.arange(len(late_values)) - (len(late_values) - 1) / 2
+    return (len(late_values) - 1) * (offsets @ late_values) / (offsets**2).sum()
 
 
-def roughness(values: np.ndarray) -> float:
+def roughness(curve_values: np.ndarray) -> float:
     """Return how far a curve goes up and down beyond its net change, per point; 0 if it is monotone."""
-    if len(values) < 3:
+    if len(curve_values) < 3:
         return NAN
-    travelled = np.abs(np.diff(values)).sum()
-    return (travelled - abs(values[-1] - values[0])) / (len(values) - 1)
+    travelled = np.abs(np.diff(curve_values)).sum()
+    return (travelled - abs(curve_values[-1] - curve_values[0])) / (len(curve_values) - 1)
 
 
 # --- Evaluations with their steps -----------------------------------------------------------------
@@ -108,9 +108,9 @@ def lasting_one_action(run: Row) -> float:
     if not len(shares):
         return NAN
     in_one_action = shares > ONE_ACTION
-    for start in range(len(shares) - LATE + 1):
-        if in_one_action[start : start + LATE].all():
-            return float(steps[start])
+    for first_index in range(len(shares) - LATE + 1):
+        if in_one_action[first_index : first_index + LATE].all():
+            return float(steps[first_index])
     return np.inf
 
 
@@ -120,10 +120,10 @@ def share_area(run: Row) -> float:
 
 def steps_to(run: Row, threshold: float, column: str) -> float:
     """Return the step of the first evaluation that reaches a value; infinite if none does."""
-    steps, values = run.known_evaluations(column)
-    if not len(values):
+    steps, curve_values = run.known_evaluations(column)
+    if not len(curve_values):
         return NAN
-    reached = steps[values >= threshold]
+    reached = steps[curve_values >= threshold]
     return float(reached[0]) if len(reached) else np.inf
 
 
@@ -152,35 +152,35 @@ def log_max(run: Row, name: str) -> float:
 
 def log_growth(run: Row) -> float:
     """Return how much the norm's logarithm grows, from the mean of the first tenth to that of the last."""
-    _, values = run.known_curve("grad_norm")
-    if not len(values):
+    _, curve_values = run.known_curve("grad_norm")
+    if not len(curve_values):
         return NAN
-    logs = np.log(np.maximum(values, LEAST_NORM))
-    tenth = max(len(logs) // 10, 1)
-    return float(logs[-tenth:].mean() - logs[:tenth].mean())
+    log_norms = np.log(np.maximum(curve_values, LEAST_NORM))
+    tenth_length = max(len(log_norms) // 10, 1)
+    return float(log_norms[-tenth_length:].mean() - log_norms[:tenth_length].mean())
 
 
 def low_entropy_share(run: Row) -> float:
     """Return the share of training in which the entropy is below `LEAST_ENTROPY`; NaN if not recorded."""
-    stretches, update = run.signs.get(NO_ENTROPY), run.update_steps
-    if stretches is None or update is None or run.end <= run.begun:
+    stretches, update_steps = run.signs.get(NO_ENTROPY), run.update_steps
+    if stretches is None or update_steps is None or run.end <= run.begun:
         return NAN
-    steps = 0.0
-    for first, last in stretches:
-        if first <= run.end:
-            steps += min(last, run.end) - first + update
-    return steps / (run.end - run.begun)
+    low_entropy_steps = 0.0
+    for first_step, last_step in stretches:
+        if first_step <= run.end:
+            low_entropy_steps += min(last_step, run.end) - first_step + update_steps
+    return low_entropy_steps / (run.end - run.begun)
 
 
 def stuck_share(run: Row) -> float:
     """Return the share of updates that are stuck; NaN if not known."""
-    stuck, updates, _ = (run.cell(name) or 0 for name in STUCK)
-    return stuck / updates if updates else NAN
+    stuck_updates, updates, _ = (run.cell(column) or 0 for column in STUCK)
+    return stuck_updates / updates if updates else NAN
 
 
 def share_of_commonest(run: Row) -> float:
     """Return the share of the most frequent action at the end of training."""
-    shares = [run.statistic(f"action_{number}", "last") for number in range(len(ACTION_NAMES))]
+    shares = [run.statistic(f"action_{action}", "last") for action in range(len(ACTION_NAMES))]
     if not is_gymnasium_id(run.fields.get("env")):  # elsewhere the columns are the most frequent actions
         shares.append(1 - float(np.sum(shares)))  # flame and heal have no column: together
     return max(shares)
@@ -188,8 +188,8 @@ def share_of_commonest(run: Row) -> float:
 
 def diagnosed(run: Row, name: str) -> float:
     """Return an attribute of the diagnosis of collapse; NaN if it is None."""
-    value = getattr(diagnose(run), name)
-    return NAN if value is None else float(value)
+    attribute_value = getattr(diagnose(run), name)
+    return NAN if attribute_value is None else float(attribute_value)
 
 
 def wall_seconds(run: Row) -> float:

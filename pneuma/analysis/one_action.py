@@ -23,36 +23,38 @@ PARTS = 5
 """Of training, over which the time in one action is measured."""
 
 
-def runs_not_staying(data: StudyData, condition: str) -> pd.DataFrame:
+def runs_not_staying(study_data: StudyData, condition: str) -> pd.DataFrame:
     """Return the share of a condition's runs that do not yet stay in one action (Kaplan and Meier 1958).
 
     Returns:
         A row for each step at which the share may change: x, share, and the ends low and high of its 95 %
         interval (log-log), NaN where there is none.
     """
-    runs = data.of_condition(condition)
-    came = np.array([lasting_one_action(run) for run in runs])
-    if np.isnan(came).any():
-        raise UserError(f"study {data.study.name}: {data.what} has no evaluations with {COLUMN}")
-    last = np.array([run.evaluations("step")[-1] for run in runs])
-    stays = np.isfinite(came)
-    share = stats.ecdf(stats.CensoredData(uncensored=came[stays], right=last[~stays])).sf
+    runs = study_data.of_condition(condition)
+    staying_steps = np.array([lasting_one_action(run) for run in runs])
+    if np.isnan(staying_steps).any():
+        raise UserError(f"study {study_data.study.name}: {study_data.what} has no evaluations with {COLUMN}")
+    last_steps = np.array([run.evaluations("step")[-1] for run in runs])
+    ever_stays = np.isfinite(staying_steps)
+    survival = stats.ecdf(
+        stats.CensoredData(uncensored=staying_steps[ever_stays], right=last_steps[~ever_stays])
+    ).sf
     with warnings.catch_warnings(action="ignore"):  # there is no interval before the first run stays
-        ends = share.confidence_interval(LEVEL, method="log-log")
+        interval_ends = survival.confidence_interval(LEVEL, method="log-log")
     return pd.DataFrame({
-        "x": [0.0, *share.quantiles],
-        "share": [1.0, *share.probabilities],
-        "low": [np.nan, *ends.low.probabilities],
-        "high": [np.nan, *ends.high.probabilities],
+        "x": [0.0, *survival.quantiles],
+        "share": [1.0, *survival.probabilities],
+        "low": [np.nan, *interval_ends.low.probabilities],
+        "high": [np.nan, *interval_ends.high.probabilities],
     })  # fmt: skip
 
 
-def time_in_one_action(data: StudyData, condition: str) -> Curve:
+def time_in_one_action(study_data: StudyData, condition: str) -> Curve:
     """Return in which share of the evaluations runs are in one action, over the fifths of training."""
-    shares: list[list[float]] = []
-    for run in data.of_condition(condition):
+    shares_by_run: list[list[float]] = []
+    for run in study_data.of_condition(condition):
         steps, actions = run.known_evaluations(COLUMN)
-        fifth = np.ceil(PARTS * steps / run.budget).clip(1, PARTS)
-        by_part = pd.Series(actions > ONE_ACTION).groupby(fifth).mean()
-        shares.append(by_part.reindex(range(1, PARTS + 1)).tolist())
-    return Curve(condition, pd.DataFrame(np.transpose(shares), range(1, PARTS + 1)))
+        fifths = np.ceil(PARTS * steps / run.budget).clip(1, PARTS)
+        share_by_fifth = pd.Series(actions > ONE_ACTION).groupby(fifths).mean()
+        shares_by_run.append(share_by_fifth.reindex(range(1, PARTS + 1)).tolist())
+    return Curve(condition, pd.DataFrame(np.transpose(shares_by_run), range(1, PARTS + 1)))

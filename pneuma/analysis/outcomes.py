@@ -75,42 +75,44 @@ class Outcome:
 
 
 def _read_outcomes() -> dict[str, Outcome]:
-    text = files(__package__).joinpath("outcomes.toml").read_text(encoding="utf-8")
-    return {name: _declared(row) for name, row in tomllib.loads(text).items()}
+    toml_text = files(__package__).joinpath("outcomes.toml").read_text(encoding="utf-8")
+    return {
+        outcome_name: _declared(declaration) for outcome_name, declaration in tomllib.loads(toml_text).items()
+    }
 
 
-def _declared(row: dict[str, Any]) -> Outcome:
+def _declared(declaration: dict[str, Any]) -> Outcome:
     """Return the outcome of a row of the file."""
-    row["bounds"] = BOUNDS[row.pop("bounds", "any")]
-    row["alike"] = ALIKE[row.pop("alike", "")]
-    if "measure" in row:
-        measure = getattr(measures, row.pop("measure"))
-        if "of" in row:
-            measure = partial(measure, name=row.pop("of"))
-    elif "curve" in row:
-        row["source"], statistic = row.pop("curve"), row.pop("statistic", "last")
-        measure = partial(Row.statistic, quantity=row["source"], name=statistic)
+    declaration["bounds"] = BOUNDS[declaration.pop("bounds", "any")]
+    declaration["alike"] = ALIKE[declaration.pop("alike", "")]
+    if "measure" in declaration:
+        measure = getattr(measures, declaration.pop("measure"))
+        if "of" in declaration:
+            measure = partial(measure, name=declaration.pop("of"))
+    elif "curve" in declaration:
+        declaration["source"], statistic = declaration.pop("curve"), declaration.pop("statistic", "last")
+        measure = partial(Row.statistic, quantity=declaration["source"], name=statistic)
     else:
-        row["source"] = "evaluations"
-        take = getattr(measures, row.pop("take", "last_value"))
-        measure = partial(measures.evaluated, column=row["column"], take=take)
-    return Outcome(measure=measure, **row)
+        declaration["source"] = "evaluations"
+        take = getattr(measures, declaration.pop("take", "last_value"))
+        measure = partial(measures.evaluated, column=declaration["column"], take=take)
+    return Outcome(measure=measure, **declaration)
 
 
 OUTCOMES = _read_outcomes()
 """By name; `find_outcome` also knows steps-to:X and steps-to-return:X."""
 
 
-def find_outcome(name: str) -> Outcome:
-    if name in OUTCOMES:
-        return OUTCOMES[name]
-    threshold = re.fullmatch(r"steps-to-return:(-?\d+(?:\.\d+)?)", name)
+def find_outcome(outcome_name: str) -> Outcome:
+    if outcome_name in OUTCOMES:
+        return OUTCOMES[outcome_name]
+    threshold = re.fullmatch(r"steps-to-return:(-?\d+(?:\.\d+)?)", outcome_name)
     column = "return"
     if not threshold:
-        threshold = re.fullmatch(r"steps-to:(?!0*\.?0*$)(0?\.\d+|1(?:\.0+)?)", name)
+        threshold = re.fullmatch(r"steps-to:(?!0*\.?0*$)(0?\.\d+|1(?:\.0+)?)", outcome_name)
         column = "share_killed"
     if not threshold:
-        raise unknown_name("outcome", name, (*OUTCOMES, "steps-to:X", "steps-to-return:X"))
+        raise unknown_name("outcome", outcome_name, (*OUTCOMES, "steps-to:X", "steps-to-return:X"))
     threshold_value = float(threshold[1])
     reached = f"an evaluation returns {threshold[1]}"
     if column == "share_killed":
@@ -126,96 +128,98 @@ def find_outcome(name: str) -> Outcome:
     )
 
 
-def check_outcome(name: str, environments: Collection[str]) -> None:
+def check_outcome(outcome_name: str, environments: Collection[str]) -> None:
     """Refuse an outcome that is unknown, or that runs in none of some environments can have."""
-    if any(map(find_outcome(name).is_recorded_in, environments)):
+    if any(map(find_outcome(outcome_name).is_recorded_in, environments)):
         return
-    recorded = [
+    recorded_outcomes = [
         candidate for candidate in OUTCOMES if any(map(OUTCOMES[candidate].is_recorded_in, environments))
     ]
-    where = ", ".join(sorted(environments))
-    raise unknown_name(f"outcome of {where}", name, (*recorded, "steps-to-return:X"))
+    environment_names = ", ".join(sorted(environments))
+    raise unknown_name(
+        f"outcome of {environment_names}", outcome_name, (*recorded_outcomes, "steps-to-return:X")
+    )
 
 
-def check_outcomes(names: Iterable[str], environments: Collection[str]) -> None:
+def check_outcomes(outcome_names: Iterable[str], environments: Collection[str]) -> None:
     """Refuse such outcomes of a study's file before anything is trained."""
-    for name in names:
+    for outcome_name in outcome_names:
         try:
-            check_outcome(name, environments)
+            check_outcome(outcome_name, environments)
         except UserError as error:
             raise UserError(f"the study's file, outcomes: {error}") from None
 
 
-def with_unit(name: str) -> str:
-    if name == "diverged":  # a run's status
-        return name
-    unit = find_outcome(name).unit
-    return f"{name} ({unit})" if unit else name
+def with_unit(outcome_name: str) -> str:
+    if outcome_name == "diverged":  # a run's status
+        return outcome_name
+    unit = find_outcome(outcome_name).unit
+    return f"{outcome_name} ({unit})" if unit else outcome_name
 
 
 # --- Values ---------------------------------------------------------------------------------------
 
 
-def outcome(run: Row, name: str) -> float:
+def outcome(run: Row, outcome_name: str) -> float:
     """Return a run's outcome at its end; NaN if it has none, or one that no statistic can be made of."""
-    value = find_outcome(name).measure(run)
-    return NAN if LARGEST < abs(value) < np.inf else float(value)
+    measured_value = find_outcome(outcome_name).measure(run)
+    return NAN if LARGEST < abs(measured_value) < np.inf else float(measured_value)
 
 
-def outcome_values(data: StudyData, condition: str, name: str) -> np.ndarray:
+def outcome_values(study_data: StudyData, condition: str, outcome_name: str) -> np.ndarray:
     """Return the outcome of each finished run of a condition, in the order of seeds, (seeds,)."""
-    if condition not in data.fields:
-        raise unknown_name(f"condition of study {data.study.name}", condition, data.fields)
-    return np.array([outcome(run, name) for run in data.of_condition(condition)], float)
+    if condition not in study_data.fields:
+        raise unknown_name(f"condition of study {study_data.study.name}", condition, study_data.fields)
+    return np.array([outcome(run, outcome_name) for run in study_data.of_condition(condition)], float)
 
 
-def known_values(data: StudyData, condition: str, name: str) -> np.ndarray:
+def known_values(study_data: StudyData, condition: str, outcome_name: str) -> np.ndarray:
     """Return the finite ones of `outcome_values`."""
-    values = outcome_values(data, condition, name)
-    return values[np.isfinite(values)]
+    run_values = outcome_values(study_data, condition, outcome_name)
+    return run_values[np.isfinite(run_values)]
 
 
-def reason(run: Row, name: str) -> str:
+def reason(run: Row, outcome_name: str) -> str:
     """Return why a run has no value of an outcome; empty if it has one."""
-    declared = find_outcome(name)
-    value = declared.measure(run)
-    if not np.isnan(outcome(run, name)):
+    declared = find_outcome(outcome_name)
+    measured_value = declared.measure(run)
+    if not np.isnan(outcome(run, outcome_name)):
         return ""
-    if not np.isnan(value):
-        return f"{name} is {value:g}, beyond {LARGEST:g}"
+    if not np.isnan(measured_value):
+        return f"{outcome_name} is {measured_value:g}, beyond {LARGEST:g}"
     if declared.source == "signs" and not diagnose(run).collapsed:
         return "no sign of collapse is recorded, or there was none"
-    end = f"the run {run.status} at step {run.end:,} and" if run.status == "diverged" else "the run"
-    return f"{end} has nothing that {name} is taken from ({declared.source}) in {run.what}"
+    subject = f"the run {run.status} at step {run.end:,} and" if run.status == "diverged" else "the run"
+    return f"{subject} has nothing that {outcome_name} is taken from ({declared.source}) in {run.what}"
 
 
 # --- Returns --------------------------------------------------------------------------------------
 
 
-def is_foreign(data: StudyData) -> bool:
+def is_foreign(study_data: StudyData) -> bool:
     """Return whether no run is of Pneuma's worlds."""
-    return all(is_gymnasium_id(run.fields.get("env")) for run in data.rows)
+    return all(is_gymnasium_id(run.fields.get("env")) for run in study_data.rows)
 
 
-def primary(data: StudyData) -> str:
-    return PRIMARY_ELSEWHERE if is_foreign(data) else PRIMARY
+def primary(study_data: StudyData) -> str:
+    return PRIMARY_ELSEWHERE if is_foreign(study_data) else PRIMARY
 
 
-def is_return(name: str) -> bool:
+def is_return(outcome_name: str) -> bool:
     """Return whether an outcome is a return, or about one, which has the unit of its reward."""
-    return name.endswith("-return") or name.startswith("steps-to-return:")
+    return outcome_name.endswith("-return") or outcome_name.startswith("steps-to-return:")
 
 
-def have_one_return(data: StudyData) -> bool:
+def have_one_return(study_data: StudyData) -> bool:
     """Return whether returns of conditions compare: same reward, as many players."""
-    return len(kinds_of_return(data)) <= 1
+    return len(kinds_of_return(study_data)) <= 1
 
 
-def kinds_of_return(data: StudyData, conditions: Iterable[str] | None = None) -> set[str]:
+def kinds_of_return(study_data: StudyData, conditions: Iterable[str] | None = None) -> set[str]:
     """Return the rewards and numbers of players of conditions (default: all), in which returns differ."""
     units = set()
-    for condition in data.conditions if conditions is None else conditions:
-        runs = data.of_condition(condition)
+    for condition in study_data.conditions if conditions is None else conditions:
+        runs = study_data.of_condition(condition)
         if runs and runs[0].averaged_over is None:  # logs do not contain their reward
             units.add(unit_of_return(runs[0]))
     return units
@@ -223,6 +227,8 @@ def kinds_of_return(data: StudyData, conditions: Iterable[str] | None = None) ->
 
 def unit_of_return(run: Row) -> str:
     """Return what the unit of a run's returns depends on: environment, reward and number of players."""
-    fields = run.fields
-    env = fields["env"] if is_gymnasium_id(fields.get("env")) else ""
-    return str([env, fields.get("reward"), fields.get("players"), fields.get("shared_reward", False)])
+    run_fields = run.fields
+    env = run_fields["env"] if is_gymnasium_id(run_fields.get("env")) else ""
+    return str(
+        [env, run_fields.get("reward"), run_fields.get("players"), run_fields.get("shared_reward", False)]
+    )

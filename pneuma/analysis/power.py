@@ -20,36 +20,45 @@ MOST_SEEDS, MOST_SEEDS_OF_SHARES = 1_000_000, 2_000
 """Most seeds that are looked at; of shares fewer, as each number of them is summed over all outcomes."""
 
 
-def seeds_table(data: StudyData, outcome: str, difference: float) -> pd.DataFrame:
+def seeds_table(study_data: StudyData, outcome: str, difference: float) -> pd.DataFrame:
     """Return as text how many seeds find a difference of each condition from the baseline, by its runs."""
-    baseline = data.conditions[0]
-    if data.study.baseline in data.conditions:
-        baseline = data.study.baseline
-    base_values = known_values(data, baseline, outcome)
-    rows = []
-    for condition in data.conditions:
+    baseline = study_data.conditions[0]
+    if study_data.study.baseline in study_data.conditions:
+        baseline = study_data.study.baseline
+    baseline_values = known_values(study_data, baseline, outcome)
+    table_rows = []
+    for condition in study_data.conditions:
         if condition != baseline:
-            values = known_values(data, condition, outcome)
-            spreads = [f"{arm.std(ddof=1):.3g}" if len(arm) > 1 else "–" for arm in (base_values, values)]
-            runs = f"{len(base_values)} and {len(values)}"
-            rows.append((baseline, condition, *spreads, runs, _seeds(base_values, values, difference)))
-    if not rows:
-        raise UserError(f"study {data.study.name} has only one condition; add another to compare it with")
-    return pd.DataFrame(rows, columns=["", "against", "SD", "its SD", "runs", "seeds"])
+            condition_values = known_values(study_data, condition, outcome)
+            spreads = [
+                f"{run_values.std(ddof=1):.3g}" if len(run_values) > 1 else "–"
+                for run_values in (baseline_values, condition_values)
+            ]
+            run_counts = f"{len(baseline_values)} and {len(condition_values)}"
+            seeds = _seeds(baseline_values, condition_values, difference)
+            table_rows.append((baseline, condition, *spreads, run_counts, seeds))
+    if not table_rows:
+        raise UserError(
+            f"study {study_data.study.name} has only one condition; add another to compare it with"
+        )
+    return pd.DataFrame(table_rows, columns=["", "against", "SD", "its SD", "runs", "seeds"])
 
 
-def _seeds(base: np.ndarray, values: np.ndarray, difference: float) -> str:
-    if min(len(base), len(values)) < 2:
+def _seeds(baseline_values: np.ndarray, condition_values: np.ndarray, difference: float) -> str:
+    if min(len(baseline_values), len(condition_values)) < 2:
         return "needs 2 runs of each"
-    if np.isin(np.concatenate([base, values]), (0, 1)).all():  # whether a run has something
-        share = float(base.mean())
+    all_values = np.concatenate([baseline_values, condition_values])
+    if np.isin(all_values, (0, 1)).all():  # whether a run has something
+        share = float(baseline_values.mean())
         other_share = share + difference
         if other_share > 1:
             other_share = share - difference
         return seeds_text(seeds_for_shares(share, other_share))
-    if np.ptp(base) == 0 and np.ptp(values) == 0:
+    if np.ptp(baseline_values) == 0 and np.ptp(condition_values) == 0:
         return "runs are all equal"
-    return seeds_text(seeds_for_means(difference, float(base.std(ddof=1)), float(values.std(ddof=1))))
+    return seeds_text(
+        seeds_for_means(difference, float(baseline_values.std(ddof=1)), float(condition_values.std(ddof=1)))
+    )
 
 
 def seeds_text(seeds: int | None) -> str:
@@ -66,12 +75,12 @@ def seeds_for_means(difference: float, sd_a: float, sd_b: float, power: float = 
 
 
 def power_of_means(difference: float, sd_a: float, sd_b: float, seeds: int) -> float:
-    a, b = sd_a**2, sd_b**2
-    freedom = (seeds - 1) * (a + b) ** 2 / (a**2 + b**2)
-    noncentrality = abs(difference) / np.sqrt((a + b) / seeds)
-    limit = special.stdtrit(freedom, (1 + LEVEL) / 2)
-    above = 1 - special.nctdtr(freedom, noncentrality, limit)
-    return float(special.nctdtr(freedom, noncentrality, -limit) + above)
+    variance_a, variance_b = sd_a**2, sd_b**2
+    freedom = (seeds - 1) * (variance_a + variance_b) ** 2 / (variance_a**2 + variance_b**2)
+    noncentrality = abs(difference) / np.sqrt((variance_a + variance_b) / seeds)
+    critical_value = special.stdtrit(freedom, (1 + LEVEL) / 2)
+    power_above = 1 - special.nctdtr(freedom, noncentrality, critical_value)
+    return float(special.nctdtr(freedom, noncentrality, -critical_value) + power_above)
 
 
 def seeds_for_shares(share_a: float, share_b: float, power: float = POWER) -> int | None:
@@ -87,9 +96,11 @@ def power_of_shares(share_a: float, share_b: float, seeds: int) -> float:
     counts = np.arange(seeds + 1)
     share = counts / seeds
     low, high = exact_ends(counts, seeds)
-    below, above = (share - low)[:, None] ** 2, (high - share)[:, None] ** 2
+    squares_below, squares_above = (share - low)[:, None] ** 2, (high - share)[:, None] ** 2
     centre = share[:, None] - share
-    leaves_out_0 = (centre - np.sqrt(below + above.T) > 0) | (centre + np.sqrt(above + below.T) < 0)
+    leaves_out_0 = (centre - np.sqrt(squares_below + squares_above.T) > 0) | (
+        centre + np.sqrt(squares_above + squares_below.T) < 0
+    )
     chances_a, chances_b = (stats.binom.pmf(counts, seeds, share) for share in (share_a, share_b))
     return float(chances_a @ leaves_out_0 @ chances_b)
 

@@ -25,11 +25,14 @@ class Quantity:
 
 
 def _read_quantities() -> dict[str, Quantity]:
-    rows = tomllib.loads(files(__package__).joinpath("quantities.toml").read_text(encoding="utf-8"))
-    action = rows.pop("action")
+    declarations = tomllib.loads(files(__package__).joinpath("quantities.toml").read_text(encoding="utf-8"))
+    action_declaration = declarations.pop("action")
     for number, name in enumerate(ACTION_NAMES):
-        rows[f"action_{number}"] = {**action, "title": action["title"].format(action=name)}
-    return {name: Quantity(**row) for name, row in rows.items()}
+        declarations[f"action_{number}"] = {
+            **action_declaration,
+            "title": action_declaration["title"].format(action=name),
+        }
+    return {name: Quantity(**declaration) for name, declaration in declarations.items()}
 
 
 QUANTITIES = _read_quantities()

@@ -9,12 +9,12 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 
 
-def ranked_runs(data: StudyData, name: str = "") -> tuple[str, pd.DataFrame]:
+def ranked_runs(study_data: StudyData, outcome_name: str = "") -> tuple[str, pd.DataFrame]:
     """Rank the finished runs of a study that are stored here, and not only published, by an outcome.
 
     Args:
-        data: an opened study.
-        name: the outcome; default: the study's primary one.
+        study_data: an opened study.
+        outcome_name: the outcome; default: the study's primary one.
 
     Returns:
         The outcome; and run_id, condition, seed and value of each run, the best first.
@@ -22,12 +22,14 @@ def ranked_runs(data: StudyData, name: str = "") -> tuple[str, pd.DataFrame]:
     Raises:
         UserError: for an unknown outcome, or if no run is stored here.
     """
-    name = name or primary(data)
-    check_outcome(name, data.environments)
-    stored = data.runs[data.runs["where"] == ""]
-    if not len(stored):
-        raise UserError(f"{data.label}: none of its runs is stored here")
-    values = [outcome(row, name) for row in stored["row"]]
-    ranked = stored[["run_id", "condition", "seed"]].assign(value=values)
-    is_lower_better = find_outcome(name).better == "lower"
-    return name, ranked.sort_values("value", ascending=is_lower_better, kind="stable", ignore_index=True)
+    outcome_name = outcome_name or primary(study_data)
+    check_outcome(outcome_name, study_data.environments)
+    stored_runs = study_data.runs[study_data.runs["where"] == ""]
+    if not len(stored_runs):
+        raise UserError(f"{study_data.label}: none of its runs is stored here")
+    outcome_values = [outcome(row, outcome_name) for row in stored_runs["row"]]
+    ranked = stored_runs[["run_id", "condition", "seed"]].assign(value=outcome_values)
+    is_lower_better = find_outcome(outcome_name).better == "lower"
+    return outcome_name, ranked.sort_values(
+        "value", ascending=is_lower_better, kind="stable", ignore_index=True
+    )

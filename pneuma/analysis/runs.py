@@ -55,8 +55,8 @@ def plan_to_read(index: RunIndex, query: Query) -> Plan:
     if query.preset is None and last_query(index.store, study.name, study.world):
         with suppress(UserError):  # the study's file may have changed since
             return _make_plan(index, study, on_top_of_last(index.store, study.name, study.world, query))
-    default = PAPER if PAPER in study.presets else default_preset(study)
-    return _make_plan(index, study, replace(query, preset=query.preset or default))
+    preset = PAPER if PAPER in study.presets else default_preset(study)
+    return _make_plan(index, study, replace(query, preset=query.preset or preset))
 
 
 def _make_plan(index: RunIndex, study: Study, query: Query) -> Plan:
@@ -80,8 +80,8 @@ def find_study(index: RunIndex, query: Query) -> StudyData:
     if listing is not None:
         return _find_listed(index, listing, query)
     plan = plan_to_read(index, query)
-    data = runs_of_plan(index, plan)
-    return replace(data, asked=query, other_presets=_count_other_presets(index, plan))
+    study_data = runs_of_plan(index, plan)
+    return replace(study_data, asked=query, other_presets=_count_other_presets(index, plan))
 
 
 def open_study(index: RunIndex, query: Query, say: Say = silent) -> StudyData:
@@ -95,53 +95,53 @@ def open_study(index: RunIndex, query: Query, say: Say = silent) -> StudyData:
     Raises:
         UserError: as `plan_to_read`, or when none of the cells has a finished run.
     """
-    data = find_study(index, query)
-    opened = finished_rows(index, data)
+    study_data = find_study(index, query)
+    opened = finished_rows(index, study_data)
     problems = [f" {problem}." for problem in index.problems]
     if len(opened.runs):
-        say(data.coverage)
+        say(study_data.coverage)
         for problem in problems:
             say(f"Note:{problem}")
         return opened
-    if data.plan is None:
-        raise UserError(f"study {data.study.name} has no finished run in {index.store.root}")
-    hint = data.call("run_study", index.store.root)
-    raise UserError(*data.coverage.parts, " Train them with `", hint, "`.", *problems)
+    if study_data.plan is None:
+        raise UserError(f"study {study_data.study.name} has no finished run in {index.store.root}")
+    hint = study_data.call("run_study", index.store.root)
+    raise UserError(*study_data.coverage.parts, " Train them with `", hint, "`.", *problems)
 
 
-def finished_rows(index: RunIndex, data: StudyData) -> StudyData:
+def finished_rows(index: RunIndex, study_data: StudyData) -> StudyData:
     """Return a study with its finished runs alone, and their rows; there may be none."""
-    runs = data.finished
+    runs = study_data.finished
     rows = pd.Series([index.row(run_id) for run_id in runs["run_id"]], runs.index, dtype=object)
-    return replace(data, runs=runs.assign(row=rows).dropna(subset="row").reset_index(drop=True))
+    return replace(study_data, runs=runs.assign(row=rows).dropna(subset="row").reset_index(drop=True))
 
 
 def studies_here(index: RunIndex, world: str | None = None) -> Iterator[StudyData]:
     """Yield the studies that were run in the results folder, in each world: the runs of their last query."""
-    for name, noted_world in noted_studies(index.store):
+    for study_name, noted_world in noted_studies(index.store):
         if world in (None, noted_world):
             with suppress(UserError, OSError, ValueError):  # its file is damaged or has gone
-                yield find_study(index, Query(name, noted_world, LAST))
+                yield find_study(index, Query(study_name, noted_world, LAST))
     if world is None:
-        for name in index.store.listings():
+        for study_name in index.store.listings():
             with suppress(UserError):
-                data = find_study(index, Query(name))
-                if (data.runs["where"] == "").any():
-                    yield data
+                study_data = find_study(index, Query(study_name))
+                if (study_data.runs["where"] == "").any():
+                    yield study_data
 
 
 def configurations_of(
-    index: RunIndex, name: str, world: str | None
+    index: RunIndex, study_name: str, world: str | None
 ) -> tuple[Study, dict[str, Mapping[str, Any]], Mapping[str, Run]]:
     """Return a study, and the fields and configuration of all its conditions.
 
     A study without a file has no configurations.
     """
-    listing = _listing(index, name)
+    listing = _listing(index, study_name)
     if listing is not None:
-        data = _find_listed(index, listing, Query(study=name))
-        return data.study, dict(data.fields), {}
-    study = load_study(name, world, index.listings(), index.store.studies)
+        study_data = _find_listed(index, listing, Query(study=study_name))
+        return study_data.study, dict(study_data.fields), {}
+    study = load_study(study_name, world, index.listings(), index.store.studies)
     runs = configure(study, {}, engine=index.engine_of).runs
     return study, _fields_by_condition(runs), runs
 
@@ -152,7 +152,7 @@ def _fields_by_condition(runs: Mapping[str, Run]) -> dict[str, Mapping[str, Any]
 
 def without_amount(fields: Mapping[str, Any]) -> dict[str, Any]:
     """Return fields without seed and steps."""
-    return {name: value for name, value in fields.items() if name not in ("seed", "steps")}
+    return {field_name: value for field_name, value in fields.items() if field_name not in ("seed", "steps")}
 
 
 # --- Of a plan -----------------------------------------------------------------------------------------
@@ -164,32 +164,34 @@ def runs_of_plan(index: RunIndex, plan: Plan) -> StudyData:
     Of a cell that has no run of the present version of rules, engine and the user's own files, the newest one
     of another version counts.
     """
-    cells = _cell_frame(plan)
-    stored = index.frame[["run_id", "config_id", "seed", "steps", "status", "end", "where"]]
-    stored = stored.reset_index(drop=True)
-    runs = cells.merge(stored, on=["config_id", "seed", "steps"], how="left")
+    cell_frame = _cell_frame(plan)
+    stored_runs = index.frame[["run_id", "config_id", "seed", "steps", "status", "end", "where"]]
+    stored_runs = stored_runs.reset_index(drop=True)
+    runs = cell_frame.merge(stored_runs, on=["config_id", "seed", "steps"], how="left")
     is_missing = runs["run_id"].isna()
     if is_missing.any():
-        older = _runs_of_older_versions(index, stored, runs[is_missing], plan.configurations)
-        runs = pd.concat([runs[~is_missing], older], ignore_index=True)
-        order = cells.reset_index(names="place")[["condition", "seed", "place"]]
-        runs = runs.merge(order, on=["condition", "seed"]).sort_values("place", ignore_index=True)
+        older_runs = _runs_of_older_versions(index, stored_runs, runs[is_missing], plan.configurations)
+        runs = pd.concat([runs[~is_missing], older_runs], ignore_index=True)
+        cell_order = cell_frame.reset_index(names="place")[["condition", "seed", "place"]]
+        runs = runs.merge(cell_order, on=["condition", "seed"]).sort_values("place", ignore_index=True)
         runs = runs.drop(columns="place").astype({"end": int})
     return StudyData(plan.study, _fields_by_condition(plan.configurations), runs, plan.configurations, plan)
 
 
 def _cell_frame(plan: Plan) -> pd.DataFrame:
-    ids = {condition: config_id(run) for condition, run in plan.configurations.items()}
-    rows = [(cell.condition, cell.seed, cell.run.steps, ids[cell.condition]) for cell in plan.cells]
-    return pd.DataFrame(rows, columns=CELL_COLUMNS)
+    config_ids = {condition: config_id(run) for condition, run in plan.configurations.items()}
+    cell_rows = [
+        (cell.condition, cell.seed, cell.run.steps, config_ids[cell.condition]) for cell in plan.cells
+    ]
+    return pd.DataFrame(cell_rows, columns=CELL_COLUMNS)
 
 
 def _runs_of_older_versions(
-    index: RunIndex, stored: pd.DataFrame, missing: pd.DataFrame, configurations: Mapping[str, Run]
+    index: RunIndex, stored_runs: pd.DataFrame, missing_cells: pd.DataFrame, configurations: Mapping[str, Run]
 ) -> pd.DataFrame:
     """Return finished runs that have the fields of cells, but were trained by other versions."""
-    finished = stored[stored["status"].isin(FINISHED)]
-    candidates = missing[["condition", "seed", "steps"]].merge(finished, on=["seed", "steps"])
+    finished_runs = stored_runs[stored_runs["status"].isin(FINISHED)]
+    candidates = missing_cells[["condition", "seed", "steps"]].merge(finished_runs, on=["seed", "steps"])
     same_fields = []
     for (condition, _), runs in candidates.groupby(["condition", "config_id"], sort=False):
         stored_fields = index.document("fields", str(runs["run_id"].iloc[0]))
@@ -202,26 +204,28 @@ def _runs_of_older_versions(
     return newest_first.drop_duplicates(["condition", "seed"]).drop(columns="started")
 
 
-def have_same_fields(fields: Mapping[str, Any], stored: Mapping[str, Any]) -> bool:
+def have_same_fields(fields: Mapping[str, Any], stored_fields: Mapping[str, Any]) -> bool:
     """Return whether a stored run has the fields of a run, apart from seed and steps.
 
     Files and modules of the user's own count by their names.
     """
-    complete = {**as_fields(Run()), **stored}
-    for name, value in without_amount(complete).items():
-        if name in fields:
-            is_same = _with_bare_names(value) == _with_bare_names(fields[name])
+    complete_fields = {**as_fields(Run()), **stored_fields}
+    for field_name, value in without_amount(complete_fields).items():
+        if field_name in fields:
+            is_same = _with_bare_names(value) == _with_bare_names(fields[field_name])
         else:
-            is_same = name not in stored or value in UNSET or value == FORMER_DEFAULTS.get(name)
+            is_same = (
+                field_name not in stored_fields or value in UNSET or value == FORMER_DEFAULTS.get(field_name)
+            )
         if not is_same:
             return False
-    return bool(stored)
+    return bool(stored_fields)
 
 
 def _with_bare_names(value: Any) -> Any:
     """Return a field's value with the user's own files by their names alone."""
     if isinstance(value, list | tuple):
-        return tuple(_with_bare_names(item) for item in value)
+        return tuple(_with_bare_names(element) for element in value)
     if isinstance(value, str) and value.startswith("/"):
         file, colon, inside = value.partition(":")
         return Path(file).name.removesuffix(".py") + colon + inside
@@ -230,43 +234,45 @@ def _with_bare_names(value: Any) -> Any:
 
 def _count_other_presets(index: RunIndex, plan: Plan) -> dict[str, int]:
     """Return how many finished runs the other presets of a plan's study have, where there are any."""
-    counts: dict[str, int] = {}
+    run_counts: dict[str, int] = {}
     if plan.query.settings:
-        return counts
-    finished = index.frame[index.frame["status"].isin(FINISHED)][["config_id", "seed", "steps"]]
+        return run_counts
+    finished_runs = index.frame[index.frame["status"].isin(FINISHED)][["config_id", "seed", "steps"]]
     for preset in plan.study.presets:
         if preset != plan.preset:
-            cells = _cell_frame(make_plan(plan.study, Query(preset=preset), index.engine_of))
-            count = len(cells.merge(finished.drop_duplicates(), on=["config_id", "seed", "steps"]))
-            if count:
-                counts[preset] = count
-    return counts
+            cell_frame = _cell_frame(make_plan(plan.study, Query(preset=preset), index.engine_of))
+            run_count = len(
+                cell_frame.merge(finished_runs.drop_duplicates(), on=["config_id", "seed", "steps"])
+            )
+            if run_count:
+                run_counts[preset] = run_count
+    return run_counts
 
 
 # --- Of a list -----------------------------------------------------------------------------------------
 
 
-def _listing(index: RunIndex, name: str) -> Mapping[str, Any] | None:
+def _listing(index: RunIndex, study_name: str) -> Mapping[str, Any] | None:
     """Return the record of a study without a file; None for a study with one."""
-    return None if name in list_studies() or name.endswith(".toml") else index.listing(name)
+    return None if study_name in list_studies() or study_name.endswith(".toml") else index.listing(study_name)
 
 
 def _find_listed(index: RunIndex, listing: Mapping[str, Any], query: Query) -> StudyData:
     """Return the runs of a study without a file, which lists them."""
-    name, listed = listing["study"], pd.DataFrame(listing["runs"])
-    listed = listed[["run_id", "condition", "seed"]].drop_duplicates("run_id", keep="last")
-    conditions = list(listed["condition"].unique())
+    study_name, listed_runs = listing["study"], pd.DataFrame(listing["runs"])
+    listed_runs = listed_runs[["run_id", "condition", "seed"]].drop_duplicates("run_id", keep="last")
+    conditions = list(listed_runs["condition"].unique())
     for condition in query.conditions:
         if condition not in conditions:
-            raise unknown_name(f"condition of study {name}", condition, conditions)
+            raise unknown_name(f"condition of study {study_name}", condition, conditions)
     if query.settings or query.preset:
         raise UserError(
-            f"study {name} has no study file, so it has no presets and its settings cannot be changed"
+            f"study {study_name} has no study file, so it has no presets and its settings cannot be changed"
         )
     study = Study.without_file(
-        name, listing["title"], conditions, baseline=listing["baseline"], worlds=(TEXT,)
+        study_name, listing["title"], conditions, baseline=listing["baseline"], worlds=(TEXT,)
     )
-    runs = listed.merge(index.frame.drop(columns="seed").reset_index(drop=True), on="run_id")
+    runs = listed_runs.merge(index.frame.drop(columns="seed").reset_index(drop=True), on="run_id")
     if query.conditions:
         conditions = [condition for condition in conditions if condition in query.conditions]
         runs = runs[runs["condition"].isin(conditions)]
@@ -275,8 +281,8 @@ def _find_listed(index: RunIndex, listing: Mapping[str, Any], query: Query) -> S
     if query.steps:
         runs = runs[runs["steps"] == query.steps]
     runs = runs.sort_values("seed", kind="stable", ignore_index=True)
-    fields: dict[str, Mapping[str, Any]] = dict.fromkeys(conditions, {})
-    finished = finished_rows(index, StudyData(study, {}, runs)).runs
-    for condition, row in zip(finished["condition"], finished["row"], strict=True):
-        fields[condition] = without_amount(row.fields)
-    return StudyData(study, fields, runs, asked=query)
+    fields_by_condition: dict[str, Mapping[str, Any]] = dict.fromkeys(conditions, {})
+    finished_runs = finished_rows(index, StudyData(study, {}, runs)).runs
+    for condition, row in zip(finished_runs["condition"], finished_runs["row"], strict=True):
+        fields_by_condition[condition] = without_amount(row.fields)
+    return StudyData(study, fields_by_condition, runs, asked=query)

@@ -1,6 +1,6 @@
 """A study's data: its runs as a table with a row for each, and the curves that they share a grid for.
 
-`open_study` (runs.py) → StudyData; `data.runs.groupby("condition")`, `data.of_condition(name)` → rows
+`open_study` (runs.py) → StudyData; its `runs.groupby("condition")`, `of_condition(condition)` → rows
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ class StudyCall(Hint):
         arguments = [repr(self.value)]
         if self.plan is not None:
             query, study = self.plan.query, self.plan.study
-            given: dict[str, Any] = {
+            keyword_arguments: dict[str, Any] = {
                 "preset": self.plan.preset,
                 "world": study.world,
                 "settings": dict(study.settings),
             }
-            given |= {"conditions": query.conditions, "seeds": query.seeds, "steps": query.steps}
-            arguments += [f"{name}={value!r}" for name, value in given.items() if value]
+            keyword_arguments |= {"conditions": query.conditions, "seeds": query.seeds, "steps": query.steps}
+            arguments += [f"{argument}={value!r}" for argument, value in keyword_arguments.items() if value]
         return f"{self.field}({', '.join(arguments)})"
 
 
@@ -85,8 +85,10 @@ class StudyData:
     other_presets: Mapping[str, int] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        counts = self.runs["condition"].value_counts()
-        conditions = ", ".join(f"{name} ({counts.get(name, 0)})" for name in self.conditions)
+        run_counts = self.runs["condition"].value_counts()
+        conditions = ", ".join(
+            f"{condition} ({run_counts.get(condition, 0)})" for condition in self.conditions
+        )
         return f"StudyData {self.label}: {counted(len(self.runs), 'run')} of {conditions}"
 
     @property
@@ -106,10 +108,10 @@ class StudyData:
     @property
     def same(self) -> list[list[str]]:
         """Groups of conditions that are one configuration."""
-        names_by_id: dict[str, list[str]] = {}
-        for name, run in self.configurations.items():
-            names_by_id.setdefault(config_id(run), []).append(name)
-        return [names for names in names_by_id.values() if len(names) > 1]
+        conditions_by_id: dict[str, list[str]] = {}
+        for condition, run in self.configurations.items():
+            conditions_by_id.setdefault(config_id(run), []).append(condition)
+        return [same_conditions for same_conditions in conditions_by_id.values() if len(same_conditions) > 1]
 
     @property
     def world(self) -> str:
@@ -119,72 +121,74 @@ class StudyData:
     @property
     def steps(self) -> int | None:
         """Agent steps of each run; None if they differ."""
-        amounts = set(self.runs["steps"].tolist())
+        step_counts = set(self.runs["steps"].tolist())
         if self.plan is not None:
-            amounts = {cell.run.steps for cell in self.plan.cells}
-        return amounts.pop() if len(amounts) == 1 else None
+            step_counts = {cell.run.steps for cell in self.plan.cells}
+        return step_counts.pop() if len(step_counts) == 1 else None
 
     # --- In words -------------------------------------------------------------------------------------
 
     @property
     def where(self) -> str:
         """The study with its world and changed fields."""
-        text = self.study.name
+        description = self.study.name
         if self.world:
-            text += f" in {WORLDS[self.world].title}"
+            description += f" in {WORLDS[self.world].title}"
         if self.study.settings:
-            text += f" with {shown_settings(self.study.settings)}"
-        return text
+            description += f" with {shown_settings(self.study.settings)}"
+        return description
 
     @property
     def label(self) -> str:
         """The study with its world, preset, and what is asked for beside the preset."""
-        parts = [self.where]
+        phrases = [self.where]
         query = self.asked
         if self.plan is not None:
             query = self.plan.query
-            parts.append(f"preset {self.plan.preset}")
+            phrases.append(f"preset {self.plan.preset}")
         if query.conditions:
-            parts.append(f"{' and '.join(query.conditions)} alone")
+            phrases.append(f"{' and '.join(query.conditions)} alone")
         if query.seeds is not None:
-            parts.append(f"seeds {shown_seeds(query.seeds)}")
+            phrases.append(f"seeds {shown_seeds(query.seeds)}")
         if query.steps:
-            parts.append(f"{self.steps or query.steps:,} steps")
-        return ", ".join(parts)
+            phrases.append(f"{self.steps or query.steps:,} steps")
+        return ", ".join(phrases)
 
     @property
     def coverage(self) -> Message:
         """A message: how many of the runs have finished, where they are from, and what else there is."""
-        finished, planned = self.finished, len(self.runs)
+        finished_runs, planned_count = self.finished, len(self.runs)
         if self.plan is not None:
-            planned = len(self.plan.cells)
-        count = len(finished)
-        published = int((finished["where"] != "").sum())
+            planned_count = len(self.plan.cells)
+        finished_count = len(finished_runs)
+        published_count = int((finished_runs["where"] != "").sum())
         origins = []
-        if 0 < published < count:
-            origins.append(f"{count - published} trained here, {published} published")
-        elif published:
+        if 0 < published_count < finished_count:
+            origins.append(f"{finished_count - published_count} trained here, {published_count} published")
+        elif published_count:
             origins.append("published")
         if self.configurations:
-            present = {config_id(run) for run in self.configurations.values()}
-            older = int((~finished["config_id"].isin(present)).sum())
-            if older:
-                origins.append(f"{older} by another version")
-        text = f"{self.label}: {count} of {counted(planned, 'run')}"
+            present_ids = {config_id(run) for run in self.configurations.values()}
+            older_count = int((~finished_runs["config_id"].isin(present_ids)).sum())
+            if older_count:
+                origins.append(f"{older_count} by another version")
+        coverage_text = f"{self.label}: {finished_count} of {counted(planned_count, 'run')}"
         if origins:
-            text += f" ({'; '.join(origins)})"
-        parts: list[str | Hint] = [f"{text}."]
-        if self.plan is not None and published and count < planned:
-            parts += [" The others are trained by `", self.call("run_study", unpublished=True), "`."]
+            coverage_text += f" ({'; '.join(origins)})"
+        message_parts: list[str | Hint] = [f"{coverage_text}."]
+        if self.plan is not None and published_count and finished_count < planned_count:
+            message_parts += [" The others are trained by `", self.call("run_study", unpublished=True), "`."]
         if self.other_presets:
-            preset_texts = [f"{name} ({counted(runs, 'run')})" for name, runs in self.other_presets.items()]
-            parts.append(f" Also: {', '.join(preset_texts)}.")
-        return Message(*parts)
+            preset_texts = [
+                f"{preset} ({counted(run_count, 'run')})" for preset, run_count in self.other_presets.items()
+            ]
+            message_parts.append(f" Also: {', '.join(preset_texts)}.")
+        return Message(*message_parts)
 
     def call(self, function: str, results: Path | None = None, unpublished: bool = False) -> StudyCall:
         """Return a call of a function of `pneuma.api` about these runs."""
-        name = self.study.file if self.study.path else self.study.name
-        return StudyCall(function, name, self.plan, results, unpublished)
+        study_name = self.study.file if self.study.path else self.study.name
+        return StudyCall(function, study_name, self.plan, results, unpublished)
 
     @property
     def about(self) -> dict[str, Any]:
@@ -210,23 +214,23 @@ class StudyData:
             title += f" ({shown_settings(self.study.settings)})"
         return title
 
-    def basename(self, *parts: str) -> str:
+    def basename(self, *suffixes: str) -> str:
         """Return the name of a figure's files, without its ending.
 
         It contains the world, changed fields, and the preset, conditions, seeds and steps that were asked
         for, so that neither a variant nor a part of a study replaces the study's own figure.
         """
-        asked, words = self.asked, []
-        if asked.preset not in (None, LAST):
-            words.append(str(asked.preset))
+        query, name_words = self.asked, []
+        if query.preset not in (None, LAST):
+            name_words.append(str(query.preset))
         if len(self.fields) < len(self.study.conditions):
-            words += asked.conditions
-        if asked.seeds is not None:
-            words += ["seeds", *map(str, sorted(asked.seeds))]
-        if asked.steps:
-            words += ["steps", str(asked.steps)]
-        words += [part for part in parts if part]
-        return _joined(self.study.figure, self.world, settings_name(self.study.settings, *words))
+            name_words += query.conditions
+        if query.seeds is not None:
+            name_words += ["seeds", *map(str, sorted(query.seeds))]
+        if query.steps:
+            name_words += ["steps", str(query.steps)]
+        name_words += [suffix for suffix in suffixes if suffix]
+        return _joined(self.study.figure, self.world, settings_name(self.study.settings, *name_words))
 
     @property
     def table_name(self) -> str:
@@ -241,10 +245,10 @@ class StudyData:
     @property
     def ends(self) -> str:
         """Where runs end, for notes; empty if all end alike, apart from rounding to whole horizons."""
-        least, most = self.runs["steps"].min(), self.runs["steps"].max()
-        if most <= least * (1 + SLACK):
+        least_steps, most_steps = self.runs["steps"].min(), self.runs["steps"].max()
+        if most_steps <= least_steps * (1 + SLACK):
             return ""
-        return f"Runs end at {least:,} to {most:,} steps, and each counts at its own end."
+        return f"Runs end at {least_steps:,} to {most_steps:,} steps, and each counts at its own end."
 
     # --- Rows -----------------------------------------------------------------------------------------
 
@@ -264,42 +268,50 @@ class StudyData:
             rows_by_condition.setdefault(condition, []).append(row)
         return rows_by_condition
 
-    def renamed(self, names: Mapping[str, str]) -> StudyData:
+    def renamed(self, new_names: Mapping[str, str]) -> StudyData:
         """Return the study with its conditions under new names; those that have none are left out."""
 
-        def with_new_keys(table: Mapping[str, Any]) -> dict[str, Any]:
-            return {names[name]: value for name, value in table.items() if name in names}
+        def with_new_keys(by_condition: Mapping[str, Any]) -> dict[str, Any]:
+            return {
+                new_names[condition]: value
+                for condition, value in by_condition.items()
+                if condition in new_names
+            }
 
         study = self.study
-        tables: dict[str, Any] = {}
-        for key in ("conditions", "labels", "levels"):
-            tables[key] = with_new_keys(getattr(study, key))
-        new_names = set(names.values())
-        for name, label in study.labels.items():
-            if name in new_names:
-                tables["labels"][name] = label
-        tables["colors"] = {names.get(name, name): color for name, color in study.colors.items()}
-        tables["baseline"] = names.get(study.baseline, next(iter(names.values())))
-        runs = self.runs[self.runs["condition"].isin(names)]
+        study_updates: dict[str, Any] = {}
+        for field_name in ("conditions", "labels", "levels"):
+            study_updates[field_name] = with_new_keys(getattr(study, field_name))
+        names_in_use = set(new_names.values())
+        for condition, label in study.labels.items():
+            if condition in names_in_use:
+                study_updates["labels"][condition] = label
+        study_updates["colors"] = {
+            new_names.get(condition, condition): color for condition, color in study.colors.items()
+        }
+        study_updates["baseline"] = new_names.get(study.baseline, next(iter(new_names.values())))
+        runs = self.runs[self.runs["condition"].isin(new_names)]
         return replace(
             self,
-            study=study.model_copy(update=tables),
+            study=study.model_copy(update=study_updates),
             fields=with_new_keys(self.fields),
-            runs=runs.assign(condition=runs["condition"].map(names)),
+            runs=runs.assign(condition=runs["condition"].map(new_names)),
             configurations=with_new_keys(self.configurations),
         )
 
-    def of_conditions(self, names: str | Sequence[str]) -> StudyData:
+    def of_conditions(self, conditions: str | Sequence[str]) -> StudyData:
         """Return the study with one or some of its conditions."""
-        selection = [names] if isinstance(names, str) else names
-        for name in selection:
-            if name not in self.fields:
-                raise unknown_name(f"condition of study {self.study.name}", name, self.fields)
+        selected = [conditions] if isinstance(conditions, str) else conditions
+        for condition in selected:
+            if condition not in self.fields:
+                raise unknown_name(f"condition of study {self.study.name}", condition, self.fields)
         return replace(
             self,
-            fields={name: fields for name, fields in self.fields.items() if name in selection},
-            runs=self.runs[self.runs["condition"].isin(selection)],
-            configurations={name: run for name, run in self.configurations.items() if name in selection},
+            fields={condition: fields for condition, fields in self.fields.items() if condition in selected},
+            runs=self.runs[self.runs["condition"].isin(selected)],
+            configurations={
+                condition: run for condition, run in self.configurations.items() if condition in selected
+            },
         )
 
     def engines(self, condition: str) -> set[str]:
@@ -318,11 +330,11 @@ class StudyData:
     @cached_property
     def evaluations(self) -> pd.DataFrame:
         """The evaluations of all runs: condition, seed, run_id, and the columns of the records."""
-        tables = [run.evaluations_table for run in self.rows]
-        frame = pa.concat_tables(tables, promote_options="permissive").to_pandas(use_threads=False)
-        counts = [table.num_rows for table in tables]
-        for place, key in enumerate(RUN_KEY_COLUMNS):
-            frame.insert(place, key, np.repeat(self.runs[key].to_numpy(), counts))
+        run_tables = [run.evaluations_table for run in self.rows]
+        frame = pa.concat_tables(run_tables, promote_options="permissive").to_pandas(use_threads=False)
+        row_counts = [run_table.num_rows for run_table in run_tables]
+        for position, column in enumerate(RUN_KEY_COLUMNS):
+            frame.insert(position, column, np.repeat(self.runs[column].to_numpy(), row_counts))
         return frame
 
     # --- Curves ---------------------------------------------------------------------------------------
@@ -340,7 +352,7 @@ class StudyData:
     @cached_property
     def windows(self) -> tuple[str, ...]:
         """The windows of `WINDOWS` that all returns have, the default one first."""
-        return tuple(name for name in WINDOWS if all(name in run.windows for run in self.rows))
+        return tuple(window for window in WINDOWS if all(window in run.windows for run in self.rows))
 
     @cached_property
     def quantities(self) -> list[str]:
@@ -349,13 +361,17 @@ class StudyData:
         If some runs come from published tables, these are only the quantities in the tables, because a line
         over some runs of a condition would mislead.
         """
-        names: dict[str, None] = {}
-        published = []
+        quantity_names: dict[str, None] = {}
+        published_quantities = []
         for run in self.rows:
-            names |= dict.fromkeys(run.quantities)
+            quantity_names |= dict.fromkeys(run.quantities)
             if run.published:
-                published.append(run.quantities)
-        return [name for name in names if all(name in quantities for quantities in published)]
+                published_quantities.append(run.quantities)
+        return [
+            quantity
+            for quantity in quantity_names
+            if all(quantity in quantities for quantities in published_quantities)
+        ]
 
     def curve(self, run: Row, quantity: str, window: str | None = None) -> np.ndarray:
         """Return a run's training curve on the study's grid, (points,); NaN where it has no value.
@@ -374,8 +390,10 @@ class StudyData:
                 f"study {self.study.name}: {self.what} holds no {quantity} in the window {window}; "
                 f"its curves are: {curve_names}"
             )
-        values = run.curve(quantity, window)
-        return values if run.budget == self.budget else held_curve(run.grid, values, self.grid, run.end)
+        curve_values = run.curve(quantity, window)
+        if run.budget == self.budget:
+            return curve_values
+        return held_curve(run.grid, curve_values, self.grid, run.end)
 
     def checked_window(self, window: str | None) -> str:
         """Return a window of `windows`; the first if None."""
@@ -391,5 +409,5 @@ def _has_own_world(run: Row) -> bool:
     return is_own_level(str(level)) or are_own_characters(str(characters))
 
 
-def _joined(*parts: str) -> str:
-    return "-".join(part for part in parts if part)
+def _joined(*name_parts: str) -> str:
+    return "-".join(name_part for name_part in name_parts if name_part)

@@ -51,11 +51,11 @@ SummaryRow = tuple[str, str, float, Interval, int]
 Estimate = Callable[[ArrayLike], np.ndarray]
 
 
-def summary_table(data: StudyData, outcomes: Sequence[str] = ()) -> pd.DataFrame:
+def summary_table(study_data: StudyData, outcomes: Sequence[str] = ()) -> pd.DataFrame:
     """Summarise each condition of a study: a row for each outcome and statistic.
 
     Args:
-        data: an opened study.
+        study_data: an opened study.
         outcomes: names from docs/outcomes.md; default: those of the study's file, or the usual ones.
 
     Returns:
@@ -63,59 +63,62 @@ def summary_table(data: StudyData, outcomes: Sequence[str] = ()) -> pd.DataFrame
         threshold are infinite for a run that never reaches it, so that their median may be infinite;
         `reached` is the share of runs that reach it. `deviation` is that between seeds.
     """
-    default = SUMMARISED_ELSEWHERE if is_foreign(data) else SUMMARISED
-    names = dict.fromkeys(outcomes or data.study.outcomes or default)
-    names.pop("collapsed", None)  # it is always there
-    table = []
-    for condition in data.conditions:
-        for outcome, statistic, value, interval, runs in _summary_rows(data, condition, list(names)):
-            ends = (interval.low, interval.high, interval.method)
-            table.append((condition, outcome, statistic, value, *ends, runs))
-    return pd.DataFrame(table, columns=COLUMNS)
+    default_outcomes = SUMMARISED_ELSEWHERE if is_foreign(study_data) else SUMMARISED
+    outcome_names = dict.fromkeys(outcomes or study_data.study.outcomes or default_outcomes)
+    outcome_names.pop("collapsed", None)  # it is always there
+    table_rows = []
+    for condition in study_data.conditions:
+        for outcome, statistic, value, interval, run_count in _summary_rows(
+            study_data, condition, list(outcome_names)
+        ):
+            interval_cells = (interval.low, interval.high, interval.method)
+            table_rows.append((condition, outcome, statistic, value, *interval_cells, run_count))
+    return pd.DataFrame(table_rows, columns=COLUMNS)
 
 
-def _summary_rows(data: StudyData, condition: str, outcomes: Sequence[str]) -> Iterator[SummaryRow]:
-    runs = data.of_condition(condition)
+def _summary_rows(study_data: StudyData, condition: str, outcomes: Sequence[str]) -> Iterator[SummaryRow]:
+    runs = study_data.of_condition(condition)
     yield "runs", "count", float(len(runs)), no_interval(), len(runs)
     yield _share("diverged", "share", [run.status == "diverged" for run in runs])
-    collapsed = known_values(data, condition, "collapsed")
+    collapsed = known_values(study_data, condition, "collapsed")
     if len(collapsed):
         yield _share("collapsed", "share", collapsed)
-    for name in outcomes:
-        values = outcome_values(data, condition, name)
-        if name.startswith("steps-to"):  # infinite where it was never reached
-            steps = values[~np.isnan(values)]
-            if len(steps):
-                yield _share(name, "reached", np.isfinite(steps))
-                yield name, "median", float(np.median(steps)), no_interval(), len(steps)
+    for outcome in outcomes:
+        run_values = outcome_values(study_data, condition, outcome)
+        if outcome.startswith("steps-to"):  # infinite where it was never reached
+            steps_needed = run_values[~np.isnan(run_values)]
+            if len(steps_needed):
+                yield _share(outcome, "reached", np.isfinite(steps_needed))
+                yield outcome, "median", float(np.median(steps_needed)), no_interval(), len(steps_needed)
             continue
-        values = values[np.isfinite(values)]
-        if len(values):
-            yield from _statistics(condition, name, values)
+        run_values = run_values[np.isfinite(run_values)]
+        if len(run_values):
+            yield from _statistics(condition, outcome, run_values)
 
 
-def _share(name: str, statistic: str, events: ArrayLike) -> SummaryRow:
-    count, runs = int(np.sum(events)), np.size(events)
-    value = count / runs if runs else float("nan")
-    return name, statistic, value, intervals.incidence_interval(count, runs), runs
+def _share(outcome: str, statistic: str, events: ArrayLike) -> SummaryRow:
+    event_count, run_count = int(np.sum(events)), np.size(events)
+    share = event_count / run_count if run_count else float("nan")
+    return outcome, statistic, share, intervals.incidence_interval(event_count, run_count), run_count
 
 
-def _statistics(condition: str, name: str, values: np.ndarray) -> Iterator[SummaryRow]:
-    count = len(values)
+def _statistics(condition: str, outcome: str, run_values: np.ndarray) -> Iterator[SummaryRow]:
+    run_count = len(run_values)
     interval = no_interval()
-    if count >= LEAST_RUNS:
-        interval = intervals.within(intervals.mean_interval(values), *find_outcome(name).bounds)
-    yield name, "mean", float(values.mean()), interval, count
+    if run_count >= LEAST_RUNS:
+        interval = intervals.within(intervals.mean_interval(run_values), *find_outcome(outcome).bounds)
+    yield outcome, "mean", float(run_values.mean()), interval, run_count
     # Each outcome of each condition has a stream of its own, so that rows do not depend on each other.
-    generator = np.random.default_rng(stream_seed("summary", f"{condition}/{name}"))
+    generator = np.random.default_rng(stream_seed("summary", f"{condition}/{outcome}"))
     estimates: dict[str, Estimate] = {
         "median": partial(np.median, axis=-1),
         "iqm": intervals.interquartile_mean,
     }
     for statistic, estimate in estimates.items():
-        interval = intervals.bootstrap_interval(values, estimate, generator)
-        yield name, statistic, float(estimate(values)), interval, count
-    yield name, "deviation", intervals.deviation(values), intervals.deviation_interval(values), count
+        interval = intervals.bootstrap_interval(run_values, estimate, generator)
+        yield outcome, statistic, float(estimate(run_values)), interval, run_count
+    interval = intervals.deviation_interval(run_values)
+    yield outcome, "deviation", intervals.deviation(run_values), interval, run_count
 
 
 # --- Two groups of runs -----------------------------------------------------------------------------
@@ -135,10 +138,10 @@ class Group(NamedTuple):
 
 def outcomes_to_compare(a: Group, b: Group) -> list[str]:
     """Return the outcomes that are compared by default: returns only if they have one unit."""
-    default = a.data.study.outcomes or (primary(a.data), *COMPARED)
+    default_outcomes = a.data.study.outcomes or (primary(a.data), *COMPARED)
     if len(_units_of_return(a, b)) <= 1:
-        return list(default)
-    return [name for name in default if not is_return(name)] or list(default)
+        return list(default_outcomes)
+    return [outcome for outcome in default_outcomes if not is_return(outcome)] or list(default_outcomes)
 
 
 def _units_of_return(a: Group, b: Group) -> set[str]:
@@ -162,20 +165,20 @@ def compare_groups(a: Group, b: Group, outcome: str) -> dict[str, Any]:
             f"outcome {outcome}: returns with different rewards or numbers of players cannot be compared; "
             "name another, such as final-share-killed"
         )
-    all_a = outcome_values(a.data, a.condition, outcome)
-    all_b = outcome_values(b.data, b.condition, outcome)
-    first, second = all_a[~np.isnan(all_a)], all_b[~np.isnan(all_b)]
-    fewer = min(len(first), len(second))
-    mean_a, mean_b = _mean(first), _mean(second)
+    all_values_a = outcome_values(a.data, a.condition, outcome)
+    all_values_b = outcome_values(b.data, b.condition, outcome)
+    values_a, values_b = all_values_a[~np.isnan(all_values_a)], all_values_b[~np.isnan(all_values_b)]
+    smaller_size = min(len(values_a), len(values_b))
+    mean_a, mean_b = _mean(values_a), _mean(values_b)
     difference, p_better, interval = np.nan, np.nan, no_interval()
     if np.isfinite([mean_a, mean_b]).all():  # steps to a threshold may be infinite
         difference = mean_a - mean_b
-        if fewer >= LEAST_RUNS:
+        if smaller_size >= LEAST_RUNS:
             width = declared.bounds[1] - declared.bounds[0]
-            interval = intervals.within(intervals.difference_interval(first, second), -width, width)
-    if declared.better and fewer >= LEAST_FOR_BETTER:
+            interval = intervals.within(intervals.difference_interval(values_a, values_b), -width, width)
+    if declared.better and smaller_size >= LEAST_FOR_BETTER:
         sign = 1 if declared.better == "higher" else -1
-        p_better = float(intervals.probability_of_improvement(sign * first, sign * second))
+        p_better = float(intervals.probability_of_improvement(sign * values_a, sign * values_b))
     return {
         "outcome": outcome,
         "unit": declared.unit,
@@ -187,11 +190,11 @@ def compare_groups(a: Group, b: Group, outcome: str) -> dict[str, Any]:
         "low": interval.low,
         "high": interval.high,
         "p_better": p_better,
-        "seeds_a": len(first),
-        "seeds_b": len(second),
-        "without_value": len(all_a) + len(all_b) - len(first) - len(second),
+        "seeds_a": len(values_a),
+        "seeds_b": len(values_b),
+        "without_value": len(all_values_a) + len(all_values_b) - len(values_a) - len(values_b),
     }
 
 
-def _mean(values: np.ndarray) -> float:
-    return float(values.mean()) if len(values) else np.nan
+def _mean(run_values: np.ndarray) -> float:
+    return float(run_values.mean()) if len(run_values) else np.nan

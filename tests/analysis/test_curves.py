@@ -248,12 +248,14 @@ def test_a_logged_nan_is_a_blank_until_the_next_entry() -> None:
 def test_a_random_players_return_rises_where_xp_is_never_reset() -> None:
     """In four environments; a plain loop over 80 worlds with other actions gave 176 and 564."""
     index = RunIndex(Store("none"))
-    own_game = random_returns(open_study(index, Query(study="own-game", conditions=("relu",))), end=1_000_448)
+    own_game = random_returns(
+        open_study(index, Query(study="own-game", conditions=("relu",))), last_step=1_000_448
+    )
     assert own_game is not None
     assert own_game.loc[95_000:101_000].mean() == pytest.approx(176, rel=0.1)
     assert own_game.loc[295_000:301_000].mean() == pytest.approx(564, rel=0.1)
     assert 1750 < own_game.iloc[-1] < 1990
-    arena = random_returns(open_study(index, Query(study="activation", world="arena")), end=5_000_000)
+    arena = random_returns(open_study(index, Query(study="activation", world="arena")), last_step=5_000_000)
     assert arena is not None and [*arena.index] == [0, 5_000_000]
     assert [*arena] == [pytest.approx(1.49, abs=0.01)] * 2
 
@@ -262,7 +264,7 @@ def test_no_random_player_is_drawn_for_rewards_and_environments_in_which_it_was_
     """A hundredth of the reward, and where XP is never reset other numbers of environments."""
     index = RunIndex(Store("none"))
     for study in ("betas-and-units", "cartpole"):
-        assert random_returns(open_study(index, Query(study=study)), end=1_000_448) is None
+        assert random_returns(open_study(index, Query(study=study)), last_step=1_000_448) is None
 
 
 @pytest.mark.parametrize(
