@@ -46,9 +46,9 @@ def _count_or_seeds(value: Any) -> Any:
     return value if type(value) is int else seeds
 
 
-def _check_outcome_or_event(name: str) -> None:
-    if name != "incidence":
-        find_outcome(name)
+def _check_outcome_or_event(outcome_name: str) -> None:
+    if outcome_name != "incidence":
+        find_outcome(outcome_name)
 
 
 World = Annotated[str, OneOf(tuple(WORLDS))]
@@ -146,11 +146,11 @@ class Claim(Table):
             return f"below {self.below:.15g}"
         return ""
 
-    def has_event(self, values: np.ndarray) -> np.ndarray:
+    def has_event(self, run_values: np.ndarray) -> np.ndarray:
         """Return of which values, (runs,), the event is true."""
         if self.above is not None:
-            return values > self.above
-        return values < self.below
+            return run_values > self.above
+        return run_values < self.below
 
     def pairs(self, outcome: str) -> list[Pair]:
         """Return the contrasts for an outcome."""
@@ -195,13 +195,13 @@ class Claim(Table):
         return registered
 
     def _margin(
-        self, margins: ByOutcome, of_list: Mapping[str, Any], world: str, outcome: str
+        self, own_margins: ByOutcome, list_margins: Mapping[str, Any], world: str, outcome: str
     ) -> float | None:
-        margin = pick(margins, outcome, world)
+        margin = pick(own_margins, outcome, world)
         if margin is None and self.is_incidence:
             outcome = "incidence"
         if margin is None:
-            margin = pick(of_list, outcome, world)
+            margin = pick(list_margins, outcome, world)
         return margin
 
     def value_of(self, world: str, outcome: str) -> float | str | None:
@@ -232,30 +232,33 @@ class Claim(Table):
             raise wrong("a range is of two conditions or more", "a")
         if isinstance(self.seeds, dict) and not set(self.conditions) <= set(self.seeds):
             raise wrong(f"seeds: one value, or one for each of {', '.join(self.conditions)}", "seeds")
-        for key in LISTS_OF_NAMES:
-            names = getattr(self, key)
-            if len(set(names)) < len(names):
-                raise wrong(f"{key}: a name is listed twice", key)
+        for field_name in LISTS_OF_NAMES:
+            listed_names = getattr(self, field_name)
+            if len(set(listed_names)) < len(listed_names):
+                raise wrong(f"{field_name}: a name is listed twice", field_name)
         self._check_outcomes()
         return self
 
     def _check_outcomes(self) -> None:
-        for key in ("direction", "margin", "registered_margin", "value"):
-            numbers = getattr(self, key)
-            if not isinstance(numbers, dict):
+        for field_name in ("direction", "margin", "registered_margin", "value"):
+            stated_values = getattr(self, field_name)
+            if not isinstance(stated_values, dict):
                 continue
-            for name in numbers:
-                if name not in self.outcome:
-                    raise wrong(f"{key}: {unknown_name('outcome of the claim', name, self.outcome)}", key)
-        for name in self.outcome:
-            direction = pick(self.direction, name)
+            for outcome in stated_values:
+                if outcome not in self.outcome:
+                    raise wrong(
+                        f"{field_name}: {unknown_name('outcome of the claim', outcome, self.outcome)}",
+                        field_name,
+                    )
+        for outcome in self.outcome:
+            direction = pick(self.direction, outcome)
             if direction is None:
-                raise wrong(f"the key 'direction' has none for {name}", "direction")
-            has_better = bool(find_outcome(name).better) and not self.is_incidence
+                raise wrong(f"the key 'direction' has none for {outcome}", "direction")
+            has_better = bool(find_outcome(outcome).better) and not self.is_incidence
             if direction in ("better", "worse") and not has_better:
-                raise wrong(f"direction = {direction}: of {name} neither is better; write greater or less")
+                raise wrong(f"direction = {direction}: of {outcome} neither is better; write greater or less")
             for world in self.worlds:
-                self._check_numbers(world, name)
+                self._check_numbers(world, outcome)
 
     def _check_numbers(self, world: str, outcome: str) -> None:
         numbers = {"margin": self.margin_of(world, outcome), "value": self.value_of(world, outcome)}
@@ -263,11 +266,11 @@ class Claim(Table):
             raise wrong(f"the key 'value' has no number for {outcome}", "value")
         if numbers["margin"] is None and self.claimed(outcome) in ("equal", "no-less"):
             raise wrong("the key 'margin' is missing: within it, a difference counts as none", "margin")
-        for key, number in numbers.items():
+        for field_name, number in numbers.items():
             if isinstance(number, str):
                 find_outcome(number)
             elif self.is_incidence and not 0 <= (number or 0) < 1:
-                raise wrong(f"{key} = {number:g} is not allowed: a share of runs, 0 to 1", key)
+                raise wrong(f"{field_name} = {number:g} is not allowed: a share of runs, 0 to 1", field_name)
 
 
 def pick(value: Any, *names: str) -> Any:
@@ -307,13 +310,13 @@ class ClaimList:
 
         They are the list's in a world, or of these those of one study.
         """
-        size = 0
+        contrast_count = 0
         if self.head.families == "list":
             study = ""
         for claim in self.on(study, world):
             for outcome in claim.outcome:
-                size += len(claim.pairs(outcome))
-        return size
+                contrast_count += len(claim.pairs(outcome))
+        return contrast_count
 
     def on(self, study: str, world: str) -> list[Claim]:
         """Return the claims on a study, or on any if it is empty, in a world."""
@@ -323,7 +326,7 @@ class ClaimList:
 
 def shipped_claims() -> list[ClaimList]:
     """Load the lists of claims on the thesis, each of which was stated before its runs."""
-    return [load_claims(studies_folder() / name) for name in CLAIMS_FILES]
+    return [load_claims(studies_folder() / file_name) for file_name in CLAIMS_FILES]
 
 
 def load_claims(path: str | os.PathLike[str]) -> ClaimList:
@@ -332,48 +335,52 @@ def load_claims(path: str | os.PathLike[str]) -> ClaimList:
     Raises:
         UserError: naming file, line, key, value and what is allowed.
     """
-    file = read_toml(Path(path))
-    contents = read_model(ClaimsFile, file)
+    toml_file = read_toml(Path(path))
+    contents = read_model(ClaimsFile, toml_file)
     studies: dict[str, Study] = {}
     claims: dict[str, Claim] = {}
-    for name in contents.claims:
-        claims[name] = _read_claim(file, name, contents, studies)
-    return ClaimList(file.path, checksum(file.text.encode()), claims, studies, contents.list)
+    for claim_name in contents.claims:
+        claims[claim_name] = _read_claim(toml_file, claim_name, contents, studies)
+    return ClaimList(toml_file.path, checksum(toml_file.text.encode()), claims, studies, contents.list)
 
 
-def claim_keys(contents: Mapping[str, Any], name: str) -> dict[str, Any]:
+def claim_keys(contents: Mapping[str, Any], claim_name: str) -> dict[str, Any]:
     """Return the keys of a claim of a parsed file, with those of its list and of the claim it is like."""
     claims = contents["claims"]
     keys = {
         "seeds_from": contents.get("list", {}).get("seeds_from", 0),
         **contents.get("defaults", {}),
-        **claims.get(str(claims[name].get("like")), {}),
-        **claims[name],
-        "name": name,
+        **claims.get(str(claims[claim_name].get("like")), {}),
+        **claims[claim_name],
+        "name": claim_name,
         "list_margins": contents.get("margins", {}),
         "list_registered": contents.get("registered_margins", {}),
     }
-    for key in LISTS_OF_NAMES:
-        if key in keys and not isinstance(keys[key], tuple):
-            keys[key] = (keys[key],)
+    for list_key in LISTS_OF_NAMES:
+        if list_key in keys and not isinstance(keys[list_key], tuple):
+            keys[list_key] = (keys[list_key],)
     return keys
 
 
-def _read_claim(file: TomlFile, name: str, contents: ClaimsFile, studies: dict[str, Study]) -> Claim:
+def _read_claim(
+    toml_file: TomlFile, claim_name: str, contents: ClaimsFile, studies: dict[str, Study]
+) -> Claim:
     """Read a claim, and its study if `studies` lacks it."""
 
     def mistake(key: str, message: object) -> UserError:
-        return file.mistake(("claims", name), f"{key}: {message}", key)
+        return toml_file.mistake(("claims", claim_name), f"{key}: {message}", key)
 
-    keys = claim_keys(file.data, name)
-    referred = str(keys.get("like") or name)
-    if referred not in contents.claims or (referred != name and "like" in contents.claims[referred]):
+    keys = claim_keys(toml_file.data, claim_name)
+    referred_name = str(keys.get("like") or claim_name)
+    if referred_name not in contents.claims or (
+        referred_name != claim_name and "like" in contents.claims[referred_name]
+    ):
         candidates = [key for key, table in contents.claims.items() if "like" not in table]
-        raise mistake("like", unknown_name("claim", referred, candidates))
+        raise mistake("like", unknown_name("claim", referred_name, candidates))
     study_name = str(keys.get("study", ""))
     file_or_name = study_name
     if study_name.endswith(".toml"):
-        file_or_name = str(file.path.parent / study_name)
+        file_or_name = str(toml_file.path.parent / study_name)
     try:
         if study_name not in studies:
             studies[study_name] = load_study(file_or_name)
@@ -385,19 +392,19 @@ def _read_claim(file: TomlFile, name: str, contents: ClaimsFile, studies: dict[s
         preset = str(keys["preset"])
         if preset not in study.presets:
             raise mistake("preset", unknown_name(f"preset of study {study.name}", preset, study.presets))
-        compared = keys.get("a", ()) + keys.get("b", ())
+        compared_conditions = keys.get("a", ()) + keys.get("b", ())
         amounts = study.presets[preset].amounts(study.conditions, study.world)
         keys |= {"seeds": {}, "steps": 0}
-        for condition in filter(compared.__contains__, amounts):
+        for condition in filter(compared_conditions.__contains__, amounts):
             keys["seeds"][condition] = amounts[condition].seeds
             keys["steps"] = max(keys["steps"], amounts[condition].steps)
-    claim = read_model(Claim, file, ("claims", name), overrides=keys)
+    claim = read_model(Claim, toml_file, ("claims", claim_name), overrides=keys)
     conditions, worlds = ("condition", study.conditions), ("world", study.worlds)
-    allowed = {"a": conditions, "b": conditions, "beside": conditions, "worlds": worlds}
-    for key, (noun, known_names) in allowed.items():
-        for value in getattr(claim, key):
-            if value not in known_names:
-                raise mistake(key, unknown_name(f"{noun} of study {study.name}", value, known_names))
+    allowed_names = {"a": conditions, "b": conditions, "beside": conditions, "worlds": worlds}
+    for key, (noun, known_names) in allowed_names.items():
+        for listed_name in getattr(claim, key):
+            if listed_name not in known_names:
+                raise mistake(key, unknown_name(f"{noun} of study {study.name}", listed_name, known_names))
     if claim.first_seed < contents.list.seeds_from and not claim.seen:
         raise mistake("seeds", f"{claim.first_seed} is below seeds_from = {contents.list.seeds_from}")
     return claim.model_copy(update={"worlds": tuple(filter(claim.worlds.__contains__, WORLDS))})

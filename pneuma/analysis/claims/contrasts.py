@@ -47,11 +47,13 @@ class Contrast:
     reason: str = ""
 
 
-def compare(kind: str, a: ArrayLike, b: ArrayLike | float, level: float = intervals.LEVEL) -> Contrast:
+def compare(
+    contrast_kind: str, a: ArrayLike, b: ArrayLike | float, level: float = intervals.LEVEL
+) -> Contrast:
     """Compare an arm with another one or with a constant.
 
     Args:
-        kind: mean, spread (of two arms), or incidence (of values 0 or 1).
+        contrast_kind: mean, spread (of two arms), or incidence (of values 0 or 1).
         a: (runs,) finite values, one per run.
         b: the values of the other arm, or a number in the unit of a, or a share of runs.
         level: of the simultaneous interval.
@@ -60,17 +62,17 @@ def compare(kind: str, a: ArrayLike, b: ArrayLike | float, level: float = interv
         ValueError: for values that are not finite, or an incidence with values other than 0 and 1.
     """
     if isinstance(b, int | float):
-        return compare_arms(kind, {"a": finite(a)}, {}, level, constant=b)
-    return compare_arms(kind, {"a": finite(a)}, {"b": finite(b)}, level)
+        return compare_arms(contrast_kind, {"a": finite(a)}, {}, level, constant=b)
+    return compare_arms(contrast_kind, {"a": finite(a)}, {"b": finite(b)}, level)
 
 
 def compare_arms(
-    kind: str, a: Arms, b: Arms, level: float = intervals.LEVEL, constant: float = 0.0
+    contrast_kind: str, a: Arms, b: Arms, level: float = intervals.LEVEL, constant: float = 0.0
 ) -> Contrast:
     """Compare arms with others, of which some may be the same, or with a constant.
 
     Args:
-        kind: of `KINDS`.
+        contrast_kind: of `KINDS`.
         a: finite values by condition; several if the kind is range, main-effect or interaction. Of a hazard
             each is (2, runs): when a run got there, or was last seen, and whether it got there.
         b: the same; none if a is compared with a constant.
@@ -81,10 +83,10 @@ def compare_arms(
     seeds = sizes_of_a[0], (sizes_of_b or [0])[0]
     if 0 in sizes_of_a + sizes_of_b:
         return Contrast(seeds=seeds, reason="an arm has no runs")
-    means, interval = KINDS[kind](a, b, constant, intervals.LEVEL)
-    _, simultaneous = KINDS[kind](a, b, constant, level)
+    means, interval = KINDS[contrast_kind](a, b, constant, intervals.LEVEL)
+    _, simultaneous = KINDS[contrast_kind](a, b, constant, level)
     effect = means[0] - means[1]
-    if kind == "hazard":
+    if contrast_kind == "hazard":
         effect = (interval.low + interval.high) / 2
     return Contrast(effect, interval, simultaneous, seeds, means, interval.reason)
 
@@ -99,8 +101,8 @@ Estimate = tuple[tuple[float, float], Interval]
 def _compare_means(a: Arms, b: Arms, constant: float, level: float) -> Estimate:
     """Compare the mean over some arms' means with that over others, or with a constant."""
     weights = dict.fromkeys(a, 1 / len(a))
-    for name in b:
-        weights[name] = -1 / len(b)
+    for condition in b:
+        weights[condition] = -1 / len(b)
     means = float(np.mean(_means(a))), float(np.mean(_means(b) or [constant]))
     return means, _interval_of_sum({**a, **b}, weights, level).less(constant)
 
@@ -128,8 +130,8 @@ def _interval_of_sum(arms: Arms, weights: Mapping[str, float], level: float) -> 
 def weighted_sum(arms: Arms, weights: Mapping[str, float]) -> tuple[float, float, float]:
     """Return a weighted sum of means, its standard error, and Satterthwaite's degrees of freedom."""
     effect = variance = denominator = 0.0
-    for name, weight in weights.items():
-        runs = arms[name]
+    for condition, weight in weights.items():
+        runs = arms[condition]
         squared_error = weight**2 * runs.var(ddof=1) / runs.size
         effect += weight * runs.mean()
         variance += squared_error
@@ -141,23 +143,23 @@ def weighted_sum(arms: Arms, weights: Mapping[str, float]) -> tuple[float, float
 
 
 def _compare_spreads(a: Arms, b: Arms, constant: float, level: float) -> Estimate:
-    (first,), (second,) = a.values(), b.values()
-    means = float(intervals.distances(first).mean()), float(intervals.distances(second).mean())
-    return means, intervals.spread_interval(first, second, level)
+    (runs_a,), (runs_b,) = a.values(), b.values()
+    means = float(intervals.distances(runs_a).mean()), float(intervals.distances(runs_b).mean())
+    return means, intervals.spread_interval(runs_a, runs_b, level)
 
 
 def _compare_shares(a: Arms, b: Arms, constant: float, level: float) -> Estimate:
-    (first,) = a.values()
-    if not np.isin(first, (0, 1)).all():
+    (runs_a,) = a.values()
+    if not np.isin(runs_a, (0, 1)).all():
         raise ValueError("an incidence is of values 0 or 1")
-    count, size = int(first.sum()), first.size
+    count_a, size_a = int(runs_a.sum()), runs_a.size
     if not b:
-        interval = intervals.incidence_interval(count, size, level)
-        return (count / size, constant), interval.less(constant)
-    (second,) = b.values()
-    other_count, other_size = int(second.sum()), second.size
-    interval = intervals.incidence_difference_interval(count, size, other_count, other_size, level)
-    return (count / size, other_count / other_size), interval
+        interval = intervals.incidence_interval(count_a, size_a, level)
+        return (count_a / size_a, constant), interval.less(constant)
+    (runs_b,) = b.values()
+    count_b, size_b = int(runs_b.sum()), runs_b.size
+    interval = intervals.incidence_difference_interval(count_a, size_a, count_b, size_b, level)
+    return (count_a / size_a, count_b / size_b), interval
 
 
 def _compare_hazards(a: Arms, b: Arms, constant: float, level: float) -> Estimate:
@@ -166,10 +168,10 @@ def _compare_hazards(a: Arms, b: Arms, constant: float, level: float) -> Estimat
     The logarithm of their ratio is the number of runs of a that got there less the number that is expected if
     all runs do at one rate, divided by the variance of that number.
     """
-    (first,), (second,) = a.values(), b.values()
-    shares = float(first[1].mean()), float(second[1].mean())
-    times, is_event = np.concatenate([first, second], axis=1)
-    is_first = np.arange(times.size) < first.shape[1]
+    (runs_a,), (runs_b,) = a.values(), b.values()
+    shares = float(runs_a[1].mean()), float(runs_b[1].mean())
+    times, is_event = np.concatenate([runs_a, runs_b], axis=1)
+    is_first = np.arange(times.size) < runs_a.shape[1]
     event_times = np.unique(times[is_event == 1])[:, None]
     # each is (times of events, runs), and its sum over runs (times of events,)
     at_risk, has_event = times >= event_times, (times == event_times) & (is_event == 1)
@@ -181,8 +183,8 @@ def _compare_hazards(a: Arms, b: Arms, constant: float, level: float) -> Estimat
     if variance == 0:
         return shares, no_interval("no run gets there")
     effect = surplus / variance
-    half = special.ndtri((1 + level) / 2) / math.sqrt(variance)
-    return shares, Interval(effect - half, effect + half, "log-rank")
+    half_width = special.ndtri((1 + level) / 2) / math.sqrt(variance)
+    return shares, Interval(effect - half_width, effect + half_width, "log-rank")
 
 
 def _compare_ranges(a: Arms, b: Arms, constant: float, level: float) -> Estimate:
@@ -204,13 +206,14 @@ def _compare_ranges(a: Arms, b: Arms, constant: float, level: float) -> Estimate
     for i, step in enumerate(steps_of_a):
         for j, step_of_b in enumerate(steps_of_b):
             weights = dict.fromkeys(arms, 0.0)
-            for names, sign in ((step, 1.0), (step_of_b, -1.0)):
-                for name, weight in zip(names, (sign, -sign), strict=False):  # an arm of both may cancel
-                    weights[name] += weight
-            effect, error, freedom = weighted_sum(arms, weights)
+            for step_conditions, sign in ((step, 1.0), (step_of_b, -1.0)):
+                # an arm of both may cancel
+                for condition, weight in zip(step_conditions, (sign, -sign), strict=False):
+                    weights[condition] += weight
+            effect, standard_error, freedom = weighted_sum(arms, weights)
             tail = (1 - level) / 2
-            lower_ends[i, j] = effect - error * special.stdtrit(freedom, 1 - tail / len(steps_of_a))
-            upper_ends[i, j] = effect + error * special.stdtrit(freedom, 1 - tail / len(steps_of_b))
+            lower_ends[i, j] = effect - standard_error * special.stdtrit(freedom, 1 - tail / len(steps_of_a))
+            upper_ends[i, j] = effect + standard_error * special.stdtrit(freedom, 1 - tail / len(steps_of_b))
     low, high = lower_ends.min(axis=1).max(), upper_ends.max(axis=0).min()
     interval = Interval(float(low), float(high), "steps by Welch t").less(constant)
     return means, interval

@@ -60,9 +60,9 @@ class ClaimRuns:
         commits: set[str] = set()
         for row in chain.from_iterable(self.rows.values()):
             # Pneuma's code, and the user's own studies
-            for source in (row.provenance, row.provenance.get("project")):
-                if isinstance(source, dict):
-                    commits.add(str(source.get("commit")).removesuffix("-dirty"))
+            for provenance in (row.provenance, row.provenance.get("project")):
+                if isinstance(provenance, dict):
+                    commits.add(str(provenance.get("commit")).removesuffix("-dirty"))
         return tuple(sorted(commits))
 
     @cached_property
@@ -74,113 +74,115 @@ class ClaimRuns:
         """
         learned: dict[str, bool | None] = dict.fromkeys(self.rows)
         for condition, rows in self.rows.items():
-            scores = [row.known_evaluations("score")[1] for row in rows]
-            if len(scores) > 1 and all(map(len, scores)):
-                means = np.array(list(map(np.mean, scores)))
-                interval = mean_interval(means, 1 - 2 * FLOOR_LEVEL)
+            run_scores = [row.known_evaluations("score")[1] for row in rows]
+            if len(run_scores) > 1 and all(map(len, run_scores)):
+                mean_scores = np.array(list(map(np.mean, run_scores)))
+                interval = mean_interval(mean_scores, 1 - 2 * FLOOR_LEVEL)
                 # without an interval all are equal
-                learned[condition] = bool(interval.low > 0 or not interval.exists and means[0] > 0)
+                learned[condition] = bool(interval.low > 0 or not interval.exists and mean_scores[0] > 0)
         return learned
 
-    def why_incomparable(self, name: str, conditions: Sequence[str]) -> str:
+    def why_incomparable(self, outcome_name: str, conditions: Sequence[str]) -> str:
         """Return why arms cannot be compared by an outcome; empty if they can."""
-        claim, ids = self.claim, set()
-        engines: dict[str, str] = {}
-        missing: list[str] = []
+        claim, config_ids = self.claim, set()
+        engine_by_arm: dict[str, str] = {}
+        missing_runs: list[str] = []
         rows: list[Row] = []
         for condition in conditions:
             run = self.configurations[condition]
-            ids.add(config_id(run))
-            engines[f"{condition} by {run.engine}"] = run.engine
+            config_ids.add(config_id(run))
+            engine_by_arm[f"{condition} by {run.engine}"] = run.engine
             stored, fixed = len(self.rows[condition]), len(claim.seeds_of(condition))
             rows += self.rows[condition]
             if stored != fixed:
                 fixed_ones = f"{stored} of the {fixed} fixed ones with {round_up(run, claim.steps):,} steps"
-                missing.append(f"runs missing: {condition} has {fixed_ones}")
-        if len(ids) < len(conditions):
+                missing_runs.append(f"runs missing: {condition} has {fixed_ones}")
+        if len(config_ids) < len(conditions):
             return f"what is compared is the same: {' and '.join(conditions)} have one configuration"
-        if len(set(engines.values())) > 1:
-            return f"trained by different engines: {', '.join(engines)}"
-        if missing:
-            return f"{'; '.join(missing)}; {TRAIN_WITH} {self.training_command}"
-        if is_return(name) and len(set(map(unit_of_return, rows))) > 1:
+        if len(set(engine_by_arm.values())) > 1:
+            return f"trained by different engines: {', '.join(engine_by_arm)}"
+        if missing_runs:
+            return f"{'; '.join(missing_runs)}; {TRAIN_WITH} {self.training_command}"
+        if is_return(outcome_name) and len(set(map(unit_of_return, rows))) > 1:
             return "returns of unlike rewards"
         for condition in conditions:
-            for row, value in zip(self.rows[condition], self._outcomes(name, condition), strict=True):
+            for row, value in zip(self.rows[condition], self._outcomes(outcome_name, condition), strict=True):
                 if np.isnan(value):
-                    return f"a run has no value: {condition} seed {row.seed}: {reason(row, name)}"
+                    return f"a run has no value: {condition} seed {row.seed}: {reason(row, outcome_name)}"
         return ""
 
     @property
     def training_command(self) -> str:
         """The command that trains the missing runs: by a preset, or all conditions and seeds."""
         claim = self.claim
-        words = ["pneuma", "study", "run"] + asked_words(self.study)
+        command_words = ["pneuma", "study", "run"] + asked_words(self.study)
         if claim.preset:
-            words += ["--preset", claim.preset]
+            command_words += ["--preset", claim.preset]
         else:
             seeds: set[int] = set()
             for condition in claim.conditions:
-                words += ["--condition", condition]
+                command_words += ["--condition", condition]
                 seeds.update(claim.seeds_of(condition))
-            words += ["--seeds", seeds_option(seeds), "--steps", str(claim.steps)]
+            command_words += ["--seeds", seeds_option(seeds), "--steps", str(claim.steps)]
         if any(row.published for row in chain.from_iterable(self.rows.values())):
-            words.append("--unpublished")
-        return shlex.join(words + results_words(self.folder))
+            command_words.append("--unpublished")
+        return shlex.join(command_words + results_words(self.folder))
 
-    def values(self, name: str, condition: str) -> np.ndarray:
+    def values(self, outcome_name: str, condition: str) -> np.ndarray:
         """Return an outcome of each run of a condition, whose runs have all finished and have one.
 
         It is (seeds,) in the order of seeds; 1 or 0 if runs with an event are counted. Of a hazard it is
         (2, seeds): steps, and whether they are those of an event.
         """
-        rows, values = self.rows[condition], self._outcomes(name, condition)
+        rows, run_values = self.rows[condition], self._outcomes(outcome_name, condition)
         if self.claim.kind == "hazard":
             last_seen = [row.evaluations("step")[-1] for row in rows]
-            return np.array([np.minimum(values, last_seen), np.isfinite(values)])
+            return np.array([np.minimum(run_values, last_seen), np.isfinite(run_values)])
         if self.claim.is_incidence:
-            return self.claim.has_event(values).astype(float)
+            return self.claim.has_event(run_values).astype(float)
         # steps to what is never reached are at least those of the run
-        return np.where(np.isinf(values), [row.budget for row in rows], values)
+        return np.where(np.isinf(run_values), [row.budget for row in rows], run_values)
 
     def run_ids(self, condition: str) -> list[str]:
         return [row.run_id for row in self.rows[condition]]
 
-    def _outcomes(self, name: str, condition: str) -> np.ndarray:
-        key = name, condition
-        if key not in self._values:
-            self._values[key] = np.array([outcome(row, name) for row in self.rows[condition]])
-        return self._values[key]
+    def _outcomes(self, outcome_name: str, condition: str) -> np.ndarray:
+        values_key = outcome_name, condition
+        if values_key not in self._values:
+            self._values[values_key] = np.array([outcome(row, outcome_name) for row in self.rows[condition]])
+        return self._values[values_key]
 
 
 # --- Finding runs ----------------------------------------------------------------------------------
 
 
 def find_claim_runs(
-    index: RunIndex, claims: ClaimList, wanted: Iterable[tuple[Claim, str]]
+    index: RunIndex, claim_list: ClaimList, claims_and_worlds: Iterable[tuple[Claim, str]]
 ) -> Iterator[ClaimRuns]:
     """Yield the finished runs of wanted claims of a list, each in a world.
 
     Those of all claims on a study are found together, as each search takes as long as one for many runs.
     """
-    studies: dict[tuple[str, str, int], StudyData] = {}
-    for claim, world in wanted:
-        study = claims.studies[claim.study].in_world(world)
-        key = claim.study, world, claim.steps
-        if key not in studies:
-            amounts = _amounts_by_steps(claims.on(claim.study, world))[claim.steps]
+    data_by_study: dict[tuple[str, str, int], StudyData] = {}
+    for claim, world in claims_and_worlds:
+        study = claim_list.studies[claim.study].in_world(world)
+        study_key = claim.study, world, claim.steps
+        if study_key not in data_by_study:
+            amounts = _amounts_by_steps(claim_list.on(claim.study, world))[claim.steps]
             cells: list[Cell] = []
             for condition, run in configure(study, {}, list(amounts), index.engine_of).runs.items():
                 steps = round_up(run, claim.steps)
                 for seed in amounts[condition].seeds:
                     cells.append(Cell(condition, seed, replace(run, seed=seed, steps=steps)))
-            studies[key] = finished_rows(index, runs_of_plan(index, Plan(study, tuple(cells))))
-        data = studies[key]
-        rows: dict[str, list[Row]] = {}
+            data_by_study[study_key] = finished_rows(index, runs_of_plan(index, Plan(study, tuple(cells))))
+        study_data = data_by_study[study_key]
+        rows_by_condition: dict[str, list[Row]] = {}
         for condition in claim.a + claim.b:
             seeds = claim.seeds_of(condition)
-            rows[condition] = [row for row in data.of_condition(condition) if row.seed in seeds]
-        yield ClaimRuns(claim, study, data.configurations, rows, index.store.root)
+            rows_by_condition[condition] = [
+                row for row in study_data.of_condition(condition) if row.seed in seeds
+            ]
+        yield ClaimRuns(claim, study, study_data.configurations, rows_by_condition, index.store.root)
 
 
 def _amounts_by_steps(claims: Iterable[Claim]) -> dict[int, dict[str, Amount]]:
@@ -233,10 +235,10 @@ def claims_on(study: Study) -> Iterator[tuple[ClaimList, Claim]]:
     """Yield the claims on a study in its world, each with its list, of all lists beside the study's file."""
     if study.path is None:
         return
-    for name in CLAIMS_FILES:
-        path = study.path.parent / name
-        if path.exists():
-            claim_list = load_claims(path)
+    for file_name in CLAIMS_FILES:
+        claims_path = study.path.parent / file_name
+        if claims_path.exists():
+            claim_list = load_claims(claims_path)
             for claim in claim_list.claims.values():
                 is_on_study = claim_list.studies[claim.study].path == study.path
                 if is_on_study and study.world in claim.worlds:

@@ -45,9 +45,9 @@ def refuse_changed(index: RunIndex, study: Study) -> None:
     Raises:
         UserError: naming a claim, what changed, and what to do instead.
     """
-    for claims, claim in claims_on(study):
-        (runs,) = find_claim_runs(index, claims, [(claim, study.world)])
-        changed = changed_since(claims, claim, study.world, runs.commits)
+    for claim_list, claim in claims_on(study):
+        (claim_runs,) = find_claim_runs(index, claim_list, [(claim, study.world)])
+        changed = changed_since(claim_list, claim, study.world, claim_runs.commits)
         if changed:
             raise UserError(
                 f"--preset {CLAIMS}: the claim {claim.name} was changed after its first run "
@@ -56,21 +56,21 @@ def refuse_changed(index: RunIndex, study: Study) -> None:
 
 
 def changed_since(
-    claims: ClaimList, claim: Claim, world: str, commits: Sequence[str]
+    claim_list: ClaimList, claim: Claim, world: str, commits: Sequence[str]
 ) -> tuple[str, ...] | None:
     """Return what of a claim was otherwise at commits; None if no commit is known to have its list.
 
     `THE_CLAIM` stands for a claim that the list did not have yet.
     """
-    recorded, key = _recorded(), record_key(claims, claim, world, commits)
-    if key not in recorded:
-        return changed_in_checkout(claims, claim, world, commits)
-    return recorded[key]
+    recorded, claim_key = _recorded(), record_key(claim_list, claim, world, commits)
+    if claim_key not in recorded:
+        return changed_in_checkout(claim_list, claim, world, commits)
+    return recorded[claim_key]
 
 
-def record_key(claims: ClaimList, claim: Claim, world: str, commits: Sequence[str]) -> str:
+def record_key(claim_list: ClaimList, claim: Claim, world: str, commits: Sequence[str]) -> str:
     """Return all that the answer of the history depends on: the list, the judge's rules, and the runs."""
-    return " ".join([claim.name, world, claims.digest, f"rules={RULES}"] + list(commits))
+    return " ".join([claim.name, world, claim_list.digest, f"rules={RULES}"] + list(commits))
 
 
 @cache
@@ -83,28 +83,28 @@ def _recorded() -> Mapping[str, tuple[str, ...] | None]:
 
 
 def changed_in_checkout(
-    claims: ClaimList, claim: Claim, world: str, commits: Sequence[str]
+    claim_list: ClaimList, claim: Claim, world: str, commits: Sequence[str]
 ) -> tuple[str, ...] | None:
     """Return the same by the history of the checkout that the list is in."""
-    text = claims.path.read_text(encoding="utf-8")
-    (title,) = re.findall("^title = .*", text, flags=re.MULTILINE)[:1] or ["[defaults]"]
-    now = _deciding_keys(text, claim.name, world)
-    is_own = SOURCE in claims.path.resolve().parents
+    file_text = claim_list.path.read_text(encoding="utf-8")
+    (title,) = re.findall("^title = .*", file_text, flags=re.MULTILINE)[:1] or ["[defaults]"]
+    keys_now = _deciding_keys(file_text, claim.name, world)
+    is_own = SOURCE in claim_list.path.resolve().parents
     changed: list[str] = []
     is_known = False
     for commit in commits:
-        text_then = file_at(claims.path, commit, title)
+        text_then = file_at(claim_list.path, commit, title)
         if text_then is None:
             continue
         is_known = True
-        then = _deciding_keys(text_then, claim.name, world)
-        if not then:
+        keys_then = _deciding_keys(text_then, claim.name, world)
+        if not keys_then:
             changed.append(THE_CLAIM)
-        has_outcome = then.get("outcome") == now["outcome"]
-        for key, value in then.items():
-            if value != now[key] and (has_outcome or key not in _OF_OUTCOME):
-                changed.append(key)
-        if is_own and _rules_at(claims.path, commit) != RULES:
+        has_outcome = keys_then.get("outcome") == keys_now["outcome"]
+        for claim_key, value in keys_then.items():
+            if value != keys_now[claim_key] and (has_outcome or claim_key not in _OF_OUTCOME):
+                changed.append(claim_key)
+        if is_own and _rules_at(claim_list.path, commit) != RULES:
             changed.append(RULES_KEY)
     if not is_known:
         return None
@@ -121,18 +121,20 @@ def _rules_at(path: Path, commit: str) -> int | None:
 
 
 @cache
-def _parse(text: str) -> Mapping[str, Any]:
-    return plain(tomllib.loads(text))
+def _parse(file_text: str) -> Mapping[str, Any]:
+    return plain(tomllib.loads(file_text))
 
 
-def _deciding_keys(text: str, name: str, world: str) -> Mapping[str, Any]:
+def _deciding_keys(file_text: str, claim_name: str, world: str) -> Mapping[str, Any]:
     """Return what decides the verdict on a claim of a file in a world; nothing if the file has no such claim.
 
     The file may be of another version, whose keys are not checked.
     """
     try:
-        claim = Claim.model_construct(**{"seeds": (), "steps": 0, **claim_keys(_parse(text), name)})
-        deciding = {key: getattr(claim, key) for key in _DECIDING}
+        claim = Claim.model_construct(
+            **{"seeds": (), "steps": 0, **claim_keys(_parse(file_text), claim_name)}
+        )
+        deciding = {claim_key: getattr(claim, claim_key) for claim_key in _DECIDING}
         deciding["paired"] = claim.paired and bool(claim.b)
         deciding["value"] = list(map(partial(claim.value_of, world), claim.outcome))
         deciding["margin"] = list(map(partial(claim.registered_margin_of, world), claim.outcome))

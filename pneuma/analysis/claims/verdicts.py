@@ -73,10 +73,10 @@ class ClaimContrast:
     @property
     def names(self) -> tuple[str, str]:
         """The arms as text; b may be a number or an outcome."""
-        second = ", ".join(self.b) or str(self.value)
+        second_arm = ", ".join(self.b) or str(self.value)
         if isinstance(self.value, float):
-            second = f"{self.value:g}"
-        return ", ".join(self.a), second
+            second_arm = f"{self.value:g}"
+        return ", ".join(self.a), second_arm
 
     @property
     def has_effect(self) -> bool:
@@ -111,18 +111,18 @@ class Verdict:
         if self.claim.paired:
             return self.contrasts
         deciding: dict[str, ClaimContrast] = {}
-        for row in self.contrasts:
-            before = deciding.setdefault(row.outcome, row)
-            if DECIDING_FIRST.index(row.verdict) < DECIDING_FIRST.index(before.verdict):
-                deciding[row.outcome] = row
+        for claim_contrast in self.contrasts:
+            current = deciding.setdefault(claim_contrast.outcome, claim_contrast)
+            if DECIDING_FIRST.index(claim_contrast.verdict) < DECIDING_FIRST.index(current.verdict):
+                deciding[claim_contrast.outcome] = claim_contrast
         return tuple(deciding.values())
 
     @property
     def run_ids(self) -> list[str]:
         run_ids: list[str] = []
-        for row in self.contrasts:
-            for of_condition in row.runs.values():
-                run_ids += of_condition
+        for claim_contrast in self.contrasts:
+            for condition_ids in claim_contrast.runs.values():
+                run_ids += condition_ids
         return list(dict.fromkeys(run_ids))
 
     @property
@@ -131,67 +131,78 @@ class Verdict:
 
 
 def judge(
-    claims: ClaimList, index: RunIndex, wanted: Callable[[Claim, str], bool] = lambda claim, world: True
+    claim_list: ClaimList,
+    index: RunIndex,
+    is_wanted: Callable[[Claim, str], bool] = lambda claim, world: True,
 ) -> list[Verdict]:
     """Return the verdict on each claim of a list in each of its worlds, or on those that are wanted.
 
     The correction is for the planned contrasts of the whole family, whichever are wanted: no data of the
     others are needed.
     """
-    pairs: list[tuple[Claim, str]] = []
-    for claim in claims.claims.values():
-        pairs += [(claim, world) for world in claim.worlds if wanted(claim, world)]
-    return [_judge_claim(claims, runs) for runs in find_claim_runs(index, claims, pairs)]
+    claims_and_worlds: list[tuple[Claim, str]] = []
+    for claim in claim_list.claims.values():
+        claims_and_worlds += [(claim, world) for world in claim.worlds if is_wanted(claim, world)]
+    return [
+        _judge_claim(claim_list, claim_runs)
+        for claim_runs in find_claim_runs(index, claim_list, claims_and_worlds)
+    ]
 
 
-def _judge_claim(claims: ClaimList, runs: ClaimRuns) -> Verdict:
+def _judge_claim(claim_list: ClaimList, claim_runs: ClaimRuns) -> Verdict:
     """Return the verdict on a claim of a list in one world by its runs."""
-    claim, world = runs.claim, runs.study.world
-    alpha = claims.head.alpha / claims.family_size(world, claim.study)
-    rows: list[ClaimContrast] = []
+    claim, world = claim_runs.claim, claim_runs.study.world
+    alpha = claim_list.head.alpha / claim_list.family_size(world, claim.study)
+    claim_contrasts: list[ClaimContrast] = []
     for outcome in claim.outcome:
         for pair in claim.pairs(outcome):
-            rows.append(_judge_contrast(runs, outcome, pair, alpha))
-    verdict = _of_claim(claim, rows, "verdict")
-    changed = changed_since(claims, claim, world, runs.commits)
+            claim_contrasts.append(_judge_contrast(claim_runs, outcome, pair, alpha))
+    verdict = _of_claim(claim, claim_contrasts, "verdict")
+    changed = changed_since(claim_list, claim, world, claim_runs.commits)
     return Verdict(
         claim=claim,
         world=world,
         verdict=verdict,
-        reason=_reason(verdict, rows),
-        contrasts=tuple(rows),
-        registered_verdict=_of_claim(claim, rows, "registered_verdict"),
-        label=_label(claims, claim, changed or ()),
+        reason=_reason(verdict, claim_contrasts),
+        contrasts=tuple(claim_contrasts),
+        registered_verdict=_of_claim(claim, claim_contrasts, "registered_verdict"),
+        label=_label(claim_list, claim, changed or ()),
         changed=changed,
     )
 
 
-def _of_claim(claim: Claim, rows: Iterable[ClaimContrast], column: str) -> str:
+def _of_claim(claim: Claim, claim_contrasts: Iterable[ClaimContrast], column: str) -> str:
     """Return the verdict on a claim, by one of the columns of its rows that have verdicts."""
-    by_outcome: dict[str, list[str]] = {}
-    for row in rows:
-        by_outcome.setdefault(row.outcome, []).append(getattr(row, column))
-    return combine(list(map(all_of, by_outcome.values())), claim.need)
+    verdicts_by_outcome: dict[str, list[str]] = {}
+    for claim_contrast in claim_contrasts:
+        verdicts_by_outcome.setdefault(claim_contrast.outcome, []).append(getattr(claim_contrast, column))
+    return combine(list(map(all_of, verdicts_by_outcome.values())), claim.need)
 
 
-def _label(claims: ClaimList, claim: Claim, changed: Iterable[str]) -> str:
+def _label(claim_list: ClaimList, claim: Claim, changed: Iterable[str]) -> str:
     """Return whether a claim was stated before its runs."""
     if claim.seen or set(changed) - set(HOW_MANY):
         return DESCRIPTIVE
-    if claim.first_seed < claims.head.known_below:
-        return f"same runs as {claims.head.known_from}"
+    if claim.first_seed < claim_list.head.known_below:
+        return f"same runs as {claim_list.head.known_from}"
     return PREREGISTERED
 
 
-def _reason(verdict: str, rows: Sequence[ClaimContrast]) -> str:
+def _reason(verdict: str, claim_contrasts: Sequence[ClaimContrast]) -> str:
     if verdict == UNTESTABLE:  # each part of the reasons once, the command that trains what is missing last
-        reasons = dict.fromkeys("; ".join(row.contrast.reason for row in rows).split("; "))
+        reasons = dict.fromkeys(
+            "; ".join(claim_contrast.contrast.reason for claim_contrast in claim_contrasts).split("; ")
+        )
         return "; ".join(sorted(filter(None, reasons), key=lambda reason: reason.startswith(TRAIN_WITH)))
     if verdict != REFUTED:
         return ""
-    for row in rows:
-        without_margin = decide(row.contrast.simultaneous, row.claim.claimed(row.outcome), margin=None)
-        if row.verdict == REFUTED and without_margin != SUPPORTED:
+    for claim_contrast in claim_contrasts:
+        without_margin = decide(
+            claim_contrast.contrast.simultaneous,
+            claim_contrast.claim.claimed(claim_contrast.outcome),
+            margin=None,
+        )
+        if claim_contrast.verdict == REFUTED and without_margin != SUPPORTED:
             return ""
     return AS_CLAIMED_BUT_SMALL
 
@@ -199,8 +210,8 @@ def _reason(verdict: str, rows: Sequence[ClaimContrast]) -> str:
 # --- Contrasts -----------------------------------------------------------------------------------
 
 
-def _judge_contrast(runs: ClaimRuns, outcome: str, pair: Pair, alpha: float) -> ClaimContrast:
-    claim, world, (a, b) = runs.claim, runs.study.world, pair
+def _judge_contrast(claim_runs: ClaimRuns, outcome: str, pair: Pair, alpha: float) -> ClaimContrast:
+    claim, world, (a, b) = claim_runs.claim, claim_runs.study.world, pair
     value = None
     if not b:
         value = claim.value_of(world, outcome)
@@ -208,8 +219,8 @@ def _judge_contrast(runs: ClaimRuns, outcome: str, pair: Pair, alpha: float) -> 
     if value and not isinstance(value, str):
         margin = registered_margin = None
     conditions = tuple(dict.fromkeys(a + b))
-    reason = claim.not_tested or runs.why_incomparable(outcome, conditions)
-    row = ClaimContrast(
+    reason = claim.not_tested or claim_runs.why_incomparable(outcome, conditions)
+    claim_contrast = ClaimContrast(
         claim=claim,
         world=world,
         outcome=outcome,
@@ -219,24 +230,24 @@ def _judge_contrast(runs: ClaimRuns, outcome: str, pair: Pair, alpha: float) -> 
         alpha=alpha,
         margin=margin,
         registered_margin=registered_margin,
-        runs={condition: runs.run_ids(condition) for condition in conditions},
+        runs={condition: claim_runs.run_ids(condition) for condition in conditions},
         contrast=Contrast(reason=reason),
     )
     if reason:
-        return row
-    arms = {condition: runs.values(outcome, condition) for condition in conditions}
-    first = {condition: arms[condition] for condition in a}
-    second = {condition: arms[condition] for condition in b}
+        return claim_contrast
+    arms = {condition: claim_runs.values(outcome, condition) for condition in conditions}
+    arms_a = {condition: arms[condition] for condition in a}
+    arms_b = {condition: arms[condition] for condition in b}
     constant = value or 0.0
     if isinstance(constant, str):  # of each run its own other outcome is taken away, their mean added again
-        other_values = runs.values(constant, a[0])
+        other_values = claim_runs.values(constant, a[0])
         constant = float(other_values.mean())
-        first[a[0]] = first[a[0]] - other_values + constant
-    contrast = compare_arms(claim.kind, first, second, 1 - alpha, constant)
-    none_learned = _have_none_learned(runs, outcome, conditions)
+        arms_a[a[0]] = arms_a[a[0]] - other_values + constant
+    contrast = compare_arms(claim.kind, arms_a, arms_b, 1 - alpha, constant)
+    none_learned = _have_none_learned(claim_runs, outcome, conditions)
 
     def verdict_by(margin: float | None) -> tuple[str, str]:
-        reason = _why_untestable(runs, outcome, arms, margin)
+        reason = _why_untestable(claim_runs, outcome, arms, margin)
         if reason:
             return UNTESTABLE, reason
         return decide(contrast.simultaneous, claim.claimed(outcome), margin, not none_learned), ""
@@ -246,7 +257,7 @@ def _judge_contrast(runs: ClaimRuns, outcome: str, pair: Pair, alpha: float) -> 
     if reason:
         contrast, none_learned = Contrast(seeds=contrast.seeds, reason=reason), False
     return replace(
-        row,
+        claim_contrast,
         contrast=contrast,
         verdict=verdict,
         registered_verdict=registered_verdict,
@@ -255,44 +266,44 @@ def _judge_contrast(runs: ClaimRuns, outcome: str, pair: Pair, alpha: float) -> 
 
 
 def _why_untestable(
-    runs: ClaimRuns, outcome: str, arms: Mapping[str, np.ndarray], margin: float | None
+    claim_runs: ClaimRuns, outcome: str, arms: Mapping[str, np.ndarray], margin: float | None
 ) -> str:
     """Return why arms of finished runs decide nothing; empty if they can be compared.
 
     They cannot if every run of all arms is at the outcome's least or greatest value: within the margin, or
     without one within the outcome's own tolerance. Of an incidence the arms' shares of runs count.
     """
-    measured = find_outcome(outcome)
+    declared = find_outcome(outcome)
     for condition in arms:
-        if measured.requires_learning and runs.learned[condition] is False:
+        if declared.requires_learning and claim_runs.learned[condition] is False:
             random_player = "is not shown to play better than the random player"
             return f"the agents learned nothing there: {condition} {random_player}"
-    if len(arms) < 2 or runs.claim.kind == "hazard":
+    if len(arms) < 2 or claim_runs.claim.kind == "hazard":
         return ""
-    values = np.concatenate(list(arms.values()))
-    bounds, tolerance = measured.bounds, margin or measured.alike
-    if runs.claim.is_incidence:
-        values = np.array(list(map(np.mean, arms.values())))
+    all_values = np.concatenate(list(arms.values()))
+    bounds, tolerance = declared.bounds, margin or declared.alike
+    if claim_runs.claim.is_incidence:
+        all_values = np.array(list(map(np.mean, arms.values())))
         bounds, tolerance = (0.0, 1.0), RARE
     ends = {"floor": bounds[0], "ceiling": bounds[1]}
-    if _is_of_play(runs.claim, outcome) and None not in map(runs.learned.get, arms):
+    if _is_of_play(claim_runs.claim, outcome) and None not in map(claim_runs.learned.get, arms):
         del ends["floor"]  # the comparison with the random player decides it
-    for end, bound in ends.items():
-        if np.isfinite(bound) and (np.abs(values - bound) <= tolerance).all():
-            return f"all runs end alike: at the {end}, within {tolerance:.2g} of {bound:g}"
+    for end_name, bound in ends.items():
+        if np.isfinite(bound) and (np.abs(all_values - bound) <= tolerance).all():
+            return f"all runs end alike: at the {end_name}, within {tolerance:.2g} of {bound:g}"
     return ""
 
 
-def _have_none_learned(runs: ClaimRuns, outcome: str, conditions: Sequence[str]) -> bool:
+def _have_none_learned(claim_runs: ClaimRuns, outcome: str, conditions: Sequence[str]) -> bool:
     """Return whether play is compared of arms of which none is shown to play better than the random player.
 
     Such arms may be alike because nothing was learned, so that only a difference between them counts.
     """
-    claim = runs.claim
+    claim = claim_runs.claim
     if claim.kind == "hazard" or len(conditions) < 2:
         return False
     needs_play = _is_of_play(claim, outcome) or claim.claimed(outcome) in ("equal", "no-less")
-    return needs_play and set(map(runs.learned.get, conditions)) == {False}
+    return needs_play and set(map(claim_runs.learned.get, conditions)) == {False}
 
 
 def _is_of_play(claim: Claim, outcome: str) -> bool:
@@ -300,7 +311,7 @@ def _is_of_play(claim: Claim, outcome: str) -> bool:
     return find_outcome(outcome).better == "higher" and not claim.is_incidence
 
 
-def decide(ends: Interval, claimed: str, margin: float | None, alike_counts: bool = True) -> str:
+def decide(interval: Interval, claimed: str, margin: float | None, alike_counts: bool = True) -> str:
     """Return the verdict of an interval of a minus b on a claimed direction.
 
     A difference is shown to be too small if the whole interval is nearer to 0 than the margin. That refutes
@@ -311,15 +322,15 @@ def decide(ends: Interval, claimed: str, margin: float | None, alike_counts: boo
         return DESCRIBED
     if margin is None:
         margin = math.nan  # no interval lies within it or beyond it; ends that are NaN show nothing either
-    within = -margin < ends.low and ends.high < margin and alike_counts
-    far_above, far_below = ends.low > margin, ends.high < -margin
-    no_less = ends.low > -margin and alike_counts
-    is_above, is_below = ends.low > 0, ends.high < 0
+    is_within = -margin < interval.low and interval.high < margin and alike_counts
+    far_above, far_below = interval.low > margin, interval.high < -margin
+    no_less = interval.low > -margin and alike_counts
+    is_above, is_below = interval.low > 0, interval.high < 0
     holds, fails = {
-        "greater": (is_above, is_below or within),
-        "less": (is_below, is_above or within),
-        "different": (is_above or is_below, within),
-        "equal": (within, far_above or far_below),
+        "greater": (is_above, is_below or is_within),
+        "less": (is_below, is_above or is_within),
+        "different": (is_above or is_below, is_within),
+        "equal": (is_within, far_above or far_below),
         "no-less": (no_less, far_below),
     }[claimed]
     if fails:

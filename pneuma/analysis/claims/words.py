@@ -71,10 +71,10 @@ def verdicts_by_claim(verdicts: Iterable[Verdict]) -> dict[str, dict[str, Verdic
     """
     by_claim: dict[str, dict[str, Verdict]] = {}
     for verdict in sorted(verdicts, key=_section_numbers):
-        row = verdict.claim.row
-        if verdict.world in by_claim.get(row, {}):
-            row = verdict.claim.name
-        by_claim.setdefault(row, {})[verdict.world] = verdict
+        claim_name = verdict.claim.row
+        if verdict.world in by_claim.get(claim_name, {}):
+            claim_name = verdict.claim.name
+        by_claim.setdefault(claim_name, {})[verdict.world] = verdict
     return by_claim
 
 
@@ -84,49 +84,49 @@ def _section_numbers(verdict: Verdict) -> list[int]:
 
 def worlds_of(by_claim: ByClaim) -> dict[str, str]:
     """Return the names of the worlds in which claims were judged; statements of one's own may have none."""
-    judged_in: set[str] = set()
+    judged_worlds: set[str] = set()
     quotes: set[str] = set()
     for by_world in by_claim.values():
-        judged_in.update(by_world)
+        judged_worlds.update(by_world)
         for verdict in by_world.values():
             quotes.add(verdict.claim.quote)
-    if len(judged_in) == 1 and not any(quotes):
-        return dict.fromkeys(judged_in, "verdict")
-    return {world: name for world, name in WORLD_NAMES.items() if world in judged_in}
+    if len(judged_worlds) == 1 and not any(quotes):
+        return dict.fromkeys(judged_worlds, "verdict")
+    return {world: world_name for world, world_name in WORLD_NAMES.items() if world in judged_worlds}
 
 
 def count_words(by_claim: ByClaim) -> pd.DataFrame:
     """Return how many claims have each word, a row for each world."""
     worlds = worlds_of(by_claim)
-    words: dict[str, list[str]] = {world: [] for world in worlds}
+    words_by_world: dict[str, list[str]] = {world: [] for world in worlds}
     for by_world in by_claim.values():
         for world, verdict in by_world.items():
-            words[world].append(word(verdict))
-    rows = [[worlds[world]] + list(map(words[world].count, WORDS)) for world in worlds]
-    return pd.DataFrame(rows, columns=[""] + list(WORDS))
+            words_by_world[world].append(word(verdict))
+    count_rows = [[worlds[world]] + list(map(words_by_world[world].count, WORDS)) for world in worlds]
+    return pd.DataFrame(count_rows, columns=[""] + list(WORDS))
 
 
 def verdict_table(by_claim: ByClaim) -> pd.DataFrame:
     """Return a row for each claim: section, sentence and arms, and for each world the word and effects."""
     worlds = worlds_of(by_claim)
-    rows: list[list[str]] = []
-    quoted: set[str] = set()
-    for name, by_world in by_claim.items():
+    verdict_rows: list[list[str]] = []
+    quoted_sentences: set[str] = set()
+    for claim_name, by_world in by_claim.items():
         claim = next(iter(by_world.values())).claim
-        quote = short_sentence(claim)
-        heading = claim.context or name
-        if quote and quote not in quoted:
-            heading = f"“{quote}”"
-            quoted.add(quote)
-        row = [claim.section, f"{heading}\n{arms_in_words(claim)}"]
+        sentence_text = short_sentence(claim)
+        heading = claim.context or claim_name
+        if sentence_text and sentence_text not in quoted_sentences:
+            heading = f"“{sentence_text}”"
+            quoted_sentences.add(sentence_text)
+        verdict_row = [claim.section, f"{heading}\n{arms_in_words(claim)}"]
         for world in worlds:
             verdict = by_world.get(world)
-            row.append(cell(verdict) if verdict else "–")
-        rows.append(row)
+            verdict_row.append(cell(verdict) if verdict else "–")
+        verdict_rows.append(verdict_row)
     columns = ["Section", "The thesis's sentence"] + list(worlds.values())
-    if not quoted:
+    if not quoted_sentences:
         columns[1] = "Claim"
-    return pd.DataFrame(rows, columns=columns)
+    return pd.DataFrame(verdict_rows, columns=columns)
 
 
 # --- One verdict -----------------------------------------------------------------------------------
@@ -143,20 +143,22 @@ def word(verdict: Verdict) -> str:
 
 def lines(verdict: Verdict) -> list[str]:
     """Return the effect of each outcome, if any was tested, and what must be added or stands instead."""
-    texts: list[str] = []
+    cell_lines: list[str] = []
     if word(verdict) != NOT_TESTED:
-        tested = [row for row in verdict.deciding if row.has_effect]
-        texts = list(map(effect, tested))
-        if any(row.none_learned for row in tested):
-            texts.append("none plays better than at random")
-        for row in tested[:1]:
-            first, second = row.contrast.seeds
-            if second not in (0, first):
-                texts.append(f"{first} against {second} runs")
-    texts.append(why(verdict))
+        tested_contrasts = [
+            claim_contrast for claim_contrast in verdict.deciding if claim_contrast.has_effect
+        ]
+        cell_lines = list(map(effect, tested_contrasts))
+        if any(claim_contrast.none_learned for claim_contrast in tested_contrasts):
+            cell_lines.append("none plays better than at random")
+        for claim_contrast in tested_contrasts[:1]:
+            seeds_a, seeds_b = claim_contrast.contrast.seeds
+            if seeds_b not in (0, seeds_a):
+                cell_lines.append(f"{seeds_a} against {seeds_b} runs")
+    cell_lines.append(why(verdict))
     if verdict.registered_verdict not in ("", verdict.verdict):
-        texts.append(f"by the registered margins: {_WORD_OF[verdict.registered_verdict]}")
-    return list(filter(None, texts))
+        cell_lines.append(f"by the registered margins: {_WORD_OF[verdict.registered_verdict]}")
+    return list(filter(None, cell_lines))
 
 
 def letter(verdict: Verdict) -> str:
@@ -164,10 +166,10 @@ def letter(verdict: Verdict) -> str:
 
     A star follows if the claim was changed after its first run.
     """
-    mark = _LETTERS.get(verdict.label, verdict.label.rpartition(" ")[2])
+    label_letter = _LETTERS.get(verdict.label, verdict.label.rpartition(" ")[2])
     if verdict.changed:
-        mark += "*"
-    return mark
+        label_letter += "*"
+    return label_letter
 
 
 def registration(verdict: Verdict) -> str:
@@ -197,72 +199,72 @@ def remedy(verdict: Verdict) -> list[str]:
 
 def details(verdict: Verdict) -> list[str]:
     """Return the sentence, what is compared, and for each contrast arms, numbers of runs and effect."""
-    texts = [sentence(verdict.claim), verdict.claim.context]
+    detail_lines = [sentence(verdict.claim), verdict.claim.context]
     if verdict.lacks_runs:
-        return texts + [verdict.reason]
-    for row in verdict.contrasts:
-        runs = " and ".join(map(str, filter(None, row.contrast.seeds)))
-        phrases = [f"{' against '.join(row.names)}, {runs} runs:"]
-        if row.has_effect:
-            phrases.append(effect(row))
-        if row.contrast.reason:
-            phrases.append(f"({row.contrast.reason})")
-        texts.append(" ".join(phrases))
-    return texts
+        return detail_lines + [verdict.reason]
+    for claim_contrast in verdict.contrasts:
+        run_counts = " and ".join(map(str, filter(None, claim_contrast.contrast.seeds)))
+        phrases = [f"{' against '.join(claim_contrast.names)}, {run_counts} runs:"]
+        if claim_contrast.has_effect:
+            phrases.append(effect(claim_contrast))
+        if claim_contrast.contrast.reason:
+            phrases.append(f"({claim_contrast.contrast.reason})")
+        detail_lines.append(" ".join(phrases))
+    return detail_lines
 
 
 # --- One effect ------------------------------------------------------------------------------------
 
 
-def effect(row: ClaimContrast) -> str:
+def effect(claim_contrast: ClaimContrast) -> str:
     """Return an effect in plain units, as 'kills 85 against 83 % (−1 to 5; ±7.1)'.
 
     In brackets stand the ends of the interval of the difference, the first less the second, which holds
     together with all others of its family; and the margin. Of logarithms they are factors.
     """
-    interval, margin = "{} to {}", "±{}"
-    if row.claim.kind == "hazard" or row.outcome in _LOGARITHMS:
-        interval, margin = "{} to {} times", "×{}"
-        a, b, low, high, smallest = _factors(row)
+    interval_format, margin_format = "{} to {}", "±{}"
+    if claim_contrast.claim.kind == "hazard" or claim_contrast.outcome in _LOGARITHMS:
+        interval_format, margin_format = "{} to {} times", "×{}"
+        a, b, low, high, smallest = _factors(claim_contrast)
     else:
-        a, b, low, high, smallest = _numbers(row)
+        a, b, low, high, smallest = _numbers(claim_contrast)
     brackets = []
-    if row.contrast.simultaneous.exists:
-        brackets.append(interval.format(low, high))
-    if row.margin:
-        brackets.append(margin.format(smallest))
-    text = f"{_name(row)} {a}"
-    if row.b:
-        text = f"{text.removesuffix(' %')} against {b}"
-    elif isinstance(row.value, str):
-        text += f", {_outcome_words(row.value)} {b}"
-    elif row.value:
-        text += f", threshold {b}"
+    if claim_contrast.contrast.simultaneous.exists:
+        brackets.append(interval_format.format(low, high))
+    if claim_contrast.margin:
+        brackets.append(margin_format.format(smallest))
+    effect_text = f"{_name(claim_contrast)} {a}"
+    if claim_contrast.b:
+        effect_text = f"{effect_text.removesuffix(' %')} against {b}"
+    elif isinstance(claim_contrast.value, str):
+        effect_text += f", {_outcome_words(claim_contrast.value)} {b}"
+    elif claim_contrast.value:
+        effect_text += f", threshold {b}"
     if brackets:
-        text += f" ({'; '.join(brackets)})"
-    return text
+        effect_text += f" ({'; '.join(brackets)})"
+    return effect_text
 
 
-def _numbers(row: ClaimContrast) -> list[str]:
+def _numbers(claim_contrast: ClaimContrast) -> list[str]:
     """Return both numbers, the ends of their difference's interval, and the margin, as known."""
-    contrast, ends = row.contrast, row.contrast.simultaneous
-    is_share = row.claim.is_incidence or find_outcome(row.outcome).unit == "share"
+    contrast, interval = claim_contrast.contrast, claim_contrast.contrast.simultaneous
+    is_share = claim_contrast.claim.is_incidence or find_outcome(claim_contrast.outcome).unit == "share"
     scale, unit, least_digits = 1, "", -MOST
     if is_share:
         scale, unit, least_digits = 100, " %", 0
-    first, second = scale * contrast.means[0], scale * contrast.means[1]
-    low, high, margin = scale * ends.low, scale * ends.high, scale * (row.margin or 0.0)
+    mean_a, mean_b = scale * contrast.means[0], scale * contrast.means[1]
+    low, high, margin = scale * interval.low, scale * interval.high, scale * (claim_contrast.margin or 0.0)
     digits = max(_places(scale * (contrast.means[0] - contrast.means[1]), low, high), least_digits)
-    texts = [shown(first, digits) + unit, shown(second, digits) + unit]
-    texts += [_end(low, digits), _end(high, digits), shown(margin, decimals(margin) - 1)]
-    return [text.replace("-", "−") for text in texts]
+    number_texts = [shown(mean_a, digits) + unit, shown(mean_b, digits) + unit]
+    number_texts += [_end(low, digits), _end(high, digits), shown(margin, decimals(margin) - 1)]
+    return [number_text.replace("-", "−") for number_text in number_texts]
 
 
-def _factors(row: ClaimContrast) -> list[str]:
+def _factors(claim_contrast: ClaimContrast) -> list[str]:
     """Return the same of logarithms as factors; of a hazard both numbers are shares of runs."""
-    contrast, ends = row.contrast, row.contrast.simultaneous
-    factors = list(map(_factor, contrast.means + (ends.low, ends.high, row.margin or 0.0)))
-    if row.claim.kind == "hazard":
+    contrast, interval = claim_contrast.contrast, claim_contrast.contrast.simultaneous
+    factors = list(map(_factor, contrast.means + (interval.low, interval.high, claim_contrast.margin or 0.0)))
+    if claim_contrast.claim.kind == "hazard":
         factors[:2] = [f"{100 * share:.0f} %" for share in contrast.means]
     return factors
 
@@ -276,43 +278,43 @@ def _end(end: float, digits: int) -> str:
 
 def _places(difference: float, low: float, high: float) -> int:
     """Return decimal places by which half an interval has one digit, or two if it begins with 1."""
-    half = (high - low) / 2
-    if not half > 0:
+    half_width = (high - low) / 2
+    if not half_width > 0:
         return decimals(difference)
-    digits = min(MOST, -math.floor(math.log10(half / 2)))
+    digits = min(MOST, -math.floor(math.log10(half_width / 2)))
     if round(difference, digits) == 0:
         digits += 1
     return digits
 
 
-def _factor(log: float) -> str:
+def _factor(logarithm: float) -> str:
     """Return a factor with two digits, given its logarithm."""
-    if log > MOST_LOG:
+    if logarithm > MOST_LOG:
         return "∞"
-    factor = math.exp(log)
+    factor = math.exp(logarithm)
     return shown(factor, decimals(factor) - 1)
 
 
-def _name(row: ClaimContrast) -> str:
+def _name(claim_contrast: ClaimContrast) -> str:
     """Return the words for an outcome of a contrast, after those for its pair of arms."""
-    claim, outcome = row.claim, row.outcome
-    words = _outcome_words(outcome)
+    claim, outcome = claim_contrast.claim, claim_contrast.outcome
+    outcome_words = _outcome_words(outcome)
     if claim.event:
-        words = _EVENTS.get(f"{outcome} {claim.event}", f"runs with {words} {claim.event}")
+        outcome_words = _EVENTS.get(f"{outcome} {claim.event}", f"runs with {outcome_words} {claim.event}")
     if claim.kind in ("spread", "range"):
-        words = f"{claim.kind} of {words}"
+        outcome_words = f"{claim.kind} of {outcome_words}"
     pair_names = claim.called[2:]
     if claim.kind == "interaction":
-        return f"effect on {words}, {' against '.join(pair_names)}:"
+        return f"effect on {outcome_words}, {' against '.join(pair_names)}:"
     if claim.paired and pair_names:
-        return f"{pair_names[claim.a.index(row.a[0])]}, {words}"
-    return words
+        return f"{pair_names[claim.a.index(claim_contrast.a[0])]}, {outcome_words}"
+    return outcome_words
 
 
-def _outcome_words(name: str) -> str:
-    if name.startswith("steps-to:"):
-        return f"steps to {100 * float(name.removeprefix('steps-to:')):g} % of the monsters"
-    return find_outcome(name).short or find_outcome(name).words
+def _outcome_words(outcome_name: str) -> str:
+    if outcome_name.startswith("steps-to:"):
+        return f"steps to {100 * float(outcome_name.removeprefix('steps-to:')):g} % of the monsters"
+    return find_outcome(outcome_name).short or find_outcome(outcome_name).words
 
 
 # --- Claims ----------------------------------------------------------------------------------------
@@ -320,20 +322,20 @@ def _outcome_words(name: str) -> str:
 
 def arms_in_words(claim: Claim) -> str:
     """Return what is compared, as 'tanh against ReLU'; one arm alone is held against a threshold."""
-    first, second = " and ".join(claim.a), " and ".join(claim.b)
+    arm_a, arm_b = " and ".join(claim.a), " and ".join(claim.b)
     if claim.called:
-        first, second = claim.called[:2]
-    if second:
-        first += f" against {second}"
-    return first
+        arm_a, arm_b = claim.called[:2]
+    if arm_b:
+        arm_a += f" against {arm_b}"
+    return arm_a
 
 
 def sentence(claim: Claim) -> str:
     """Return the thesis's sentence without the marks of TeX and Markdown."""
-    text = re.sub(r"\$\$.*?\$\$ *|_\{[^}]*\}|[*$]|\[\d+\]", "", claim.quote)
-    text = re.sub(r"\\([a-z]+|\|) ?", lambda match: _SYMBOLS.get(match[1], match[1]), text)
-    text = re.sub(r"_(\w)", lambda match: match[1].translate(_SUBSCRIPTS), text)
-    return re.sub(r" (?=[,.;)])", "", " ".join(text.split()))
+    plain_text = re.sub(r"\$\$.*?\$\$ *|_\{[^}]*\}|[*$]|\[\d+\]", "", claim.quote)
+    plain_text = re.sub(r"\\([a-z]+|\|) ?", lambda match: _SYMBOLS.get(match[1], match[1]), plain_text)
+    plain_text = re.sub(r"_(\w)", lambda match: match[1].translate(_SUBSCRIPTS), plain_text)
+    return re.sub(r" (?=[,.;)])", "", " ".join(plain_text.split()))
 
 
 def short_sentence(claim: Claim) -> str:
