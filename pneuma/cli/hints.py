@@ -10,7 +10,10 @@ from pneuma.study.plan import Plan, default_preset
 from pneuma.study.spec import asked_words, results_words
 from pneuma.values import seeds_option
 
-OPTIONS = {"conditions": "--condition", "settings": "--set", "outcomes": "--outcome", "formats": "--format"}
+OPTIONS = {
+    "conditions": "--condition", "settings": "--set", "outcomes": "--outcome", "formats": "--format",
+    "values": "--value",
+}  # fmt: skip
 """The options that are not called as arguments in Python."""
 VERBS = {"run_study": "run", "plot": "plot", "summarize": "summary"}
 """The commands that are not called as functions in Python."""
@@ -44,4 +47,6 @@ def write_hint(hint: Any) -> str:
             words += results_words(hint.results)
         return command("study", VERBS[hint.field], *words)
     name = OPTIONS.get(hint.field, f"--{hint.field.replace('_', '-')}")
-    return name if hint.value is None else f"{name} {hint.value}"
+    if hint.value is None or hint.value is True:
+        return name
+    return f"{name} {shlex.quote(str(hint.value))}"

@@ -9,7 +9,6 @@ import io
 import math
 import os
 import re
-import shlex
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any
 
 import pandas as pd
 
-from pneuma.errors import UserError, counted, unknown_name
+from pneuma.errors import Hint, UserError, counted, unknown_name
 from pneuma.files import read_text
 from pneuma.imports.logs import Import, Log, choose_study_name, condition_and_seed, file_facts, store_logs
 from pneuma.store.quantities import EPISODE_QUANTITIES, EVALUATION_TAGS, TAGS, TRAINING_QUANTITIES
@@ -31,12 +30,12 @@ QUANTITIES["evaluated_return"] = (EVALUATION_TAGS["return"],) * 2
 QUANTITIES["success"] = (EVALUATION_TAGS["success"],) * 2
 """The tags of each quantity: of means over episodes, and of single values."""
 SUGGESTED = {
-    "--step": r"_?(global_)?steps?|(total_)?timesteps|time/total_timesteps",
-    "--value": r".*(return|reward|ep_rew_mean).*",
-    "--condition": "condition",
-    "--seed": "seed",
+    "step": r"_?(global_)?steps?|(total_)?timesteps|time/total_timesteps",
+    "values": r".*(return|reward|ep_rew_mean).*",
+    "condition": "condition",
+    "seed": "seed",
 }
-"""Names of columns, in lower case, that the command to copy suggests."""
+"""Names of columns, in lower case, that are suggested for fields of `Columns`."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +123,7 @@ def _read_runs(path: Path, shared: Path, text: str, columns: Columns) -> Iterato
     """Yield the runs of a table."""
     table = _read_cells(path, text)
     if not (columns.step and columns.values):
-        raise UserError(_columns_to_choose(path, table))
+        raise _columns_to_choose(path, table)
     quantities = dict(_column_and_quantity(table, value) for value in columns.values)
     if len(set(quantities.values())) < len(columns.values):
         raise UserError("--value: two columns are given for one quantity; give one, or write COLUMN=QUANTITY")
@@ -183,16 +182,16 @@ def _read_cells(path: Path, text: str) -> pd.DataFrame:
     return rows.iloc[1:].set_axis(list(header), axis="columns")
 
 
-def _columns_to_choose(path: Path, table: pd.DataFrame) -> str:
-    """Return which columns a table has, and a command with those that their names suggest."""
-    words = ["pneuma", "import", "csv", str(path)]
-    for option, pattern in SUGGESTED.items():
+def _columns_to_choose(path: Path, table: pd.DataFrame) -> UserError:
+    """Return the error that lists a table's columns, with those that their names suggest."""
+    parts: list[str | Hint] = [f"{path}: choose from its columns {', '.join(table.columns)}, as in"]
+    for field, pattern in SUGGESTED.items():
         names = [name for name in table.columns if re.fullmatch(pattern, name.lower())]
         if len(names) == 1:
-            words += [option, names[0]]
-        elif option in ("--step", "--value"):
-            words += [option, "COLUMN"]
-    return f"{path}: choose from its columns {', '.join(table.columns)}, as in {shlex.join(words)}"
+            parts += [" ", Hint(field, names[0])]
+        elif field in ("step", "values"):
+            parts += [" ", Hint(field, "COLUMN")]
+    return UserError(*parts)
 
 
 def _find_column(table: pd.DataFrame, option: str, name: str) -> pd.Series:

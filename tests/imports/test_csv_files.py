@@ -110,11 +110,11 @@ def test_several_columns_are_several_quantities() -> None:
     assert row.curve("return")[[66, 132, 199]].tolist() == [1, 1, 3]  # at steps 10.05, 19.95 and 30
 
 
-def test_without_columns_they_are_listed_with_a_command_to_copy() -> None:
-    write("my runs.csv", "global_step,algo,seed,return\n10,ppo,0,1\n")
+def test_without_columns_they_are_listed_with_options_to_copy() -> None:
+    write("my runs.csv", "global_step,algo,seed,my return\n10,ppo,0,1\n")
     told = refused("import", "csv", "my runs.csv")
-    command = "pneuma import csv 'my runs.csv' --step global_step --value return --seed seed"
-    assert told == f"my runs.csv: choose from its columns global_step, algo, seed, return, as in {command}"
+    options = "--step global_step --value 'my return' --seed seed"
+    assert told == f"my runs.csv: choose from its columns global_step, algo, seed, my return, as in {options}"
     write("two.csv", "step,train_return,eval_return\n10,1,2\n")
     assert refused("import", "csv", "two.csv").endswith(" --step step --value COLUMN")
 
