@@ -176,11 +176,28 @@ def _means(scores: Scores) -> list[np.ndarray]:
     return [runs.mean(axis=-1) for runs in scores]
 
 
+def _mean(scores: Scores) -> np.ndarray:
+    return np.mean(_means(scores), axis=0)
+
+
+def _median(scores: Scores) -> np.ndarray:
+    return np.median(_means(scores), axis=0)
+
+
+def _middle_mean(scores: Scores) -> np.ndarray:
+    return interquartile_mean(np.concatenate(scores, axis=-1))
+
+
+def _optimality_gap(scores: Scores) -> np.ndarray:
+    runs = np.concatenate(scores, axis=-1)
+    return 1 - np.minimum(runs, 1).mean(axis=-1)
+
+
 AGGREGATES: Mapping[str, Statistic] = {
-    "mean": lambda scores: np.mean(_means(scores), axis=0),
-    "median": lambda scores: np.median(_means(scores), axis=0),
-    "IQM": lambda scores: interquartile_mean(np.concatenate(scores, axis=-1)),
-    "optimality gap": lambda scores: 1 - np.minimum(np.concatenate(scores, axis=-1), 1).mean(axis=-1),
+    "mean": _mean,
+    "median": _median,
+    "IQM": _middle_mean,
+    "optimality gap": _optimality_gap,
 }
 """Mean and median over environments of means over runs; the mean of the middle half of all runs; and by how
 much all miss a score of 1, in the mean, where what lies above 1 does not count."""

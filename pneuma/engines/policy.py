@@ -39,14 +39,26 @@ class Activation(NamedTuple):
     is_dead: Callable[[Any], Any]
 
 
+def _relu(x: np.ndarray) -> np.ndarray:
+    return np.maximum(x, 0)
+
+
+def _leaky_relu(x: np.ndarray) -> np.ndarray:
+    return np.where(x > 0, x, x * np.float32(LEAKY_SLOPE))
+
+
 def _is_silent(units: Any) -> Any:
     return units <= 0
 
 
+def _is_saturated(units: Any) -> Any:
+    return abs(units) > 0.99
+
+
 NUMPY_ACTIVATIONS = {
-    "tanh": Activation(np.tanh, lambda units: abs(units) > 0.99),
-    "relu": Activation(lambda x: np.maximum(x, 0), _is_silent),
-    "leaky-relu": Activation(lambda x: np.where(x > 0, x, x * np.float32(LEAKY_SLOPE)), _is_silent),
+    "tanh": Activation(np.tanh, _is_saturated),
+    "relu": Activation(_relu, _is_silent),
+    "leaky-relu": Activation(_leaky_relu, _is_silent),
 }
 """The other backends have a table of their own in `mlp` and `batched.update`; torch has classes."""
 
