@@ -30,7 +30,6 @@ def find_one_action(data: StudyData) -> StudyAnswer:
     )
     notes = [
         f"{state}; it stays there from the first of {LATE} such evaluations in a row.",
-        "Left: after Kaplan and Meier. Right: means over runs.",
         *notes_on_runs(data),
     ]
     return StudyAnswer(data.full_title, data.about, tables, [tables["time"]], notes, data=data)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pandas as pd
@@ -29,7 +29,7 @@ def profile_page(answer: StudyAnswer) -> Page:
         axes.set(xlim=(table["x"].min(), table["x"].max()), ylim=(0, 1 + grid.BELOW_ZERO))
 
     panel = Panel(draw, x="Score", y="Share of runs above it", y_kind=SHARES)
-    return _page(answer, "profile", "performance profiles", [panel])
+    return _page(answer, "profile", "performance profiles", [panel], answer.notes)
 
 
 def one_action_page(answer: StudyAnswer) -> Page:
@@ -48,7 +48,9 @@ def one_action_page(answer: StudyAnswer) -> Page:
     survival = ("Not yet staying in one action", "Environment steps", "Share of runs")
     times = ("Time in one action", "Fifth of training", "Share of evaluations")
     panels = [Panel(draw_survival, *survival, y_kind=SHARES), Panel(draw_times, *times, y_kind=SHARES)]
-    return _page(answer, "one-action", "runs in one action", panels)
+    caption = list(answer.notes)
+    caption.insert(1, "Left: after Kaplan and Meier. Right: means over runs.")
+    return _page(answer, "one-action", "runs in one action", panels, caption)
 
 
 def _draw_lines(
@@ -65,7 +67,7 @@ def _draw_lines(
         axes.plot(frame["x"], frame["share"], clip_on=False, **look)
 
 
-def _page(answer: StudyAnswer, name: str, subject: str, panels: list[Panel]) -> Page:
+def _page(answer: StudyAnswer, name: str, subject: str, panels: list[Panel], caption: Sequence[str]) -> Page:
     return Page(
         basename=answer.data.basename(name),
         grid=[panels],
@@ -73,6 +75,6 @@ def _page(answer: StudyAnswer, name: str, subject: str, panels: list[Panel]) -> 
         headline=headline_of(answer.data, subject),
         runs=lines_of_runs(answer.data),
         entries={"95 % interval": Patch(color=style.INK, alpha=OPACITY, linewidth=0)},
-        caption=answer.notes,
+        caption=caption,
         answer=answer,
     )
