@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from pneuma.config import OF_WORLDS, Run, as_fields, is_gymnasium_id, make_run
 from pneuma.env.fields import ENVIRONMENTS, make_env_config, read_field
-from pneuma.errors import Say, UserError, counted, silent
+from pneuma.errors import Message, Say, UserError, counted, silent
 from pneuma.schema import plain
 from pneuma.store.last_queries import on_top_of_last
 from pneuma.store.provenance import available_cores, project
@@ -134,7 +134,7 @@ def train_plan(
         own_files = {own_file for cell in planned.cells for own_file in user_files(as_fields(cell.run))}
         config = replace(config, project=project(Path(own_path), own_files))
     for note in list(planned.notes) + list(notes):
-        say(f"Note: {note}.")
+        say(Message("Note: ", note, "."))
     if missing:
         say(f"Training {counted(len(missing), 'run')}; compiling for the first time takes up to a minute.")
     with ProgressDisplay(missing, store, quiet or on_progress is not None, config.until) as display:

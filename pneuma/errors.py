@@ -34,7 +34,8 @@ class Hint:
 
     Attributes:
         field: the argument's name in Python.
-        value: the value that helps, or that is wrong; None if the message names the argument alone.
+        value: the value that helps, or that is wrong, True for a flag; None if the message names the argument
+            alone.
     """
 
     field: str
@@ -48,7 +49,7 @@ class Message(str):
     """A text with hints in it, which are written as in Python.
 
     Attributes:
-        parts: texts and hints.
+        parts: texts, other messages and hints.
     """
 
     parts: tuple[str | Hint, ...]
@@ -69,17 +70,18 @@ def silent(message: str) -> None:
 
 def written(message: str, write_hint: Callable[[Hint], str]) -> str:
     """Return a text or message whose hints are written by a function."""
-    message_parts: Iterable[str | Hint] = getattr(message, "parts", (message,))
+    if not isinstance(message, Message):
+        return message
     return "".join(
-        write_hint(message_part) if isinstance(message_part, Hint) else message_part
-        for message_part in message_parts
+        write_hint(message_part) if isinstance(message_part, Hint) else written(message_part, write_hint)
+        for message_part in message.parts
     )
 
 
 class UserError(Exception):
     """A mistake in a command or a file. Its message is one line that names what to change.
 
-    Its arguments are the parts of the message: texts and hints.
+    Its arguments are the parts of its `Message`.
     """
 
     def __str__(self) -> str:
@@ -150,8 +152,8 @@ def unknown_name(category: str, word: str, known_names: Iterable[str]) -> UserEr
     hint, separator = nearest_name(word, listed), "; " if any("," in name for name in listed) else ", "
     hidden_count = len(listed) - MOST_LISTED
     if hidden_count > 1 and hint:
-        return UserError(f"unknown {category} {word!r}{hint}")
+        return UserError("unknown ", category, f" {word!r}{hint}")
     if hidden_count > 1:
         closest_names = difflib.get_close_matches(str(word).lower(), listed, MOST_LISTED, 0)
         listed = [*(name for name in listed if name in closest_names), f"{hidden_count} more"]
-    return UserError(f"unknown {category} {word!r}{hint}; known are {separator.join(listed)}")
+    return UserError("unknown ", category, f" {word!r}{hint}; known are {separator.join(listed)}")

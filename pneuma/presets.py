@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import unknown_name
 
 _THESIS: dict[str, Any] = {
     "gamma": 0.99, "gae_lambda": 0.95, "learning_rate": 3e-4, "minibatch": 64, "entropy_coefficient": 0.01,
@@ -61,7 +61,7 @@ def world_fields(world: str, set_by_study: Collection[str]) -> dict[str, Any]:
 
 def checked_world(world: str | None) -> str | None:
     if world is not None and world not in WORLDS:
-        raise UserError(f"--world {world}: {unknown_name('world', world, WORLDS)}")
+        raise unknown_name("world", world, WORLDS)
     return world
 
 

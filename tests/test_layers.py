@@ -1,4 +1,4 @@
-"""Who may import whom (CONTRIBUTING.md), and that the package list is complete."""
+"""Laws of the code: who may import whom (CONTRIBUTING.md), the package list, how texts are written."""
 
 from __future__ import annotations
 
@@ -88,6 +88,34 @@ def test_the_package_list_is_every_folder_with_code() -> None:
     assert len(listed) == len(set(listed))
     beside = {"pneuma.published": "results/published", "pneuma.studies": "studies"}
     assert settings["tool"]["setuptools"]["package-dir"] == beside
+
+
+COMMAND_WORDS = {
+    "--world", "--set=", "--results", "--preset", "--condition", "--seeds", "--steps", "--unpublished",
+}  # fmt: skip
+"""Options in commands to copy, each a text of its own."""
+OPTIONS_OF_OTHERS = {"pneuma.store.provenance": "git", "pneuma.training.executors.local": "XLA"}
+
+
+def _texts(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield line and text of every string of a file that is no docstring."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    docstrings = {node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in docstrings:
+            yield node.lineno, node.value
+
+
+def test_messages_below_the_command_line_name_no_option() -> None:
+    """They name arguments by `Hint`, which is written as in Python, or as an option by the command line."""
+    breaches = []
+    for module, path in MODULES.items():
+        if _belongs(module, "pneuma.cli") or module in OPTIONS_OF_OTHERS:
+            continue
+        for line, text in _texts(path):
+            if re.search("--[a-z]", text.replace("ray start --head", "")) and text not in COMMAND_WORDS:
+                breaches.append(f"{path.relative_to(ROOT)}:{line}: {text}")
+    assert breaches == []
 
 
 def test_percentages_are_written_with_a_space() -> None:

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
-from pneuma.cli.hints import command
+from pneuma.cli.hints import command, write_hint
 from pneuma.cli.output import Result, say
-from pneuma.errors import counted
+from pneuma.errors import counted, written
 from pneuma.store.store import Store
 from pneuma.study.spec import results_words
 
@@ -68,7 +68,8 @@ def csv(
 
 
 def _imported(imported: Import, results: Path) -> Result:
-    study, logs, notes = imported
+    study, logs, messages = imported
+    notes = [written(message, write_hint) for message in messages]
     for note in notes:
         say(f"Note: {note}.")
     runs: list[dict[str, object]] = []

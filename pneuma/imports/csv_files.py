@@ -17,7 +17,7 @@ from typing import Any
 
 import pandas as pd
 
-from pneuma.errors import Hint, UserError, counted, unknown_name
+from pneuma.errors import Hint, Message, UserError, counted, unknown_name
 from pneuma.files import read_text
 from pneuma.imports.logs import Import, Log, choose_study_name, condition_and_seed, file_facts, store_logs
 from pneuma.store.quantities import EPISODE_QUANTITIES, EVALUATION_TAGS, TAGS, TRAINING_QUANTITIES
@@ -77,9 +77,8 @@ def import_csv(paths: Sequence[Path], columns: Columns, store: Store, name: str 
         else:
             logs += _read_runs(path, shared, text, columns)
     if monitors and (columns.step or columns.values):
-        raise UserError(
-            f"{next(iter(monitors))}: is a monitor file, which needs no columns: leave out --step and --value"
-        )
+        text = f"{next(iter(monitors))}: is a monitor file, which needs no columns: leave out "
+        raise UserError(text, Hint("step"), " and ", Hint("values"))
     runs = [{path: text} for path, text in monitors.items()]
     if monitors and columns.condition and columns.seed:
         runs = [monitors]
@@ -126,8 +125,10 @@ def _read_runs(path: Path, shared: Path, text: str, columns: Columns) -> Iterato
         raise _columns_to_choose(path, table)
     quantities = dict(_column_and_quantity(table, value) for value in columns.values)
     if len(set(quantities.values())) < len(columns.values):
-        raise UserError("--value: two columns are given for one quantity; give one, or write COLUMN=QUANTITY")
-    steps = _whole_numbers(path, _find_column(table, "--step", columns.step))
+        raise UserError(
+            Hint("values"), ": two columns are given for one quantity; give one, or write COLUMN=QUANTITY"
+        )
+    steps = _whole_numbers(path, _find_column(table, "step", columns.step))
     condition, seed = condition_and_seed(_name_parts(path, shared))
     runs = pd.DataFrame({"condition": columns.condition or condition, "seed": seed}, index=table.index)
     if columns.condition in table:
@@ -194,9 +195,9 @@ def _columns_to_choose(path: Path, table: pd.DataFrame) -> UserError:
     return UserError(*parts)
 
 
-def _find_column(table: pd.DataFrame, option: str, name: str) -> pd.Series:
+def _find_column(table: pd.DataFrame, field: str, name: str) -> pd.Series:
     if name not in table:
-        raise unknown_name(f"column in {option}", name, list(table.columns))
+        raise unknown_name(Message("column in ", Hint(field)), name, list(table.columns))
     return table[name]
 
 
@@ -205,21 +206,21 @@ def _read_seed(text: str, columns: Sequence[str] = ()) -> int:
     if re.fullmatch("[0-9]{1,18}", text):
         return int(text)
     if columns:
-        raise unknown_name("column in --seed", text, columns)
-    raise UserError(f"--seed {text}: must be a number, because a monitor file has no column of seeds")
+        raise unknown_name(Message("column in ", Hint("seed")), text, columns)
+    raise UserError(Hint("seed", text), ": must be a number, because a monitor file has no column of seeds")
 
 
 def _column_and_quantity(table: pd.DataFrame, value: str) -> tuple[str, str]:
     column, quantity = value, "return"
     if value not in table and "=" in value:
         column, _, quantity = value.rpartition("=")
-    _find_column(table, "--value", column)
+    _find_column(table, "values", column)
     if quantity not in QUANTITIES:
-        raise unknown_name(f"quantity in --value {value}:", quantity, QUANTITIES)
+        raise unknown_name(Message("quantity in ", Hint("values", value), ":"), quantity, QUANTITIES)
     min_column, max_column = f"{column}__MIN", f"{column}__MAX"
     if min_column in table and max_column in table and not table[min_column].equals(table[max_column]):
         raise UserError(
-            f"--value {column}: holds means, as {min_column} shows; export all rows of single runs"
+            Hint("values", column), f": holds means, as {min_column} shows; export all rows of single runs"
         )
     return column, quantity
 
@@ -251,9 +252,8 @@ def _refuse_two_runs(path: Path, steps: pd.Series, run: str) -> None:
     backward = steps.index[steps.diff() <= 0]
     if len(backward):
         again = f"{path}, row {backward[0]}: step {steps[backward[0]]:,} of {run} is not after the one before"
-        raise UserError(
-            f"{again}: distinguish the runs with --condition and --seed, or keep one row per step"
-        )
+        names = Hint("condition"), " and ", Hint("seed")
+        raise UserError(f"{again}: distinguish the runs with ", *names, ", or keep one row per step")
 
 
 # --- Monitors of Stable-Baselines3 ------------------------------------------------------------------

@@ -16,7 +16,7 @@ from typing import Any
 
 import pandas as pd
 
-from pneuma.errors import UserError, counted
+from pneuma.errors import Hint, Message, UserError, counted
 from pneuma.files import checksum, to_json
 from pneuma.store.row_builder import cells_of_files
 from pneuma.store.rows import encode_row
@@ -110,13 +110,11 @@ def store_logs(logs: Sequence[Log], store: Store, source: str, study: str, adds_
         elif run["run_id"] not in by_id:
             replaced += 1
     if replaced:
-        notes.append(
-            f"{counted(replaced, 'run')} of study {study} had other data before; another --name keeps both"
-        )
+        text = f"{counted(replaced, 'run')} of study {study} had other data before; another "
+        notes.append(Message(text, Hint("name"), " keeps both"))
     if other_runs and not adds_runs:
-        raise UserError(
-            f"--name: study {study} has other runs; give --name {study} to add to them, or another name"
-        )
+        text = f"study {study} has other runs; give "
+        raise UserError(text, Hint("name", study), " to add to them, or another name")
     store.check_writable()
     for log in kept_logs:
         log.new = not store.status(log.run_id).finished
@@ -145,12 +143,14 @@ def choose_study_name(name: str | None, source_path: Path, store: Store, source:
     if name is None:
         name = re.sub(r"[^A-Za-z0-9._-]+", "-", source_path.resolve().name).strip("-.")
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", name) or name.endswith(".toml"):
-        raise UserError(f"--name {name}: use only letters, digits, dots, - and _, and not the name of a file")
+        raise UserError(
+            Hint("name", name), ": use only letters, digits, dots, - and _, and not the name of a file"
+        )
     if name in list_studies():
-        raise UserError(f"--name {name}: this is the name of a shipped study; give another")
+        raise UserError(Hint("name", name), ": this is the name of a shipped study; give another")
     listing = store.listing(name)
     if listing and listing.get("source") != source:
-        raise UserError(f"--name {name}: a study with this name was run in {store.root}; give another")
+        raise UserError(Hint("name", name), f": a study with this name was run in {store.root}; give another")
     return name
 
 

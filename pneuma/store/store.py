@@ -36,7 +36,7 @@ from pydantic import StringConstraints, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
 from pneuma.config import OF_WORLDS, Run, as_fields, is_gymnasium_id
-from pneuma.errors import StorageError, UserError
+from pneuma.errors import Hint, StorageError, UserError
 from pneuma.files import (
     SCHEMA,
     checksum,
@@ -167,7 +167,7 @@ class Store:
             problem = f"cannot be written ({error.strerror})"
             if self.root.is_file():
                 problem = "is not a folder"
-            raise UserError(f"--results {self.root}: {problem}; name another folder") from None
+            raise UserError(Hint("results", str(self.root)), f": {problem}; name another folder") from None
 
     def _check_within(self, folder: Path) -> None:
         """Refuse a folder from which a link leads out of the results, or in a circle."""

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pneuma.config import FIELDS, Run, as_fields, make_run
-from pneuma.errors import UserError, nearest_name
+from pneuma.errors import Hint, UserError, nearest_name
 from pneuma.store.store import Store, read_sound
 from pneuma.study.identity import describe_user_code
 
@@ -29,9 +29,8 @@ def find_run(store: Store, prefix: str) -> str:
             listed += ", …"
         raise UserError(f"run {prefix!r} is ambiguous: give more digits; {folder} holds {listed}")
     hint = nearest_name(prefix, run_ids) if run_ids else " (it holds none)"
-    raise UserError(
-        f"no run {prefix!r} in {folder}{hint}; `pneuma run list` shows all runs; --results selects the folder"
-    )
+    text = f"no run {prefix!r} in {folder}{hint}; `pneuma run list` shows all runs; "
+    raise UserError(text, Hint("results"), " selects the folder")
 
 
 def run_files(store: Store, run_id: str) -> list[dict[str, Any]]:
@@ -86,7 +85,7 @@ def trusted_settings(store: Store, run_id: str, trust: bool) -> dict[str, Any]:
     uses = describe_user_code(settings)
     if uses and not trust:
         raise UserError(
-            f"run {run_id} would {' and '.join(uses.values())}: "
-            "if you trust its source, add --trust (in Python: trust=True)"
+            f"run {run_id} would {' and '.join(uses.values())}: if you trust its source, add ",
+            Hint("trust", True),
         )
     return settings

@@ -27,7 +27,7 @@ from pneuma.config import (
     round_up,
 )
 from pneuma.env.fields import OF_PLAYERS, read_field
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import Hint, UserError, unknown_name
 from pneuma.sb3_names import own_fields
 from pneuma.study.identity import config_id, files_beside, run_id
 from pneuma.study.spec import (
@@ -212,12 +212,11 @@ def configure(
     settings = own_fields(settings)
     for key in settings:
         if key in ("seed", "steps"):
-            option = "--seeds" if key == "seed" else "--steps"
-            raise UserError(f"{key} cannot be set by --set: use {option}")
+            argument = Hint("seeds" if key == "seed" else "steps")
+            raise UserError(f"{key} cannot be set by ", Hint("settings"), ": use ", argument)
         if study.levels and any(key in fields for fields in study.conditions.values()):
-            raise UserError(
-                f"--set {key}: conditions of study {study.name} differ in it; choose one with --condition"
-            )
+            text = f" {key}: conditions of study {study.name} differ in it; choose one with "
+            raise UserError(Hint("settings"), text, Hint("conditions"))
     overrides, swept = _read_settings(study, settings)
     variants = _sweep(study, swept)
     for name in selection:
@@ -238,7 +237,7 @@ def configure(
     crossed = study.model_copy(update=changes)
     runs = {name: make_run(crossed.fields(name, {"steps": 1, **overrides})) for name in origins}
     for key in unread_fields(runs.values(), settings):
-        raise UserError(f"--set {key}: {does_nothing(key, runs.values())}")
+        raise UserError(Hint("settings"), f" {key}: {does_nothing(key, runs.values())}")
     for name, run in runs.items():
         if _leaves_engine_open(crossed, name) and is_gymnasium_id(run.env) and not beyond_engine(run):
             runs[name] = make_run({**as_fields(run), "engine": engine(run)})  # which may lack the optimizer
@@ -284,7 +283,7 @@ def _sweep(study: Study, swept: Swept) -> dict[str, _Variant]:
     """Cross the conditions of a study with the values of swept fields."""
     count = math.prod(map(len, [study.conditions, *swept.values()]))
     if swept and count > MOST_CONDITIONS:
-        raise UserError(f"--set: {count:,} conditions are too many: at most {MOST_CONDITIONS:,}")
+        raise UserError(Hint("settings"), f": {count:,} conditions are too many: at most {MOST_CONDITIONS:,}")
     variants = {}
     for *texts, origin in product(*swept.values(), study.conditions):
         name, fields, levels = origin, {}, {}

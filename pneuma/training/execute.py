@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from pneuma.config import OF_GYMNASIUM, Run, env_config, is_open
-from pneuma.errors import counted
+from pneuma.errors import Hint, Message, counted
 from pneuma.store.last_queries import note_query
 from pneuma.store.store import Status, Store, run_identity
 from pneuma.study.plan import Cell, Plan
@@ -155,9 +155,8 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) 
         notes.append(f"{runs} cannot be resumed: if stopped, they start over")
     if failures:
         statuses_text = ", ".join(sorted(set(failures)))
-        notes.append(
-            f"{counted(len(failures), 'run')} failed before ({statuses_text}); --retry-failed tries again"
-        )
+        text = f"{counted(len(failures), 'run')} failed before ({statuses_text}); "
+        notes.append(Message(text, Hint("retry_failed", True), " tries again"))
     return notes
 
 

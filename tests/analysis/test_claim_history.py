@@ -108,7 +108,7 @@ def test_a_preset_of_claims_that_were_changed_is_refused(tmp_path: Path) -> None
     study = load_study(str(tmp_path / "mine.toml"), "text")
     refuse_changed(RunIndex(store), study)
     write_files(tmp_path, CLAIMS.replace("margin = 0.04", "margin = 0.4"))
-    with pytest.raises(UserError, match=r"--preset claims: the claim better was changed .*\(margin\)"):
+    with pytest.raises(UserError, match=r"preset='claims': the claim better was changed .*\(margin\)"):
         refuse_changed(RunIndex(store), study)
 
 

@@ -47,7 +47,7 @@ def test_a_condition_has_the_seeds_of_all_claims_on_it_in_its_world(tmp_path: Pa
 
 def test_where_claims_fix_several_budgets_one_is_chosen(tmp_path: Path) -> None:
     study = _study(tmp_path, FEW + STEADIER.replace("seeds =", "steps = 512\nseeds ="))
-    with pytest.raises(UserError, match="runs of 1,024 or 512 steps: choose with --steps"):
+    with pytest.raises(UserError, match="runs of 1,024 or 512 steps: choose with steps"):
         with_claims(study)
     preset = with_claims(study, 512).presets["claims"]
     assert {amount.steps for amount in preset.conditions.values()} == {512}

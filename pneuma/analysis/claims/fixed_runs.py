@@ -20,7 +20,7 @@ from pneuma.analysis.outcomes import is_return, outcome, reason, unit_of_return
 from pneuma.analysis.runs import finished_rows, runs_of_plan
 from pneuma.analysis.study_data import StudyData
 from pneuma.config import Run, round_up
-from pneuma.errors import UserError
+from pneuma.errors import Hint, UserError
 from pneuma.store.index import RunIndex
 from pneuma.store.rows import Row
 from pneuma.study.identity import config_id
@@ -210,14 +210,12 @@ def with_claims(study: Study, steps: int | None = None) -> Study:
     Raises:
         UserError: when no claim is about the study, or several budgets are possible.
     """
-    amounts = fixed_amounts(study)
+    amounts, preset_hint = fixed_amounts(study), Hint("preset", CLAIMS)
     if not amounts:
-        raise UserError(
-            f"--preset {CLAIMS}: no list of claims fixes runs of study {study.name} in this world"
-        )
+        raise UserError(preset_hint, f": no list of claims fixes runs of study {study.name} in this world")
     if len(amounts) > 1 and steps is None:
         budgets = " or ".join(f"{budget:,}" for budget in amounts)
-        raise UserError(f"--preset {CLAIMS}: claims fix runs of {budgets} steps: choose with --steps")
+        raise UserError(preset_hint, f": claims fix runs of {budgets} steps: choose with ", Hint("steps"))
     steps = steps or next(iter(amounts))
     conditions: dict[str, Amount] = {}
     for by_condition in amounts.values():

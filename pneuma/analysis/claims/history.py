@@ -24,7 +24,7 @@ from typing import Any
 
 from pneuma.analysis.claims.claim_list import RULES, Claim, ClaimList, claim_keys
 from pneuma.analysis.claims.fixed_runs import claims_on, find_claim_runs
-from pneuma.errors import UserError
+from pneuma.errors import Hint, UserError
 from pneuma.schema import plain
 from pneuma.store.index import RunIndex
 from pneuma.store.provenance import SOURCE, file_at, line_at
@@ -50,8 +50,9 @@ def refuse_changed(index: RunIndex, study: Study) -> None:
         changed = changed_since(claim_list, claim, study.world, claim_runs.commits)
         if changed:
             raise UserError(
-                f"--preset {CLAIMS}: the claim {claim.name} was changed after its first run "
-                f"({', '.join(changed)}), so more runs prove nothing; use another preset or --seeds, --steps"
+                Hint("preset", CLAIMS),
+                f": the claim {claim.name} was changed after its first run ({', '.join(changed)}), "
+                "so more runs prove nothing; use another preset, or other seeds or steps",
             )
 
 

@@ -20,10 +20,10 @@ from functools import cache
 from importlib.util import find_spec
 from typing import Any
 
-from pneuma.errors import UserError, install_extra
+from pneuma.errors import Hint, UserError, install_extra
 from pneuma.store.provenance import CARRIED_CODE, SOURCE, available_cores, code, machine
 from pneuma.store.store import Status
-from pneuma.training.executors.base import Event, ExecutorConfig, Job, OnEvent, end_event
+from pneuma.training.executors.base import RAY, Event, ExecutorConfig, Job, OnEvent, end_event
 from pneuma.training.executors.local import Interrupts, Supervisor, prepare_node, say_stopping
 from pneuma.training.worker import die_with
 
@@ -31,13 +31,14 @@ MOST_IN_TASK = 8
 """Most runs per task of the cluster, which trains them one after another in one process."""
 JOIN_SECONDS = 5.0
 LOOK_SECONDS = 1.0
+EXECUTOR = Hint("executor", RAY)
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 
 
 def most_workers(config: ExecutorConfig) -> int:
     """Return how many runs the cluster's CPUs can train at once. No cluster is started to find out."""
     if find_spec("ray") is None:
-        raise UserError(f"--executor ray needs Ray: {install_extra('ray')}")
+        raise UserError(EXECUTOR, f" needs Ray: {install_extra('ray')}")
     if config.address is None:
         return available_cores()
     join(config.address)
@@ -45,7 +46,7 @@ def most_workers(config: ExecutorConfig) -> int:
 
     cpus = int(ray.cluster_resources().get("CPU", 0))
     if not cpus:
-        raise UserError("--executor ray: no node of the cluster has a free CPU")
+        raise UserError(EXECUTOR, ": no node of the cluster has a free CPU")
     return cpus
 
 
@@ -137,7 +138,7 @@ def _check(task: Any) -> None:
         ray.get(task)
     except (ray.exceptions.RayTaskError, ray.exceptions.RuntimeEnvSetupError) as error:
         cause = getattr(error, "cause", error)
-        raise cause if isinstance(cause, UserError) else UserError(f"--executor ray: {cause}") from None
+        raise cause if isinstance(cause, UserError) else UserError(EXECUTOR, f": {cause}") from None
     except ray.exceptions.RayError:
         pass
 
@@ -189,8 +190,9 @@ def join(address: str | None) -> None:
             ray.init(address, runtime_env=runtime, **quiet)
     except Exception as error:  # Ray raises many kinds of errors
         raise UserError(
-            f"--address {address}: cannot join a cluster there ({error}); give the address that "
-            "`ray start --head` printed, on a machine of the cluster"
+            Hint("address", address),
+            f": cannot join a cluster there ({error}); give the address that `ray start --head` printed, "
+            "on a machine of the cluster",
         ) from None
 
 
@@ -211,12 +213,12 @@ def train_here(text: str, required: Mapping[str, str], folder: str) -> None:
     installed, node = versions(), socket.gethostname()
     missing = [f"{name} {version}" for name, version in required.items() if installed.get(name) != version]
     if missing:
-        raise UserError(f"--executor ray: the node {node} lacks {', '.join(missing)}")
+        raise UserError(EXECUTOR, f": the node {node} lacks {', '.join(missing)}")
     job = Job.from_json(text)
     folders = [job.store.run_folder(name) for name in job.runs]
     if not all((run / "status.json").exists() for run in folders):  # the command has noted all runs there
         raise UserError(
-            f"--executor ray: the node {node} cannot see {job.store.root}: all nodes must share that folder"
+            EXECUTOR, f": the node {node} cannot see {job.store.root}: all nodes must share that folder"
         )
     die_with(os.getppid())  # Ray's own process here
     with suppress(OSError):
