@@ -42,10 +42,10 @@ class Answer:
         return {**self.about, **self.tables}
 
     def __str__(self) -> str:
-        texts = [self.title] + list(self.notes)
-        for cells in self.cells:
-            texts.append(cells.to_string(index=False))
-        return "\n".join(texts + list(self.legend))
+        answer_lines = [self.title] + list(self.notes)
+        for cell_table in self.cells:
+            answer_lines.append(cell_table.to_string(index=False))
+        return "\n".join(answer_lines + list(self.legend))
 
     def _repr_html_(self) -> str:
         return self.cells[0].to_html(index=False)

@@ -17,19 +17,19 @@ CELL_FORMS = ("sd", "interval")
 """Means with the standard deviation of runs, as 0.68 ± 0.11, or with their interval."""
 
 
-def with_cells(summary: pd.DataFrame, form: str = "interval") -> pd.DataFrame:
+def with_cells(summary: pd.DataFrame, cell_form: str = "interval") -> pd.DataFrame:
     """Return a summary with a column `cell`: each value as text, in one of `CELL_FORMS`."""
-    values = zip(summary["value"], summary["low"], summary["high"], strict=True)
-    cells = [shown_with_interval(value, low, high) for value, low, high in values]
+    interval_values = zip(summary["value"], summary["low"], summary["high"], strict=True)
+    cells = [shown_with_interval(value, low, high) for value, low, high in interval_values]
     summary = summary.assign(cell=cells)
-    if form == "interval":
+    if cell_form == "interval":
         return summary
     deviations = summary[summary["statistic"] == "deviation"].set_index(["condition", "outcome"])["value"]
-    for label, row in summary[summary["statistic"] == "mean"].iterrows():
+    for row_label, row in summary[summary["statistic"] == "mean"].iterrows():
         mean, deviation = row["value"], deviations[row["condition"], row["outcome"]]
         if np.isfinite(deviation):
             digits = decimals(mean, mean - deviation, mean + deviation)
-            summary.loc[label, "cell"] = f"{shown(mean, digits)} ± {shown(deviation, digits)}"
+            summary.loc[row_label, "cell"] = f"{shown(mean, digits)} ± {shown(deviation, digits)}"
     return summary
 
 
@@ -45,44 +45,48 @@ def pivot_cells(
         row_labels: the rows, in order; those without a cell have `NO_CELL`.
         column_labels: the same for columns.
     """
-    table = summary.pivot(index=list(rows), columns=list(columns), values="cell")
-    return table.reindex(index=row_labels, columns=column_labels).astype(object).fillna(NO_CELL)
+    cell_table = summary.pivot(index=list(rows), columns=list(columns), values="cell")
+    return cell_table.reindex(index=row_labels, columns=column_labels).astype(object).fillna(NO_CELL)
 
 
 def condition_cells(
-    data: StudyData, summary: pd.DataFrame, statistics: Sequence[tuple[str, str]]
+    study_data: StudyData, summary: pd.DataFrame, statistics: Sequence[tuple[str, str]]
 ) -> pd.DataFrame:
     """Return a row for each condition with its number of runs, and a column for each outcome's statistic.
 
     A value of fewer runs than the condition has is followed by their number.
     """
-    runs = {condition: len(data.of_condition(condition)) for condition in data.conditions}
-    is_of_fewer = summary["runs"] < summary["condition"].map(runs)
-    fewer = summary["runs"].map(" (n = {})".format).where(is_of_fewer, "")
-    summary = summary.assign(cell=summary["cell"] + fewer)
-    table = pivot_cells(summary, ["condition"], ["outcome", "statistic"], data.conditions, list(statistics))
-    heads = []
-    for name, statistic in statistics:
-        head = name if statistic == "share" else with_unit(name)
-        heads.append(f"{head}, median" if statistic == "median" else head)
-    table.columns = pd.Index(heads)
-    table.insert(0, "runs", list(runs.values()))
-    return table
+    run_counts = {condition: len(study_data.of_condition(condition)) for condition in study_data.conditions}
+    is_of_fewer = summary["runs"] < summary["condition"].map(run_counts)
+    count_texts = summary["runs"].map(" (n = {})".format).where(is_of_fewer, "")
+    summary = summary.assign(cell=summary["cell"] + count_texts)
+    cell_table = pivot_cells(
+        summary, ["condition"], ["outcome", "statistic"], study_data.conditions, list(statistics)
+    )
+    headings = []
+    for outcome, statistic in statistics:
+        heading = outcome if statistic == "share" else with_unit(outcome)
+        headings.append(f"{heading}, median" if statistic == "median" else heading)
+    cell_table.columns = pd.Index(headings)
+    cell_table.insert(0, "runs", list(run_counts.values()))
+    return cell_table
 
 
-def comparison_cells(table: pd.DataFrame, heads: Sequence[str], first_head: str) -> pd.DataFrame:
+def comparison_cells(
+    comparison_table: pd.DataFrame, headings: Sequence[str], first_heading: str
+) -> pd.DataFrame:
     """Return the rows of a comparison as text.
 
     Args:
-        table: rows of `compare_groups` with the column `shared`, what is compared in a row.
-        heads: what is compared, for the columns of means.
-        first_head: the head of the column `shared`, which is left out if it is empty everywhere.
+        comparison_table: rows of `compare_groups` with the column `shared`, what is compared in a row.
+        headings: what is compared, for the columns of means.
+        first_heading: the head of the column `shared`, which is left out if it is empty everywhere.
     """
-    rows = []
-    for row in table.to_dict("records"):
+    cell_rows = []
+    for row in comparison_table.to_dict("records"):
         low, high = row["low"], row["high"]
         p_better = NO_CELL if np.isnan(row["p_better"]) else f"{row['p_better']:.2f}"
-        rows.append((
+        cell_rows.append((
             row["shared"],
             with_unit(row["outcome"]),
             shown(row["mean_a"], decimals(row["mean_a"], low, high)),
@@ -92,8 +96,8 @@ def comparison_cells(table: pd.DataFrame, heads: Sequence[str], first_head: str)
             f"{row['seeds_a']} and {row['seeds_b']}",
             row["without_value"],
         ))  # fmt: skip
-    columns = [first_head, "outcome", *heads, "difference", "P(better)", "runs", "no value"]
-    cells = pd.DataFrame(rows, columns=columns)
-    if (table["shared"] == "").all():
+    columns = [first_heading, "outcome", *headings, "difference", "P(better)", "runs", "no value"]
+    cells = pd.DataFrame(cell_rows, columns=columns)
+    if (comparison_table["shared"] == "").all():
         return cells.iloc[:, 1:]
     return cells

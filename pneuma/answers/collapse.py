@@ -11,27 +11,34 @@ from pneuma.answers.cells import NO_CELL
 from pneuma.values import per_cent
 
 
-def find_collapses(data: StudyData) -> Answer:
+def find_collapses(study_data: StudyData) -> Answer:
     """Diagnose every run of an opened study.
 
     Returns:
         The table `runs` has the diagnosis of each run, `incidence` the counts and shares of each condition.
     """
-    runs = diagnoses(data)
-    shares = incidence(data, runs)
-    collapsed = runs[runs["collapsed"].fillna(False)]
-    steps = collapsed["onset_step"].map("{:,}".format)
-    signs = collapsed[["condition", "seed", "run_id", "signs"]].rename(columns={"run_id": "run"})
-    signs.insert(3, "step", steps)
-    rows = []
-    for row in shares.to_dict("records"):
+    diagnosed_runs = diagnoses(study_data)
+    incidence_table = incidence(study_data, diagnosed_runs)
+    collapsed_runs = diagnosed_runs[diagnosed_runs["collapsed"].fillna(False)]
+    onset_steps = collapsed_runs["onset_step"].map("{:,}".format)
+    sign_table = collapsed_runs[["condition", "seed", "run_id", "signs"]].rename(columns={"run_id": "run"})
+    sign_table.insert(3, "step", onset_steps)
+    count_rows = []
+    for row in incidence_table.to_dict("records"):
         interval = NO_CELL
         if row["runs"]:
             interval = f"{per_cent(round(row['low'], 2))} to {per_cent(round(row['high'], 2))}"
-        rows.append((row["condition"], f"{row['collapsed']} of {row['runs']}", interval, row["unknown"]))
-    counts = pd.DataFrame(
-        rows, columns=["condition", "collapsed", "95 % interval", "without a sign recorded"]
+        count_rows.append(
+            (
+                row["condition"],
+                f"{row['collapsed']} of {row['runs']}",
+                interval,
+                row["unknown"],
+            )
+        )
+    count_table = pd.DataFrame(
+        count_rows, columns=["condition", "collapsed", "95 % interval", "without a sign recorded"]
     )
-    cells = [signs, counts] if len(signs) else [counts]
-    title = f"{data.full_title}: collapse"
-    return Answer(title, data.about, {"runs": runs, "incidence": shares}, cells)
+    cells = [sign_table, count_table] if len(sign_table) else [count_table]
+    title = f"{study_data.full_title}: collapse"
+    return Answer(title, study_data.about, {"runs": diagnosed_runs, "incidence": incidence_table}, cells)

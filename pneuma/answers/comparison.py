@@ -35,26 +35,30 @@ def narrowed(query: Query, a: str, b: str) -> Query:
         study = load_study(query.study)
     except UserError:  # it has no file
         return replace(query, conditions=(a, b))
-    set_by_factors = [fields for levels in study.factors.values() for fields in levels.values()]
-    if a not in study.conditions and any("env" in fields for fields in set_by_factors):
+    set_by_factors = [set_fields for levels in study.factors.values() for set_fields in levels.values()]
+    if a not in study.conditions and any("env" in set_fields for set_fields in set_by_factors):
         return query
     return replace(query, conditions=(a, b))
 
 
 def compare(
-    data: StudyData, a: str = "", b: str = "", outcomes: Sequence[str] = (), other: StudyData | None = None
+    study_data: StudyData,
+    a: str = "",
+    b: str = "",
+    outcomes: Sequence[str] = (),
+    other_data: StudyData | None = None,
 ) -> Answer:
     """Compare condition `a` with `b`, or each condition with that of the same name of another study.
 
     In a study of several environments `a` and `b` are compared in each, and their scores over all.
 
     Args:
-        data: an opened study.
+        study_data: an opened study.
         a: a condition.
         b: the condition that it is compared with.
         outcomes: names from docs/outcomes.md; default: the study's own or usual ones, after those of a claim
             about these conditions.
-        other: another opened study, instead of two conditions.
+        other_data: another opened study, instead of two conditions.
 
     Returns:
         The table `comparisons` has a row for each outcome: means, their difference with its interval,
@@ -63,30 +67,30 @@ def compare(
     Raises:
         UserError: for unknown names, or outcomes that cannot be compared.
     """
-    if other is not None:
-        return _compare_studies(data, other, outcomes)
+    if other_data is not None:
+        return _compare_studies(study_data, other_data, outcomes)
     if a == b:
-        raise UserError(f"{a} and {b} are the same condition; name two of {', '.join(data.conditions)}")
-    title = f"{data.full_title}: {a} against {b}"
-    data_by_env = by_environment(data)
-    if a not in data.fields and len(data_by_env) > 1:
+        raise UserError(f"{a} and {b} are the same condition; name two of {', '.join(study_data.conditions)}")
+    title = f"{study_data.full_title}: {a} against {b}"
+    data_by_env = by_environment(study_data)
+    if a not in study_data.fields and len(data_by_env) > 1:
         pairs = {env: (_group(env_data, a), _group(env_data, b)) for env, env_data in data_by_env.items()}
         outcomes = outcomes or [OUTCOME]
-        answer = _compare_pairs(data, pairs, [a, b], title, outcomes, shared="environment")
-        scores = improvements(data_by_env, a, b, outcomes[0])
-        cells = with_cells(scores)[["statistic", "cell"]]
-        cells.columns = pd.Index(["scores over all", f"{a} against {b}"])
+        answer = _compare_pairs(study_data, pairs, [a, b], title, outcomes, shared_column="environment")
+        score_table = improvements(data_by_env, a, b, outcomes[0])
+        score_cells = with_cells(score_table)[["statistic", "cell"]]
+        score_cells.columns = pd.Index(["scores over all", f"{a} against {b}"])
         return replace(
             answer,
-            tables={**answer.tables, "scores": scores},
-            cells=[*answer.cells, cells],
+            tables={**answer.tables, "scores": score_table},
+            cells=[*answer.cells, score_cells],
             notes=[*answer.notes, few_runs(data_by_env)],
             legend=list(answer.legend) + list(SCALE),
         )
-    claims = [] if outcomes else _claims_about(data, a, b)
-    first = [name for claim in claims for name in claim.outcome]
-    pairs = {"": (_group(data, a), _group(data, b))}
-    answer = _compare_pairs(data, pairs, [a, b], title, outcomes, first)
+    claims = [] if outcomes else _claims_about(study_data, a, b)
+    claimed_outcomes = [outcome for claim in claims for outcome in claim.outcome]
+    pairs = {"": (_group(study_data, a), _group(study_data, b))}
+    answer = _compare_pairs(study_data, pairs, [a, b], title, outcomes, claimed_outcomes)
     notes = list(answer.notes)
     for claim in claims:
         notes.append(
@@ -95,98 +99,105 @@ def compare(
     return replace(answer, notes=notes)
 
 
-def _compare_studies(data: StudyData, other: StudyData, outcomes: Sequence[str]) -> Answer:
-    names = [data.study.name, other.study.name]
+def _compare_studies(study_data: StudyData, other_data: StudyData, outcomes: Sequence[str]) -> Answer:
+    names = [study_data.study.name, other_data.study.name]
     if names[0] == names[1]:
-        names = [data.label, other.label]
+        names = [study_data.label, other_data.label]
     pairs: Pairs = {}
-    for condition in data.conditions:
-        if data.of_condition(condition) and other.of_condition(condition):
-            a = Group(data, condition, f"{condition}, {names[0]}")
-            pairs[condition] = a, Group(other, condition, f"{condition}, {names[1]}")
+    for condition in study_data.conditions:
+        if study_data.of_condition(condition) and other_data.of_condition(condition):
+            group_a = Group(study_data, condition, f"{condition}, {names[0]}")
+            pairs[condition] = group_a, Group(other_data, condition, f"{condition}, {names[1]}")
     if not pairs:
         raise UserError(
             f"{names[0]} and {names[1]} have no condition with the same name: name two conditions instead"
         )
-    title = f"{data.full_title}, and {other.full_title}: {names[0]} against {names[1]}"
-    return _compare_pairs(data, pairs, names, title, outcomes)
+    title = f"{study_data.full_title}, and {other_data.full_title}: {names[0]} against {names[1]}"
+    return _compare_pairs(study_data, pairs, names, title, outcomes)
 
 
-def _group(data: StudyData, condition: str) -> Group:
+def _group(study_data: StudyData, condition: str) -> Group:
     """Return the runs of a condition, which must have finished ones."""
-    if not data.of_conditions(condition).of_condition(condition):
-        raise UserError(f"{condition}: none of its runs has finished ({data.label}); train them first")
-    return Group(data, condition, condition)
+    if not study_data.of_conditions(condition).of_condition(condition):
+        raise UserError(f"{condition}: none of its runs has finished ({study_data.label}); train them first")
+    return Group(study_data, condition, condition)
 
 
 def _compare_pairs(
-    data: StudyData,
+    study_data: StudyData,
     pairs: Pairs,
-    heads: Sequence[str],
+    headings: Sequence[str],
     title: str,
     outcomes: Sequence[str] = (),
-    first: Sequence[str] = (),
-    shared: str = "",
+    first_outcomes: Sequence[str] = (),
+    shared_column: str = "",
 ) -> Answer:
     """Compare pairs of groups.
 
     Args:
-        data: the study of the first group of each pair.
+        study_data: the study of the first group of each pair.
         pairs: what is compared.
-        heads: what stands over the means.
+        headings: what stands over the means.
         title: of the answer.
         outcomes: default: those of `outcomes_to_compare`.
-        first: outcomes that come before the default ones.
-        shared: the name of the column with the keys of `pairs` in the numbers; left out if empty.
+        first_outcomes: outcomes that come before the default ones.
+        shared_column: the name of the column with the keys of `pairs` in the numbers; left out if empty.
     """
-    rows = []
-    notes = [data.ends]
-    for key, (a, b) in pairs.items():
-        for outcome in dict.fromkeys([*first, *(outcomes or outcomes_to_compare(a, b))]):
+    comparison_rows = []
+    notes = [study_data.ends]
+    for pair_key, (a, b) in pairs.items():
+        for outcome in dict.fromkeys([*first_outcomes, *(outcomes or outcomes_to_compare(a, b))]):
             row = compare_groups(a, b, outcome)
             # What one of two studies lacks, as imports do, is left out.
             if outcomes or a.data is b.data or (row["seeds_a"] and row["seeds_b"]):
-                rows.append({**row, "shared": key})
+                comparison_rows.append({**row, "shared": pair_key})
         notes += _notes_on_pair(a, b)
-    if not rows:
-        raise UserError(f"{' and '.join(heads)} share no outcome: name one that both have")
-    table = pd.DataFrame(rows)
-    cells = comparison_cells(table, heads, first_head=shared)
-    if (table["low"].isna() & table["difference"].notna()).any():
+    if not comparison_rows:
+        raise UserError(f"{' and '.join(headings)} share no outcome: name one that both have")
+    comparison_table = pd.DataFrame(comparison_rows)
+    cells = comparison_cells(comparison_table, headings, first_heading=shared_column)
+    if (comparison_table["low"].isna() & comparison_table["difference"].notna()).any():
         notes.append(
             f"A condition with fewer than {LEAST_RUNS} runs, or whose runs are all equal, has no interval."
         )
-    notes.append(few_episodes(data, list(table["outcome"])))
-    if not shared:
-        table = table.drop(columns="shared")
-    table = table.rename(columns={"shared": shared})
-    return Answer(title, data.about, {"comparisons": table}, [cells], list(dict.fromkeys(notes)), LEGEND)
+    notes.append(few_episodes(study_data, list(comparison_table["outcome"])))
+    if not shared_column:
+        comparison_table = comparison_table.drop(columns="shared")
+    comparison_table = comparison_table.rename(columns={"shared": shared_column})
+    return Answer(
+        title,
+        study_data.about,
+        {"comparisons": comparison_table},
+        [cells],
+        list(dict.fromkeys(notes)),
+        LEGEND,
+    )
 
 
 def _notes_on_pair(a: Group, b: Group) -> list[str]:
     """Return what makes a comparison doubtful: different engines, which claims refuse, and shared runs."""
     notes = []
-    engines = [", ".join(sorted(arm.data.engines(arm.condition))) or "not known" for arm in (a, b)]
-    if engines[0] != engines[1]:
-        notes.append(f"Note: these runs were trained by different engines ({' and '.join(engines)}).")
-    shared = a.run_ids & b.run_ids
-    if shared:
-        shared_runs = counted(len(shared), "run")
+    engine_texts = [", ".join(sorted(arm.data.engines(arm.condition))) or "not known" for arm in (a, b)]
+    if engine_texts[0] != engine_texts[1]:
+        notes.append(f"Note: these runs were trained by different engines ({' and '.join(engine_texts)}).")
+    shared_ids = a.run_ids & b.run_ids
+    if shared_ids:
+        shared_runs = counted(len(shared_ids), "run")
         notes.append(f"Note: {a.name} and {b.name} have the same settings and share {shared_runs}.")
     return notes
 
 
-def _claims_about(data: StudyData, a: str, b: str) -> list[Claim]:
+def _claims_about(study_data: StudyData, a: str, b: str) -> list[Claim]:
     """Return the shipped claims that compare the means of two conditions of a study in its world."""
-    worlds = [name for name, world in WORLDS.items() if world.env in data.environments]
-    if data.world:
-        worlds = [data.world]
+    world_names = [world_name for world_name, world in WORLDS.items() if world.env in study_data.environments]
+    if study_data.world:
+        world_names = [study_data.world]
     claims = []
     for claim_list in shipped_claims():
         for claim in claim_list.claims.values():
-            if (claim.study, claim.kind) != (data.study.name, "mean") or worlds[:1] == []:
+            if (claim.study, claim.kind) != (study_data.study.name, "mean") or world_names[:1] == []:
                 continue
             pairs = [pair for outcome in claim.outcome for pair in claim.pairs(outcome)]
-            if worlds[0] in claim.worlds and any(set(pair) == {(a,), (b,)} for pair in pairs):
+            if world_names[0] in claim.worlds and any(set(pair) == {(a,), (b,)} for pair in pairs):
                 claims.append(claim)
     return claims

@@ -70,12 +70,12 @@ class CurveOptions:
         band = checked_band(self.band or DEFAULT_BAND)
         return [band, INTERVAL] if band == DEFAULT_BAND else [band]
 
-    def averaging(self, data: StudyData) -> str:
+    def averaging(self, study_data: StudyData) -> str:
         """Return what a point of a study's returns is the mean of."""
-        if data.averaged_over == 1:
+        if study_data.averaged_over == 1:
             return "as logged"
-        if data.averaged_over or (self.window or data.windows[0]) == TRAILING_WINDOW:
-            return f"mean of the last {data.averaged_over or 100} episodes"
+        if study_data.averaged_over or (self.window or study_data.windows[0]) == TRAILING_WINDOW:
+            return f"mean of the last {study_data.averaged_over or 100} episodes"
         return OF_BUDGET
 
 
@@ -143,100 +143,122 @@ def find_curves(
     Raises:
         UserError: for a quantity that no study has, or runs beside that are all of other environments.
     """
-    settings = CurveOptions(**options)
-    first = next(iter(studies.values()))
-    default = default_quantities(first, beside)
-    names = list(dict.fromkeys(quantities)) or default
-    recorded = {title: curve_names(data) for title, data in studies.items()}
-    study_curves(first, sorted(set(names).difference(*recorded.values())))  # refuses what no study has
+    curve_options = CurveOptions(**options)
+    first_data = next(iter(studies.values()))
+    default_names = default_quantities(first_data, beside)
+    quantity_names = list(dict.fromkeys(quantities)) or default_names
+    names_by_title = {title: curve_names(study_data) for title, study_data in studies.items()}
+    missing_names = sorted(set(quantity_names).difference(*names_by_title.values()))
+    study_curves(first_data, missing_names)  # refuses what no study has
     columns: dict[str, Column] = {}
-    for title, data in studies.items():
-        shared = [name for name in names if name in recorded[title]]
-        if shared:
-            columns[title] = _column(data, shared, beside, settings)
+    for title, study_data in studies.items():
+        shared_names = [quantity for quantity in quantity_names if quantity in names_by_title[title]]
+        if shared_names:
+            columns[title] = _column(study_data, shared_names, beside, curve_options)
     if beside and not any(column.beside for column in columns.values()):
-        environments = f"{' and '.join(beside.environments)}, not in {' and '.join(first.environments)}"
+        environments = f"{' and '.join(beside.environments)}, not in {' and '.join(first_data.environments)}"
         raise UserError(Hint("beside", beside.study.name), f": its runs are in {environments}")
-    curves, references, notes = [], [], {}
+    curve_tables, reference_tables, notes_by_title = [], [], {}
     for title, column in columns.items():
-        where = {"environment": title} if title else {}
-        curves.append(curves_table(column.curves, settings.bands).assign(**where))
-        references.append(column.reference.assign(**where))
-        notes[title] = _notes(column, settings)
+        environment_column = {"environment": title} if title else {}
+        curve_tables.append(curves_table(column.curves, curve_options.bands).assign(**environment_column))
+        reference_tables.append(column.reference.assign(**environment_column))
+        notes_by_title[title] = _notes(column, curve_options)
     shown_studies = {title: column.data for title, column in columns.items()}
-    runs = first.runs["condition"].value_counts(sort=False).rename_axis("condition").reset_index(name="runs")
+    run_counts = first_data.runs["condition"].value_counts(sort=False).rename_axis("condition")
     return CurvesAnswer(
-        title=first.full_title,
-        about={**first.about, "quantities": names, "x": settings.x, "bands": settings.bands},
-        tables={"curves": pd.concat(curves), "reference": pd.concat(references)},
-        cells=[runs],
-        notes=merge_notes(shown_studies, notes),
+        title=first_data.full_title,
+        about={
+            **first_data.about,
+            "quantities": quantity_names,
+            "x": curve_options.x,
+            "bands": curve_options.bands,
+        },
+        tables={"curves": pd.concat(curve_tables), "reference": pd.concat(reference_tables)},
+        cells=[run_counts.reset_index(name="runs")],
+        notes=merge_notes(shown_studies, notes_by_title),
         columns=columns,
-        quantities=names,
-        is_default=names == default,
-        options=settings,
+        quantities=quantity_names,
+        is_default=quantity_names == default_names,
+        options=curve_options,
     )
 
 
-def default_quantities(data: StudyData, beside: StudyData | None = None) -> list[str]:
+def default_quantities(study_data: StudyData, beside: StudyData | None = None) -> list[str]:
     """Return the quantities of a study's default figure, or of that with another study beside.
 
     The return is that of evaluations, where both have it, in environments that are not Pneuma's, and where
     episodes are so long for the budget that a training curve has gaps.
     """
-    recorded = curve_names(data)
-    first, *alternatives = DEFAULT_QUANTITIES
-    evaluated = EVALUATED in recorded and (beside is None or EVALUATED in curve_names(beside))
-    if not have_one_return(data):
-        first = "length"
-    elif evaluated and (is_foreign(data) or (first in recorded and _has_stubs(data, first))):
-        first = EVALUATED
-    return [name for name in (first, *alternatives) if name in recorded] or recorded[:1] or ["return"]
+    recorded = curve_names(study_data)
+    first_quantity, *alternatives = DEFAULT_QUANTITIES
+    has_evaluations = EVALUATED in recorded and (beside is None or EVALUATED in curve_names(beside))
+    if not have_one_return(study_data):
+        first_quantity = "length"
+    elif has_evaluations and (
+        is_foreign(study_data) or (first_quantity in recorded and _has_stubs(study_data, first_quantity))
+    ):
+        first_quantity = EVALUATED
+    return (
+        [quantity for quantity in (first_quantity, *alternatives) if quantity in recorded]
+        or recorded[:1]
+        or ["return"]
+    )
 
 
-def _has_stubs(data: StudyData, quantity: str) -> bool:
+def _has_stubs(study_data: StudyData, quantity: str) -> bool:
     """Return whether in some condition all runs together have values at too few points for a line."""
-    for curve in study_curves(data, [quantity])[quantity]:
-        points = curve.runs.loc[:, np.logical_not(curve.diverged)].notna().all(axis=1)
-        if points.sum() < LEAST_POINTS:
+    for curve in study_curves(study_data, [quantity])[quantity]:
+        complete_points = curve.runs.loc[:, np.logical_not(curve.diverged)].notna().all(axis=1)
+        if complete_points.sum() < LEAST_POINTS:
             return True
     return False
 
 
-def _column(data: StudyData, names: Sequence[str], beside: StudyData | None, options: CurveOptions) -> Column:
+def _column(
+    study_data: StudyData, quantity_names: Sequence[str], beside: StudyData | None, options: CurveOptions
+) -> Column:
     """Return a study's curves; on a logarithmic axis, means and bands are of logarithms."""
-    curves = study_curves(data, names, options.window, options.x)
-    for name, group in curves.items():
-        if (options.log or QUANTITIES[name].kind == POWERS) and reach(group)[1] > 0:
-            curves[name] = [replace(curve, log=True) for curve in group]
-    other = beside and in_environment_of(data, beside)
-    if not other:
-        return Column(data, curves, _reference(data, curves, {}, options))
-    if data.asked.conditions:
-        same_names = [name for name in other.conditions if name in data.fields and other.of_condition(name)]
-        other = other.of_conditions(same_names or other.conditions)
-    recorded = curve_names(other)
-    shared = [name for name in names if name in recorded]
-    if not shared:
-        raise UserError(f"study {other.study.name} has no {' or '.join(names)} to draw")
-    window = options.window if options.window in other.windows else None
-    beside_curves = study_curves(other, shared, window, options.x)
-    return Column(data, curves, _reference(data, curves, beside_curves, options), other, beside_curves)
+    curves = study_curves(study_data, quantity_names, options.window, options.x)
+    for quantity, quantity_curves in curves.items():
+        if (options.log or QUANTITIES[quantity].kind == POWERS) and reach(quantity_curves)[1] > 0:
+            curves[quantity] = [replace(curve, log=True) for curve in quantity_curves]
+    beside_data = beside and in_environment_of(study_data, beside)
+    if not beside_data:
+        return Column(study_data, curves, _reference(study_data, curves, {}, options))
+    if study_data.asked.conditions:
+        same_names = [
+            condition
+            for condition in beside_data.conditions
+            if condition in study_data.fields and beside_data.of_condition(condition)
+        ]
+        beside_data = beside_data.of_conditions(same_names or beside_data.conditions)
+    beside_names = curve_names(beside_data)
+    shared_names = [quantity for quantity in quantity_names if quantity in beside_names]
+    if not shared_names:
+        raise UserError(f"study {beside_data.study.name} has no {' or '.join(quantity_names)} to draw")
+    window = options.window if options.window in beside_data.windows else None
+    beside_curves = study_curves(beside_data, shared_names, window, options.x)
+    return Column(
+        study_data, curves, _reference(study_data, curves, beside_curves, options), beside_data, beside_curves
+    )
 
 
-def _reference(data: StudyData, curves: Curves, beside_curves: Curves, options: CurveOptions) -> pd.DataFrame:
+def _reference(
+    study_data: StudyData, curves: Curves, beside_curves: Curves, options: CurveOptions
+) -> pd.DataFrame:
     """Return the random player's levels in evaluations, and its return in training by step."""
-    rows: list[tuple[str, str, Any, float]] = []
-    for name in curves:
-        for condition, level in random_levels(data, name).items():
-            rows.append((name, condition, np.nan, level))
+    reference_rows: list[tuple[str, str, Any, float]] = []
+    for quantity in curves:
+        for condition, level in random_levels(study_data, quantity).items():
+            reference_rows.append((quantity, condition, np.nan, level))
     if "return" in curves and options.x == STEPS:
         shown_curves = list(curves["return"]) + list(beside_curves.get("return", []))
-        ends = [float(curve.runs.index.max()) for curve in shown_curves]
-        returns = random_returns(data, max(data.budget, *ends))
+        last_steps = [float(curve.runs.index.max()) for curve in shown_curves]
+        returns = random_returns(study_data, max(study_data.budget, *last_steps))
         if returns is not None:
-            rows += [("return", "", step, value) for step, value in returns.items()]
-    return pd.DataFrame(rows, columns=["quantity", "condition", "x", "value"])
+            reference_rows += [("return", "", step, mean_return) for step, mean_return in returns.items()]
+    return pd.DataFrame(reference_rows, columns=["quantity", "condition", "x", "value"])
 
 
 # --- Notes ------------------------------------------------------------------------------------------
@@ -244,14 +266,14 @@ def _reference(data: StudyData, curves: Curves, beside_curves: Curves, options: 
 
 def _notes(column: Column, options: CurveOptions) -> list[str]:
     """Return the notes on a study and on what is drawn of it, the most important first."""
-    data, beside = column.data, column.beside
-    notes = notes_on_runs(data, not column.curves.keys().isdisjoint(("return", EVALUATED)), beside)
-    for name, group in column.curves.items():
-        if options.log and not group[0].log:
-            notes.append(f"{QUANTITIES[name].title}: no value is above 0, so the axis is linear.")
+    study_data, beside = column.data, column.beside
+    notes = notes_on_runs(study_data, not column.curves.keys().isdisjoint(("return", EVALUATED)), beside)
+    for quantity, quantity_curves in column.curves.items():
+        if options.log and not quantity_curves[0].log:
+            notes.append(f"{QUANTITIES[quantity].title}: no value is above 0, so the axis is linear.")
     least_runs = BANDS[options.bands[0]].least_runs
     for curve in column.all_curves:
-        runs = f"{curve.condition} ({counted(curve.run_count, 'run')})"
+        curve_text = f"{curve.condition} ({counted(curve.run_count, 'run')})"
         if curve.stops:
             notes.append("×: a run diverged, and its curve ends there.")
         elif _has_gaps(curve):
@@ -261,16 +283,20 @@ def _notes(column: Column, options: CurveOptions) -> list[str]:
                 "On logarithmic axes, means and bands are of logarithms and leave out values of 0 or below."
             )
         if options.band and curve.run_count < least_runs:
-            notes.append(f"The band {options.band} needs {counted(least_runs, 'run')}: not drawn for {runs}.")
+            notes.append(
+                f"The band {options.band} needs {counted(least_runs, 'run')}: not drawn for {curve_text}."
+            )
         if curve.values.isna().all().any():
-            notes.append(f"Some of {runs} have no value in a panel and are left out of its means.")
+            notes.append(f"Some of {curve_text} have no value in a panel and are left out of its means.")
     if not column.curves.keys().isdisjoint(EPISODE_QUANTITIES):
-        notes.append(f"Returns and lengths: {options.averaging(data)}.")
+        notes.append(f"Returns and lengths: {options.averaging(study_data)}.")
     if not column.curves.keys().isdisjoint(UPDATE_QUANTITIES):
         notes.append(f"Updates: {OF_BUDGET}.")
     if beside and beside.averaged_over is not None:
-        name = beside.study.name
-        notes.append(f"{name}: {options.averaging(beside)}. The environment of {name} is not recorded.")
+        beside_name = beside.study.name
+        notes.append(
+            f"{beside_name}: {options.averaging(beside)}. The environment of {beside_name} is not recorded."
+        )
     return [*notes, X_NOTES[options.x]]
 
 

@@ -60,64 +60,70 @@ class Evidence:
     origins: Sequence[tuple[Mapping[str, str], int]] = ()
 
 
-def evidence_of(index: RunIndex, name: str, world: str | None) -> list[Evidence]:
+def evidence_of(index: RunIndex, study_name: str, world: str | None) -> list[Evidence]:
     """Return a study in one world: its preset `paper`, which claims judge, and what was last run here."""
-    last = find_study(index, Query(name, world))
-    if last.plan is None or PAPER not in last.study.presets or last.plan.preset == PAPER:
-        return [_evidence(index, last)]
-    paper = find_study(index, Query(name, world, PAPER))
-    plans = [data for data in (paper, last) if len(data.runs)]
-    return [_evidence(index, data) for data in plans or [last]]
+    last_data = find_study(index, Query(study_name, world))
+    if last_data.plan is None or PAPER not in last_data.study.presets or last_data.plan.preset == PAPER:
+        return [_evidence(index, last_data)]
+    paper_data = find_study(index, Query(study_name, world, PAPER))
+    shown_data = [study_data for study_data in (paper_data, last_data) if len(study_data.runs)]
+    return [_evidence(index, study_data) for study_data in shown_data or [last_data]]
 
 
-def _evidence(index: RunIndex, data: StudyData) -> Evidence:
-    titles = {world.env: f"In {world.title}" for world in WORLDS.values()}
-    where = ", ".join(titles.get(env, env) for env in data.environments)
-    evidence = Evidence(data.label if data.plan else data.study.name, where)
-    runs = data.runs
-    missing = len(runs) - len(data.finished)
-    if data.plan and (missing or not len(runs)):
-        evidence.train = data.call("run_study")
+def _evidence(index: RunIndex, study_data: StudyData) -> Evidence:
+    world_titles = {world.env: f"In {world.title}" for world in WORLDS.values()}
+    world_title = ", ".join(world_titles.get(env, env) for env in study_data.environments)
+    evidence = Evidence(study_data.label if study_data.plan else study_data.study.name, world_title)
+    runs = study_data.runs
+    missing_count = len(runs) - len(study_data.finished)
+    if study_data.plan and (missing_count or not len(runs)):
+        evidence.train = study_data.call("run_study")
     if not len(runs):
         evidence.notes.append("No runs yet.")
         return evidence
-    for names in data.same:
-        evidence.notes.append(f"{' = '.join(names)} are identical settings: a comparison shows noise.")
-    steps = f"{counted(len(runs), 'run')} of up to {runs['steps'].max():,} agent steps"
-    evidence.extent = f"{counted(len(data.fields), 'condition')}, {steps}"
-    differing, evidence.shared = compare_settings(data.fields)
+    for same_conditions in study_data.same:
+        evidence.notes.append(
+            f"{' = '.join(same_conditions)} are identical settings: a comparison shows noise."
+        )
+    run_text = f"{counted(len(runs), 'run')} of up to {runs['steps'].max():,} agent steps"
+    evidence.extent = f"{counted(len(study_data.fields), 'condition')}, {run_text}"
+    differing, evidence.shared = compare_settings(study_data.fields)
     if len(differing.columns) > 1:
         evidence.differing = _captioned(
             f"Settings in which the conditions of {evidence.label} differ", differing
         )
-    engines = runs["condition"].map(lambda name: str(data.fields[name].get("engine") or "unknown"))
-    evidence.runs = runs.assign(engine=engines)[RUN_COLUMNS].to_numpy().tolist()
-    if missing:
-        evidence.notes.append(f"{missing} of {len(runs)} runs are unfinished or damaged, and left out below.")
-    diverged = (runs["status"] == "diverged").sum()
-    if diverged:
+    engine_names = runs["condition"].map(
+        lambda condition: str(study_data.fields[condition].get("engine") or "unknown")
+    )
+    evidence.runs = runs.assign(engine=engine_names)[RUN_COLUMNS].to_numpy().tolist()
+    if missing_count:
         evidence.notes.append(
-            f"{diverged} of {len(runs)} runs diverged. They are included in every number below."
+            f"{missing_count} of {len(runs)} runs are unfinished or damaged, and left out below."
+        )
+    diverged_count = (runs["status"] == "diverged").sum()
+    if diverged_count:
+        evidence.notes.append(
+            f"{diverged_count} of {len(runs)} runs diverged. They are included in every number below."
         )
     try:
-        finished = finished_rows(index, data)
-        if finished.rows:
-            _add_rows(evidence, finished)
+        finished_data = finished_rows(index, study_data)
+        if finished_data.rows:
+            _add_rows(evidence, finished_data)
     except (UserError, UnicodeError) as error:  # a name in a record may be invalid text
         evidence.notes.append(without_folder(index, str(error)))
     return evidence
 
 
-def _add_rows(evidence: Evidence, data: StudyData) -> None:
+def _add_rows(evidence: Evidence, study_data: StudyData) -> None:
     """Add the numbers and the provenance of finished runs."""
-    evidence.data = data
-    if data.ends:
-        evidence.notes.append(data.ends)
-    answer = summarize(data)
+    evidence.data = study_data
+    if study_data.ends:
+        evidence.notes.append(study_data.ends)
+    answer = summarize(study_data)
     evidence.numbers = _captioned(f"Outcomes of {evidence.label}", answer.cells[0])
     evidence.legend = " ".join(answer.legend)
-    origins = Counter(tuple(_facts(run).items()) for run in data.rows)
-    evidence.origins = [(dict(facts), count) for facts, count in origins.items()]
+    origins = Counter(tuple(_facts(run).items()) for run in study_data.rows)
+    evidence.origins = [(dict(facts), run_count) for facts, run_count in origins.items()]
 
 
 def _captioned(caption: str, table: pd.DataFrame) -> CaptionedTable:
@@ -126,13 +132,13 @@ def _captioned(caption: str, table: pd.DataFrame) -> CaptionedTable:
 
 def _facts(run: Row) -> dict[str, str]:
     facts = {}
-    for key in ORIGIN_FACTS:
-        if run.provenance.get(key) is not None:
-            facts[key] = setting_text(run.provenance[key])
+    for fact_name in ORIGIN_FACTS:
+        if run.provenance.get(fact_name) is not None:
+            facts[fact_name] = setting_text(run.provenance[fact_name])
     return facts or {"provenance": "missing or damaged"}
 
 
 def without_folder(index: RunIndex, message: str) -> str:
     """Return a message without the path of this machine's folder, as others read the page."""
-    root = str(index.store.root)
-    return message if root == "." else message.replace(root, "results")
+    folder_name = str(index.store.root)
+    return message if folder_name == "." else message.replace(folder_name, "results")

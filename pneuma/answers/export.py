@@ -16,13 +16,17 @@ from pneuma.store.store import Store
 
 
 def export_records(
-    data: StudyData, table: str, store: Store, window: str | None = None, band: str = EDGED_BANDS[0]
+    study_data: StudyData,
+    table_name: str,
+    store: Store,
+    window: str | None = None,
+    band: str = EDGED_BANDS[0],
 ) -> Answer:
     """Return one of `EXPORT_TABLES`. It contains no times, so that the same runs give the same table.
 
     Args:
-        data: an opened study.
-        table: its name.
+        study_data: an opened study.
+        table_name: its name.
         store: the results folder, which has the records of episodes and updates.
         window: of curves: which episodes a point averages.
         band: of curves: what low and high are, one of `EDGED_BANDS`.
@@ -30,47 +34,51 @@ def export_records(
     Raises:
         UserError: if the runs do not have such records.
     """
-    if table == "curves":
-        frame = _curves(data, window, band)
-    elif table == "summary":
-        frame = summary_table(data)
-    elif table == "evaluations" and data.evaluated:
-        frame = data.evaluations
+    if table_name == "curves":
+        frame = _curves(study_data, window, band)
+    elif table_name == "summary":
+        frame = summary_table(study_data)
+    elif table_name == "evaluations" and study_data.evaluated:
+        frame = study_data.evaluations
     else:
-        frame = _records(data, table, store)
-    about = {**data.about, "table": table, "rows": len(frame)}
-    return Answer(f"{data.full_title}: {table}", about, {table: frame}, [frame])
+        frame = _records(study_data, table_name, store)
+    about = {**study_data.about, "table": table_name, "rows": len(frame)}
+    return Answer(f"{study_data.full_title}: {table_name}", about, {table_name: frame}, [frame])
 
 
-def _curves(data: StudyData, window: str | None, band: str) -> pd.DataFrame:
+def _curves(study_data: StudyData, window: str | None, band: str) -> pd.DataFrame:
     """Return all curves that every run has. Returns that were averaged when recorded are named so."""
-    window = data.checked_window(window)
-    recorded = curve_names(data)
-    names: list[str] = []
-    for name in EPISODE_QUANTITIES:
-        if name in recorded and all(window in run.windows_of(name) for run in data.rows):
-            names.append(name)
-    if "share_killed" in recorded:
-        names.append("share_killed")
-    if not names:
-        raise UserError(f"study {data.study.name}: {data.what} has no returns, and so no curves")
-    table = curves_table(study_curves(data, names, window), [band]).rename(columns={"x": "step"})
-    if data.averaged_over is not None:
-        table["averaged_over"] = data.averaged_over
-    return table
+    window = study_data.checked_window(window)
+    recorded_names = curve_names(study_data)
+    quantities: list[str] = []
+    for quantity in EPISODE_QUANTITIES:
+        if quantity in recorded_names and all(window in run.windows_of(quantity) for run in study_data.rows):
+            quantities.append(quantity)
+    if "share_killed" in recorded_names:
+        quantities.append("share_killed")
+    if not quantities:
+        raise UserError(f"study {study_data.study.name}: {study_data.what} has no returns, and so no curves")
+    curve_table = curves_table(study_curves(study_data, quantities, window), [band]).rename(
+        columns={"x": "step"}
+    )
+    if study_data.averaged_over is not None:
+        curve_table["averaged_over"] = study_data.averaged_over
+    return curve_table
 
 
-def _records(data: StudyData, table: str, store: Store) -> pd.DataFrame:
+def _records(study_data: StudyData, table_name: str, store: Store) -> pd.DataFrame:
     """Return the records of all runs, which are stored here alone."""
-    if table == "evaluations" or (data.averaged_over and table != "metrics"):
-        other_tables = ", ".join(name for name in EXPORT_TABLES if name != table)
-        raise UserError(f"study {data.study.name}: {data.what} holds no {table}; try {other_tables}")
-    if any(run.published for run in data.rows):
-        lack = f"study {data.study.name}: published tables do not contain {table}"
-        raise UserError(f"{lack}; train the runs, or choose others with ", Hint("steps"))
-    frames: list[pd.DataFrame] = []
-    for condition, seed, run_id in data.runs[list(RUN_KEY_COLUMNS)].itertuples(index=False):
-        frame = record_frame(store, run_id, table)
-        frames.append(frame.assign(condition=condition, seed=seed, run_id=run_id))
-    records = pd.concat(frames, ignore_index=True)
+    if table_name == "evaluations" or (study_data.averaged_over and table_name != "metrics"):
+        other_tables = ", ".join(other_table for other_table in EXPORT_TABLES if other_table != table_name)
+        raise UserError(
+            f"study {study_data.study.name}: {study_data.what} holds no {table_name}; try {other_tables}"
+        )
+    if any(run.published for run in study_data.rows):
+        problem = f"study {study_data.study.name}: published tables do not contain {table_name}"
+        raise UserError(f"{problem}; train the runs, or choose others with ", Hint("steps"))
+    run_frames: list[pd.DataFrame] = []
+    for condition, seed, run_id in study_data.runs[list(RUN_KEY_COLUMNS)].itertuples(index=False):
+        frame = record_frame(store, run_id, table_name)
+        run_frames.append(frame.assign(condition=condition, seed=seed, run_id=run_id))
+    records = pd.concat(run_frames, ignore_index=True)
     return records[list(dict.fromkeys([*RUN_KEY_COLUMNS, *records]))]

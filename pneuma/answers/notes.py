@@ -13,40 +13,42 @@ MOST_NAMED = 3
 """Most conditions that a note names."""
 
 
-def notes_on_runs(data: StudyData, returns: bool = False, beside: StudyData | None = None) -> list[str]:
+def notes_on_runs(
+    study_data: StudyData, shows_returns: bool = False, beside: StudyData | None = None
+) -> list[str]:
     """Return notes for any figure of a study, the most important first.
 
     Args:
-        data: the study.
-        returns: whether the figure is of returns.
+        study_data: the study.
+        shows_returns: whether the figure is of returns.
         beside: a study whose returns are drawn too.
     """
-    notes = [f"{' and '.join(names)} have identical settings." for names in data.same]
+    notes = [f"{' and '.join(conditions)} have identical settings." for conditions in study_data.same]
     engines: dict[str, list[str]] = {}
-    ends: list[str] = []
-    missing: list[str] = []
-    for name in data.conditions:
-        for engine in data.engines(name):
-            engines.setdefault(engine, []).append(name)
-        runs = data.of_condition(name)
+    end_notes: list[str] = []
+    missing_conditions: list[str] = []
+    for condition in study_data.conditions:
+        for engine in study_data.engines(condition):
+            engines.setdefault(engine, []).append(condition)
+        runs = study_data.of_condition(condition)
         if not runs:
-            missing.append(name)
+            missing_conditions.append(condition)
             continue
         longest = max(run.budget for run in runs)  # other conditions may go further
-        at_end = sum(run.status == "done" and run.end >= longest for run in runs)
-        if at_end < len(runs):
-            ends.append(f"{at_end} of {len(runs)} runs of {name} reach the end.")
+        complete_count = sum(run.status == "done" and run.end >= longest for run in runs)
+        if complete_count < len(runs):
+            end_notes.append(f"{complete_count} of {len(runs)} runs of {condition} reach the end.")
     if len(engines) > 1:
-        engine_texts = [f"{engine} ({_named(names)})" for engine, names in sorted(engines.items())]
+        engine_texts = [f"{engine} ({_named(conditions)})" for engine, conditions in sorted(engines.items())]
         notes.append(f"The conditions were trained by different engines: {', '.join(engine_texts)}.")
-    units = kinds_of_return(data)
+    units = kinds_of_return(study_data)
     if beside:
         units |= kinds_of_return(beside)
-    if returns and len(units) > 1:
+    if shows_returns and len(units) > 1:
         notes.append("Returns with different rewards or numbers of players cannot be compared.")
-    notes += ends
-    if missing:
-        notes.append(f"No runs of {_named(missing)}.")
+    notes += end_notes
+    if missing_conditions:
+        notes.append(f"No runs of {_named(missing_conditions)}.")
     return notes
 
 
@@ -66,9 +68,10 @@ def merge_notes(studies: Mapping[str, StudyData], notes: Mapping[str, Iterable[s
         notes: on each of them.
     """
     titles_by_note: dict[str, list[str]] = {}
-    for title, data in studies.items():
-        if len(studies) > 1 and data.study.settings:
-            titles_by_note.setdefault(f"runs with {shown_settings(data.study.settings)}.", []).append(title)
+    for title, study_data in studies.items():
+        if len(studies) > 1 and study_data.study.settings:
+            settings_note = f"runs with {shown_settings(study_data.study.settings)}."
+            titles_by_note.setdefault(settings_note, []).append(title)
         for note in dict.fromkeys(filter(None, notes[title])):
             titles_by_note.setdefault(note, []).append(title)
     merged: list[str] = []

@@ -11,25 +11,30 @@ from pneuma.answers.answer import StudyAnswer
 from pneuma.answers.notes import notes_on_runs
 
 
-def find_one_action(data: StudyData) -> StudyAnswer:
+def find_one_action(study_data: StudyData) -> StudyAnswer:
     """Return how many runs of each condition do not yet stay in one action, and the time in one.
 
     Returns:
         The table `staying` is Kaplan's and Meier's estimate over steps, `time` the share of evaluations over
         the fifths of training, with 95 % intervals.
     """
-    staying, times = [], []
-    for condition in data.conditions:
-        if data.of_condition(condition):
-            staying.append(runs_not_staying(data, condition).assign(condition=condition))
-            time = time_in_one_action(data, condition).frame("ci").rename(columns={"mean": "share"})
-            times.append(time.assign(condition=condition))
-    tables = {"staying": pd.concat(staying, ignore_index=True), "time": pd.concat(times, ignore_index=True)}
-    state = (
+    survival_tables, time_tables = [], []
+    for condition in study_data.conditions:
+        if study_data.of_condition(condition):
+            survival_tables.append(runs_not_staying(study_data, condition).assign(condition=condition))
+            time_table = time_in_one_action(study_data, condition).frame("ci").assign(condition=condition)
+            time_tables.append(time_table.rename(columns={"mean": "share"}))
+    tables = {
+        "staying": pd.concat(survival_tables, ignore_index=True),
+        "time": pd.concat(time_tables, ignore_index=True),
+    }
+    definition = (
         f"A run is in one action if that action takes over {100 * ONE_ACTION:g} % of an evaluation's steps"
     )
     notes = [
-        f"{state}; it stays there from the first of {LATE} such evaluations in a row.",
-        *notes_on_runs(data),
+        f"{definition}; it stays there from the first of {LATE} such evaluations in a row.",
+        *notes_on_runs(study_data),
     ]
-    return StudyAnswer(data.full_title, data.about, tables, [tables["time"]], notes, data=data)
+    return StudyAnswer(
+        study_data.full_title, study_data.about, tables, [tables["time"]], notes, data=study_data
+    )

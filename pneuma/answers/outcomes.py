@@ -59,44 +59,47 @@ def show_outcomes(studies: Mapping[str, StudyData]) -> OutcomesAnswer:
         The table `runs` has the known value of each run, `summary` means and interquartile means.
     """
     outcomes: dict[str, tuple[StudyData, str]] = {}
-    for title, data in studies.items():
-        names = data.study.outcomes or [default_outcome(data)]
+    for title, study_data in studies.items():
+        outcome_names = study_data.study.outcomes or [default_outcome(study_data)]
         if len(studies) > 1:
-            outcomes[title] = data, names[0] if len(names) == 1 else default_outcome(data)
+            if len(outcome_names) > 1:
+                outcome_names = [default_outcome(study_data)]
+            outcomes[title] = study_data, outcome_names[0]
             continue
-        headings = [re.split(r",| \(", words_of(name))[0] for name in names]
-        for name, heading in zip(names, headings, strict=True):
-            outcomes[heading if headings.count(heading) == 1 else words_of(name)] = data, name
+        headings = [re.split(r",| \(", words_of(outcome_name))[0] for outcome_name in outcome_names]
+        for outcome_name, heading in zip(outcome_names, headings, strict=True):
+            column_title = heading if headings.count(heading) == 1 else words_of(outcome_name)
+            outcomes[column_title] = study_data, outcome_name
     columns: dict[str, OutcomeColumn] = {}
-    notes: dict[str, list[str]] = {}
+    notes_by_title: dict[str, list[str]] = {}
     descriptions: list[str] = []
-    runs, summaries = [], []
-    for title, (data, outcome) in outcomes.items():
-        column = columns[title] = _column(data, outcome)
-        notes[title] = _notes(column)
+    run_frames, summaries = [], []
+    for title, (study_data, outcome) in outcomes.items():
+        column = columns[title] = _column(study_data, outcome)
+        notes_by_title[title] = _notes(column)
         if title != words_of(outcome):
             descriptions.append(f"{words_of(outcome)}.")
         for condition, values in column.values.items():
-            runs.append(pd.DataFrame({"column": title, "condition": condition, "value": values}))
+            run_frames.append(pd.DataFrame({"column": title, "condition": condition, "value": values}))
         summaries.append(column.summary.assign(column=title))
-    first = next(iter(studies.values()))
+    first_data = next(iter(studies.values()))
     shown_studies = {title: column.data for title, column in columns.items()}
     summary = pd.concat(summaries, ignore_index=True)
     return OutcomesAnswer(
-        title=first.full_title,
-        about=first.about,
-        tables={"summary": summary, "runs": pd.concat(runs, ignore_index=True)},
+        title=first_data.full_title,
+        about=first_data.about,
+        tables={"summary": summary, "runs": pd.concat(run_frames, ignore_index=True)},
         cells=[summary],
-        notes=list(dict.fromkeys([*descriptions, *merge_notes(shown_studies, notes)])),
+        notes=list(dict.fromkeys([*descriptions, *merge_notes(shown_studies, notes_by_title)])),
         columns=columns,
     )
 
 
-def default_outcome(data: StudyData) -> str:
+def default_outcome(study_data: StudyData) -> str:
     """Return the share killed at the end, or a return if there are no monsters or no evaluations."""
-    if is_foreign(data) and data.evaluated:
-        return primary(data)
-    return PRIMARY if "share_killed" in curve_names(data) else WITHOUT_EVALUATIONS
+    if is_foreign(study_data) and study_data.evaluated:
+        return primary(study_data)
+    return PRIMARY if "share_killed" in curve_names(study_data) else WITHOUT_EVALUATIONS
 
 
 def words_of(outcome: str) -> str:
@@ -105,38 +108,42 @@ def words_of(outcome: str) -> str:
     return words[:1].upper() + words[1:]
 
 
-def _column(data: StudyData, outcome: str) -> OutcomeColumn:
-    values: dict[str, np.ndarray] = {}
-    for condition in data.conditions:
-        if data.of_condition(condition):
-            values[condition] = known_values(data, condition, outcome)
-    table = summary_table(data, [outcome])
-    summary = table[(table["outcome"] == outcome) & table["statistic"].isin(SHOWN_STATISTICS)]
-    return OutcomeColumn(data, outcome, values, summary, _random_levels(data, outcome))
+def _column(study_data: StudyData, outcome: str) -> OutcomeColumn:
+    values_by_condition: dict[str, np.ndarray] = {}
+    for condition in study_data.conditions:
+        if study_data.of_condition(condition):
+            values_by_condition[condition] = known_values(study_data, condition, outcome)
+    summary_rows = summary_table(study_data, [outcome])
+    summary = summary_rows[
+        (summary_rows["outcome"] == outcome) & summary_rows["statistic"].isin(SHOWN_STATISTICS)
+    ]
+    return OutcomeColumn(
+        study_data, outcome, values_by_condition, summary, _random_levels(study_data, outcome)
+    )
 
 
-def _random_levels(data: StudyData, outcome: str) -> dict[str, float]:
+def _random_levels(study_data: StudyData, outcome: str) -> dict[str, float]:
     """Return what the random player comes to for each condition, where it was measured."""
     if outcome.endswith("share-killed"):
-        return random_levels(data, "share_killed")
+        return random_levels(study_data, "share_killed")
     if outcome == "evaluated-return":
-        return random_levels(data, "evaluated_return")
-    returns = random_returns(data, data.budget)
+        return random_levels(study_data, "evaluated_return")
+    returns = random_returns(study_data, study_data.budget)
     if outcome != WITHOUT_EVALUATIONS or returns is None or returns.empty:
         return {}
     return {"": float(returns.iloc[-1])}
 
 
 def _notes(column: OutcomeColumn) -> list[str]:
-    data = column.data
-    notes = [*notes_on_runs(data, is_return(column.outcome)), data.ends]
-    counts = [len(values) for values in column.values.values()]
-    for name, count in zip(column.values, counts, strict=True):
-        total = len(data.of_condition(name))
-        if count < total:
-            notes.append(f"{total - count} of {total} runs of {name} have no value.")
-    if min(counts) < LEAST_RUNS:
+    study_data = column.data
+    notes = [*notes_on_runs(study_data, is_return(column.outcome)), study_data.ends]
+    value_counts = [len(values) for values in column.values.values()]
+    for condition, value_count in zip(column.values, value_counts, strict=True):
+        run_count = len(study_data.of_condition(condition))
+        if value_count < run_count:
+            notes.append(f"{run_count - value_count} of {run_count} runs of {condition} have no value.")
+    if min(value_counts) < LEAST_RUNS:
         notes.append(f"Of fewer than {LEAST_RUNS} runs there is no interval.")
-    if max(counts) >= LEAST_RUNS:
+    if max(value_counts) >= LEAST_RUNS:
         notes.append("Intervals: Student's t for means, else bootstrap.")
     return notes

@@ -39,27 +39,31 @@ def plan_answer(index: RunIndex, plan: Plan, workers: int) -> Answer:
         The table `runs` has the state of each cell and, of those to train, the expected seconds.
     """
     statuses = {cell.run_id: index.store.status(cell.run_id) for cell in plan.cells}
-    todo = execute.missing(plan, statuses)
-    execute.check_environments(todo.values())
+    missing_runs = execute.missing(plan, statuses)
+    execute.check_environments(missing_runs.values())
     paces = stored_paces(index.store, statuses)
-    seconds: dict[str, float | None] = {}
-    for run_id, run in todo.items():
-        seconds[run_id] = expected_seconds(paces, run, run.steps - execute.kept_step(statuses[run_id]))
-    rows = []
+    seconds_by_run: dict[str, float | None] = {}
+    for run_id, run in missing_runs.items():
+        seconds_by_run[run_id] = expected_seconds(paces, run, run.steps - execute.kept_step(statuses[run_id]))
+    state_rows = []
     for cell in plan.cells:
         state = _state(statuses[cell.run_id], cell.run_id in plan.published)
-        rows.append((cell.run_id, cell.condition, cell.seed, state, seconds.get(cell.run_id)))
-    table = pd.DataFrame(rows, columns=["run_id", "condition", "seed", "state", "expected_seconds"])
-    lines = []
+        state_rows.append((cell.run_id, cell.condition, cell.seed, state, seconds_by_run.get(cell.run_id)))
+    state_table = pd.DataFrame(
+        state_rows, columns=["run_id", "condition", "seed", "state", "expected_seconds"]
+    )
+    condition_rows = []
     for condition, run in plan.configurations.items():
-        states = table["state"][table["condition"] == condition]
-        lines.append((condition, f"{len(states):>3} x {run.steps:>11,} steps", tallied(states)))
-    legend = [f"{tallied(table['state'])}."]
-    if todo:
-        legend.append(f"Time to train: {_expected_time(index, todo, statuses, seconds, workers)}.")
+        states = state_table["state"][state_table["condition"] == condition]
+        condition_rows.append((condition, f"{len(states):>3} x {run.steps:>11,} steps", tallied(states)))
+    legend = [f"{tallied(state_table['state'])}."]
+    if missing_runs:
+        legend.append(
+            f"Time to train: {_expected_time(index, missing_runs, statuses, seconds_by_run, workers)}."
+        )
     notes = [f"Note: {note}." for note in plan.notes]
-    cells = pd.DataFrame(lines, columns=["condition", "runs", "state"])
-    return Answer("", {"study": plan.study.name}, {"runs": table}, [cells], notes, legend)
+    cells = pd.DataFrame(condition_rows, columns=["condition", "runs", "state"])
+    return Answer("", {"study": plan.study.name}, {"runs": state_table}, [cells], notes, legend)
 
 
 def _state(status: Status, is_published: bool) -> str:
@@ -74,24 +78,24 @@ def _state(status: Status, is_published: bool) -> str:
 
 def _expected_time(
     index: RunIndex,
-    todo: Mapping[str, Run],
+    missing_runs: Mapping[str, Run],
     statuses: Mapping[str, Status],
-    seconds: Mapping[str, float | None],
+    seconds_by_run: Mapping[str, float | None],
     workers: int,
 ) -> str:
     """Return how long runs take, by runs that were trained here, or else by published ones."""
     machine = ""
-    expected = [seconds[run_id] for run_id in todo]
+    expected = [seconds_by_run[run_id] for run_id in missing_runs]
     if None in expected:
         machine = " on the machine that made the published runs"
         expected = []
-        for run_id, run in todo.items():
+        for run_id, run in missing_runs.items():
             expected.append(_published_seconds(index, run, run.steps - execute.kept_step(statuses[run_id])))
     known_seconds = [run_seconds for run_seconds in expected if run_seconds is not None]
-    if len(known_seconds) < len(todo):
+    if len(known_seconds) < len(missing_runs):
         return "unknown until a run of each kind has ended"
-    total = max(sum(known_seconds) / workers, *known_seconds)
-    return f"about {duration(total)}{machine}, with {workers} at once"
+    total_seconds = max(sum(known_seconds) / workers, *known_seconds)
+    return f"about {duration(total_seconds)}{machine}, with {workers} at once"
 
 
 def _published_seconds(index: RunIndex, run: Run, steps: int) -> float | None:
@@ -104,8 +108,8 @@ def _published_seconds(index: RunIndex, run: Run, steps: int) -> float | None:
     for run_id in runs["run_id"][runs["where"] != ""]:
         row = index.row(run_id)
         if row is not None and row.wall_seconds:
-            share = row.provenance.get("evaluation_share")
-            evaluating = row.wall_seconds * (share if isinstance(share, float) else 0.0)
+            evaluation_share = row.provenance.get("evaluation_share")
+            evaluating = row.wall_seconds * (evaluation_share if isinstance(evaluation_share, float) else 0.0)
             learning = (row.wall_seconds - evaluating) / row.end
             return START_SECONDS + evaluating * steps / run.steps + learning * steps
     return None
@@ -114,11 +118,11 @@ def _published_seconds(index: RunIndex, run: Run, steps: int) -> float | None:
 # --- How many seeds -------------------------------------------------------------------------------
 
 
-def seeds_to_detect(data: StudyData | None, detect: float, outcome: str, sd: float | None) -> Answer:
+def seeds_to_detect(study_data: StudyData | None, detect: float, outcome: str, sd: float | None) -> Answer:
     """Return how many seeds a condition needs to find a difference.
 
     Args:
-        data: an opened study, by whose runs the spread is estimated; None if `sd` gives it.
+        study_data: an opened study, by whose runs the spread is estimated; None if `sd` gives it.
         detect: the difference.
         outcome: its outcome; default: the study's primary one.
         sd: the standard deviation of runs.
@@ -129,28 +133,30 @@ def seeds_to_detect(data: StudyData | None, detect: float, outcome: str, sd: flo
     Raises:
         UserError: if a number is not above 0.
     """
-    for name, value in {"detect": detect, "sd": sd}.items():
-        if value is not None and value <= 0:
-            raise UserError(Hint(name, f"{value:g}"), ": must be above 0")
+    for option, amount in {"detect": detect, "sd": sd}.items():
+        if amount is not None and amount <= 0:
+            raise UserError(Hint(option, f"{amount:g}"), ": must be above 0")
     legend = list(DETECT_LEGEND)
-    if data is None:
+    if study_data is None:
         assert sd is not None
         outcome = outcome or "any outcome"
-        table = pd.DataFrame([{"SD": f"{sd:g}", "seeds": seeds_text(seeds_for_means(detect, sd, sd))}])
+        detection_table = pd.DataFrame(
+            [{"SD": f"{sd:g}", "seeds": seeds_text(seeds_for_means(detect, sd, sd))}]
+        )
         title = f"Seeds to detect {detect:g} of {outcome}"
     else:
-        outcome = outcome or primary(data)
-        tables = {}
-        for env, env_data in by_environment(data).items():
-            tables[env] = seeds_table(env_data, outcome, detect)
-        table = pd.concat(tables, names=["environment"]).reset_index(level=0)
-        if len(tables) == 1:
-            table = table.drop(columns="environment")
-        title = f"{data.full_title}: seeds to detect {detect:g} of {with_unit(outcome)}"
-        if any(len(data.of_condition(condition)) < ENOUGH_RUNS for condition in data.conditions):
+        outcome = outcome or primary(study_data)
+        tables_by_env = {}
+        for env, env_data in by_environment(study_data).items():
+            tables_by_env[env] = seeds_table(env_data, outcome, detect)
+        detection_table = pd.concat(tables_by_env, names=["environment"]).reset_index(level=0)
+        if len(tables_by_env) == 1:
+            detection_table = detection_table.drop(columns="environment")
+        title = f"{study_data.full_title}: seeds to detect {detect:g} of {with_unit(outcome)}"
+        if any(len(study_data.of_condition(condition)) < ENOUGH_RUNS for condition in study_data.conditions):
             legend.append(
                 f"With fewer than {ENOUGH_RUNS} runs the SD is a rough estimate: you may need three times "
                 "the seeds, or half."
             )
     about = {"outcome": outcome, "detect": detect}
-    return Answer(title, about, {"seeds": table}, [table], (), legend)
+    return Answer(title, about, {"seeds": detection_table}, [detection_table], (), legend)

@@ -9,7 +9,7 @@ from pneuma.answers.answer import StudyAnswer
 from pneuma.errors import Hint, UserError
 
 
-def profile_scores(data: StudyData) -> StudyAnswer:
+def profile_scores(study_data: StudyData) -> StudyAnswer:
     """Return the share of runs above each score, over all environments together.
 
     Returns:
@@ -18,18 +18,20 @@ def profile_scores(data: StudyData) -> StudyAnswer:
     Raises:
         UserError: for a study of one environment, or scores without a scale.
     """
-    data_by_env = by_environment(data)
+    data_by_env = by_environment(study_data)
     if len(data_by_env) == 1:
         raise UserError(
-            Hint("figure", "profile"), f": is over several environments; {data.study.name} has one"
+            Hint("figure", "profile"), f": is over several environments; {study_data.study.name} has one"
         )
-    table = profiles(data_by_env)
-    scales: list[str] = []
+    profile_table = profiles(data_by_env)
+    scale_texts: list[str] = []
     for env, (low, high) in references(data_by_env).items():
-        scale = f"{low:.3g} and {high:.3g}".replace("-", "−") + f" in {env}"
-        if env not in data.study.scores:
-            scale += " (random player, best condition)"
-        scales.append(scale)
-    notes = [f"Score: {find_outcome(OUTCOME).words}; 0 and 1 are {', '.join(scales)}.", data.ends]
-    cells = table[["condition", "runs"]].drop_duplicates()
-    return StudyAnswer(data.full_title, data.about, {"profiles": table}, [cells], notes, data=data)
+        scale_text = f"{low:.3g} and {high:.3g}".replace("-", "−") + f" in {env}"
+        if env not in study_data.study.scores:
+            scale_text += " (random player, best condition)"
+        scale_texts.append(scale_text)
+    notes = [f"Score: {find_outcome(OUTCOME).words}; 0 and 1 are {', '.join(scale_texts)}.", study_data.ends]
+    cells = profile_table[["condition", "runs"]].drop_duplicates()
+    return StudyAnswer(
+        study_data.full_title, study_data.about, {"profiles": profile_table}, [cells], notes, data=study_data
+    )

@@ -14,20 +14,24 @@ LONGEST_VALUE = 300
 """Most characters of a value that are shown."""
 
 
-def compare_settings(fields: Mapping[str, Mapping[str, Any]]) -> tuple[pd.DataFrame, dict[str, str]]:
+def compare_settings(
+    fields_by_condition: Mapping[str, Mapping[str, Any]],
+) -> tuple[pd.DataFrame, dict[str, str]]:
     """Return the fields in which conditions differ, a row for each condition; and the fields they share."""
-    differing = differing_fields(fields)
-    table = pd.DataFrame(differing, index=pd.Index(list(fields), name="condition"), dtype=object)
-    shared = {}
-    for key, value in next(iter(fields.values()), {}).items():
-        if key not in list(differing) + ["seed", "steps"]:
-            shared[key] = setting_text(value)
-    return table.map(setting_text).reset_index(), shared
+    differing = differing_fields(fields_by_condition)
+    settings_table = pd.DataFrame(
+        differing, index=pd.Index(list(fields_by_condition), name="condition"), dtype=object
+    )
+    shared_texts = {}
+    for field_name, value in next(iter(fields_by_condition.values()), {}).items():
+        if field_name not in list(differing) + ["seed", "steps"]:
+            shared_texts[field_name] = setting_text(value)
+    return settings_table.map(setting_text).reset_index(), shared_texts
 
 
 def setting_text(value: Any) -> str:
     """Return a value as text, its end cut off if it is long."""
-    text = shown_value(value)
+    value_text = shown_value(value)
     if isinstance(value, dict):
-        text = ", ".join(f"{key} {item}" for key, item in value.items())
-    return text if len(text) <= LONGEST_VALUE else text[:LONGEST_VALUE] + "…"
+        value_text = ", ".join(f"{key} {element}" for key, element in value.items())
+    return value_text if len(value_text) <= LONGEST_VALUE else value_text[:LONGEST_VALUE] + "…"

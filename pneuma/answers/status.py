@@ -21,78 +21,85 @@ STATES = ("done", "diverged", "published", "running", "partial", "crashed", "kil
 HEADS = ["preset", "condition", "runs"]
 
 
-def study_status(index: RunIndex, data: StudyData) -> Answer:
+def study_status(index: RunIndex, study_data: StudyData) -> Answer:
     """Count the runs of each condition of a study's presets by their states.
 
     Args:
         index: the runs of a results folder.
-        data: of `find_study`; its plan is shown first.
+        study_data: of `find_study`; its plan is shown first.
 
     Returns:
         The table `presets` has a row for each preset and condition, or one for a preset without runs.
     """
-    assert data.plan is not None, "a study that lists its runs has no presets"
-    query, first = data.plan.query, data.plan.preset
+    assert study_data.plan is not None, "a study that lists its runs has no presets"
+    query, first_preset = study_data.plan.query, study_data.plan.preset
     if query.seeds or query.steps or query.conditions or query.settings:
-        first = "as asked"
-    rows = _count_states(first, data)
-    for preset in data.study.presets:
-        if preset != first:
-            plan = plan_to_read(index, Query(data.study.file, data.study.world, preset))
-            rows += _count_states(preset, runs_of_plan(index, plan))
-    table = pd.DataFrame(rows).fillna(0)
-    states = [state for state in STATES if state in table]
-    table = table[HEADS + states].astype(dict.fromkeys(states, int))
-    cells = table.astype(object).replace(0, "")
-    about = {"study": data.study.name, "world": data.world or None}
-    return Answer("", about, {"presets": table}, [cells])
+        first_preset = "as asked"
+    count_rows = _count_states(first_preset, study_data)
+    for preset in study_data.study.presets:
+        if preset != first_preset:
+            plan = plan_to_read(index, Query(study_data.study.file, study_data.study.world, preset))
+            count_rows += _count_states(preset, runs_of_plan(index, plan))
+    count_table = pd.DataFrame(count_rows).fillna(0)
+    states = [state for state in STATES if state in count_table]
+    count_table = count_table[HEADS + states].astype(dict.fromkeys(states, int))
+    cells = count_table.astype(object).replace(0, "")
+    about = {"study": study_data.study.name, "world": study_data.world or None}
+    return Answer("", about, {"presets": count_table}, [cells])
 
 
-def _count_states(preset: str, data: StudyData) -> list[dict[str, Any]]:
+def _count_states(preset: str, study_data: StudyData) -> list[dict[str, Any]]:
     """Return how many runs of each condition are in which state; one row if none is stored."""
-    assert data.plan is not None
-    planned = Counter(cell.condition for cell in data.plan.cells)
-    if not len(data.runs):
-        total = planned.total()
-        return [{"preset": preset, "condition": f"all {len(planned)}", "runs": total, "planned": total}]
-    states = data.runs["status"].where(data.runs["where"] == "", "published")
-    rows = []
-    for condition, count in planned.items():
-        counts = Counter(states[data.runs["condition"] == condition])
-        counts["planned"] += count - counts.total()
-        rows.append({"preset": preset, "condition": condition, "runs": count, **+counts})
-    return rows
+    assert study_data.plan is not None
+    planned_counts = Counter(cell.condition for cell in study_data.plan.cells)
+    if not len(study_data.runs):
+        total = planned_counts.total()
+        return [
+            {
+                "preset": preset,
+                "condition": f"all {len(planned_counts)}",
+                "runs": total,
+                "planned": total,
+            }
+        ]
+    run_states = study_data.runs["status"].where(study_data.runs["where"] == "", "published")
+    count_rows = []
+    for condition, planned_count in planned_counts.items():
+        state_counts = Counter(run_states[study_data.runs["condition"] == condition])
+        state_counts["planned"] += planned_count - state_counts.total()
+        count_rows.append({"preset": preset, "condition": condition, "runs": planned_count, **+state_counts})
+    return count_rows
 
 
-def runs_status(data: StudyData) -> Answer:
+def runs_status(study_data: StudyData) -> Answer:
     """List each run of a study's cells with its state."""
-    runs = data.runs[["run_id", "condition", "seed", "status"]]
-    runs = runs.assign(step=data.runs["end"], published=data.runs["where"] != "")
-    states = []
+    runs = study_data.runs[["run_id", "condition", "seed", "status"]]
+    runs = runs.assign(step=study_data.runs["end"], published=study_data.runs["where"] != "")
+    state_texts = []
     for run in runs.to_dict("records"):
         state = run["status"]
         if run["published"]:
             state += " as published"
         elif state not in FINISHED and run["step"]:
             state += f" at step {run['step']:,}"
-        states.append(state)
-    cells = runs[["condition", "seed", "run_id"]].assign(state=states).rename(columns={"run_id": "run"})
-    return Answer("", {"study": data.study.name}, {"runs": runs}, [cells])
+        state_texts.append(state)
+    cells = runs[["condition", "seed", "run_id"]].assign(state=state_texts).rename(columns={"run_id": "run"})
+    return Answer("", {"study": study_data.study.name}, {"runs": runs}, [cells])
 
 
 def studies_status(index: RunIndex, world: str | None) -> Answer:
     """Count the runs of each study that was run in a results folder by their states."""
-    studies, rows = [], []
-    for data in studies_here(index, world):
-        runs = data.runs.drop_duplicates("run_id").rename(columns={"end": "step"})
-        study = {
-            "study": data.study.own_path or data.study.name,
-            "world": data.study.world if data.study.path else "",
-            "changed": shown_settings(data.study.settings),
+    study_rows, cell_rows = [], []
+    for study_data in studies_here(index, world):
+        runs = study_data.runs.drop_duplicates("run_id").rename(columns={"end": "step"})
+        study_facts = {
+            "study": study_data.study.own_path or study_data.study.name,
+            "world": study_data.study.world if study_data.study.path else "",
+            "changed": shown_settings(study_data.study.settings),
         }
-        studies.append({**study, "runs": runs[["run_id", "status", "step"]].to_dict("records")})
-        rows.append({**study, "runs": tallied(runs["status"])})
-    title = "" if rows else f"No study was run in {index.store.root} yet."
+        study_rows.append({**study_facts, "runs": runs[["run_id", "status", "step"]].to_dict("records")})
+        cell_rows.append({**study_facts, "runs": tallied(runs["status"])})
+    title = "" if cell_rows else f"No study was run in {index.store.root} yet."
     columns = ["study", "world", "changed", "runs"]
-    table = pd.DataFrame(studies, columns=columns)
-    return Answer(title, {}, {"studies": table}, [pd.DataFrame(rows, columns=columns)])
+    study_table = pd.DataFrame(study_rows, columns=columns)
+    return Answer(title, {}, {"studies": study_table}, [pd.DataFrame(cell_rows, columns=columns)])

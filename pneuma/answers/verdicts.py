@@ -43,14 +43,17 @@ class VerdictsAnswer(Answer):
 
 
 def verify(
-    index: RunIndex, file: Path | None = None, names: Sequence[str] = (), world: str | None = None
+    index: RunIndex,
+    claims_path: Path | None = None,
+    claim_names: Sequence[str] = (),
+    world: str | None = None,
 ) -> VerdictsAnswer:
     """Judge the thesis's claims, or those of another list, on the runs that they fixed.
 
     Args:
         index: the runs of a results folder, and published ones.
-        file: a list of claims; default: those on the thesis.
-        names: of claims; default: all.
+        claims_path: a list of claims; default: those on the thesis.
+        claim_names: of claims; default: all.
         world: only this one.
 
     Returns:
@@ -59,33 +62,36 @@ def verify(
     Raises:
         UserError: for a list that is not allowed, or names that are not in it.
     """
-    lists = [load_claims(file)] if file else shipped_claims()
-    known_names = [name for claims in lists for name in claims.claims]
-    for name in names:
-        if name not in known_names:
-            raise unknown_name("claim", name, known_names)
+    claim_lists = [load_claims(claims_path)] if claims_path else shipped_claims()
+    known_names = [claim_name for claim_list in claim_lists for claim_name in claim_list.claims]
+    for claim_name in claim_names:
+        if claim_name not in known_names:
+            raise unknown_name("claim", claim_name, known_names)
 
-    def wanted(claim: Claim, where: str) -> bool:
-        return (not names or claim.name in names or claim.like in names) and world in (None, where)
+    def wanted(claim: Claim, judged_world: str) -> bool:
+        is_named = not claim_names or claim.name in claim_names or claim.like in claim_names
+        return is_named and world in (None, judged_world)
 
     verdicts: list[Verdict] = []
     legend = list(LEGEND)
-    for claims in lists:
-        verdicts += judge(claims, index, wanted)
-        family = {"list": "a world", "study": "a study in a world"}[claims.head.families]
-        level = f"{100 - 100 * claims.head.alpha:g} %, for {family}"
-        legend.append(f"  {claims.path.name}: {level}; SHA-256 {claims.digest[:16]}…")
-    contrasts = [_contrast_row(row) for verdict in verdicts for row in verdict.contrasts]
+    for claim_list in claim_lists:
+        verdicts += judge(claim_list, index, wanted)
+        family = {"list": "a world", "study": "a study in a world"}[claim_list.head.families]
+        confidence = f"{100 - 100 * claim_list.head.alpha:g} %, for {family}"
+        legend.append(f"  {claim_list.path.name}: {confidence}; SHA-256 {claim_list.digest[:16]}…")
+    contrast_rows = [
+        _contrast_row(claim_contrast) for verdict in verdicts for claim_contrast in verdict.contrasts
+    ]
     by_claim = words.verdicts_by_claim(verdicts)
     about = {
         "rules": RULES,
-        "lists": [_list_row(claims) for claims in lists],
+        "lists": [_list_row(claim_list) for claim_list in claim_lists],
         "claims": [_verdict_row(verdict) for verdict in verdicts],
     }
     return VerdictsAnswer(
         title="",
         about=about,
-        tables={"contrasts": pd.DataFrame(contrasts)},
+        tables={"contrasts": pd.DataFrame(contrast_rows)},
         cells=[words.verdict_table(by_claim), words.count_words(by_claim)],
         notes=[f"{problem}." for problem in index.problems],
         legend=legend + [_origin(index, verdicts)],
@@ -100,12 +106,12 @@ def _origin(index: RunIndex, verdicts: Sequence[Verdict]) -> str:
     return f"Read {own_runs:,} runs from {index.store.root} and {len(run_ids) - own_runs:,} published runs."
 
 
-def _list_row(claims: ClaimList) -> dict[str, Any]:
+def _list_row(claim_list: ClaimList) -> dict[str, Any]:
     return {
-        "file": claims.path.name,
-        "claims_hash": claims.digest,
-        "alpha": claims.head.alpha,
-        "families": claims.head.families,
+        "file": claim_list.path.name,
+        "claims_hash": claim_list.digest,
+        "alpha": claim_list.head.alpha,
+        "families": claim_list.head.families,
     }
 
 
@@ -120,24 +126,27 @@ def _verdict_row(verdict: Verdict) -> dict[str, Any]:
         "changed": verdict.changed,
         "reason": verdict.reason,
         "run_ids": verdict.run_ids,
-        **{key: getattr(verdict.claim, key) for key in OF_CLAIM},
+        **{field_name: getattr(verdict.claim, field_name) for field_name in OF_CLAIM},
         "outcomes": verdict.claim.outcome,
-        "contrasts": [{**_contrast_row(row), "runs": row.runs} for row in verdict.contrasts],
+        "contrasts": [
+            {**_contrast_row(claim_contrast), "runs": claim_contrast.runs}
+            for claim_contrast in verdict.contrasts
+        ],
     }
 
 
-def _contrast_row(row: ClaimContrast) -> dict[str, Any]:
+def _contrast_row(claim_contrast: ClaimContrast) -> dict[str, Any]:
     """Return a row of the table: what was planned, and what the runs show."""
-    contrast, (a, b) = row.contrast, row.names
+    contrast, (a, b) = claim_contrast.contrast, claim_contrast.names
     return {
-        "claim": row.claim.name,
-        "world": row.world,
-        "outcome": row.outcome,
+        "claim": claim_contrast.claim.name,
+        "world": claim_contrast.world,
+        "outcome": claim_contrast.outcome,
         "a": a,
         "b": b,
-        "alpha": row.alpha,
-        "margin": row.margin,
-        "registered_margin": row.registered_margin,
+        "alpha": claim_contrast.alpha,
+        "margin": claim_contrast.margin,
+        "registered_margin": claim_contrast.registered_margin,
         "effect": contrast.effect,
         "mean_a": contrast.means[0],
         "mean_b": contrast.means[1],
@@ -145,10 +154,10 @@ def _contrast_row(row: ClaimContrast) -> dict[str, Any]:
         "high": contrast.interval.high,
         "simultaneous_low": contrast.simultaneous.low,
         "simultaneous_high": contrast.simultaneous.high,
-        "verdict": row.verdict,
-        "registered_verdict": row.registered_verdict,
+        "verdict": claim_contrast.verdict,
+        "registered_verdict": claim_contrast.registered_verdict,
         "reason": contrast.reason,
         "seeds_a": contrast.seeds[0],
         "seeds_b": contrast.seeds[1],
-        "none_learned": row.none_learned,
+        "none_learned": claim_contrast.none_learned,
     }

@@ -55,7 +55,9 @@ def compare(
 
     if with_ and a is None:
         second = replace(selection, condition=None, set_=None)
-        answer = comparison.compare(selection.open(name), outcomes=outcome or (), other=second.open(with_))
+        answer = comparison.compare(
+            selection.open(name), outcomes=outcome or (), other_data=second.open(with_)
+        )
     elif a and b and not with_:
         data = selection.open(comparison.narrowed(selection.query(name), a, b))
         answer = comparison.compare(data, a, b, outcome or ())
