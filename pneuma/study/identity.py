@@ -44,21 +44,21 @@ def config_id(run: Run) -> str:
 
 def _digest(run: Run, without: Sequence[str] = ()) -> str:
     defaults, fields = as_fields(Run()), as_fields(run)
-    hashed = {}
-    for name, value in fields.items():
-        if value != defaults[name] and name not in without:
-            hashed[name] = value
-    for name in own_names(fields):
-        if name not in CLASSES:
-            hashed[name] = "of the user's own"
-    if "wrappers" in hashed:
-        hashed["wrappers"] = [_by_file(wrapper) for wrapper in fields["wrappers"]]
-    if "algorithm" in hashed:
-        hashed["algorithm"] = _by_file(fields["algorithm"])
-    if "reward" in hashed:
-        hashed["reward"] = [_by_module(reward) for reward in fields["reward"]]
+    hashed_fields = {}
+    for field_name, field_value in fields.items():
+        if field_value != defaults[field_name] and field_name not in without:
+            hashed_fields[field_name] = field_value
+    for field_name in own_names(fields):
+        if field_name not in CLASSES:
+            hashed_fields[field_name] = "of the user's own"
+    if "wrappers" in hashed_fields:
+        hashed_fields["wrappers"] = [_by_file(wrapper) for wrapper in fields["wrappers"]]
+    if "algorithm" in hashed_fields:
+        hashed_fields["algorithm"] = _by_file(fields["algorithm"])
+    if "reward" in hashed_fields:
+        hashed_fields["reward"] = [_by_module(reward) for reward in fields["reward"]]
     identity = {
-        "run": hashed,
+        "run": hashed_fields,
         "contents": user_files_digest(fields),
         "rules": RULES_VERSION,
         "engine": [run.engine, ENGINE_VERSIONS[run.engine]],
@@ -66,18 +66,18 @@ def _digest(run: Run, without: Sequence[str] = ()) -> str:
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _by_file(name: str) -> str:
+def _by_file(class_text: str) -> str:
     """Return a class with its arguments, by the name of its module's file where it is given by its path."""
-    class_name, brace, arguments = name.partition("{")
+    class_name, brace, arguments = class_text.partition("{")
     return Path(class_name).name + brace + arguments
 
 
-def _by_module(reward: str) -> str:
+def _by_module(reward_name: str) -> str:
     """Return the name of a reward, by the name of its module where it is given by its path."""
-    path, _, function = reward.rpartition(":")
-    if not path.endswith(".py"):
-        return reward
-    return f"{in_package(Path(path))[1]}:{function}"
+    module_path, _, function = reward_name.rpartition(":")
+    if not module_path.endswith(".py"):
+        return reward_name
+    return f"{in_package(Path(module_path))[1]}:{function}"
 
 
 def user_files_digest(fields: Mapping[str, Any]) -> str:
@@ -88,73 +88,73 @@ def user_files_digest(fields: Mapping[str, Any]) -> str:
     Raises:
         UserError, OSError: for a file that cannot be read.
     """
-    paths = user_files(fields)
-    if not paths:
+    file_paths = user_files(fields)
+    if not file_paths:
         return ""
     digest = hashlib.sha256()
-    for path in paths:
-        data = path.read_bytes()
-        digest.update(f"{path.name}\0{len(data)}\0".encode() + data)
+    for file_path in file_paths:
+        contents = file_path.read_bytes()
+        digest.update(f"{file_path.name}\0{len(contents)}\0".encode() + contents)
     return digest.hexdigest()
 
 
 def user_files(fields: Mapping[str, Any]) -> list[Path]:
     """Return the user's own files in a run's fields: level, characters, and modules."""
-    paths: list[Path] = []
-    for key, names in own_names(fields).items():
-        module, function = _USER_FILES[key]
-        for name in names:
-            if key in CLASSES:
-                name = name.partition("{")[0].rpartition(":")[0]
-            paths += getattr(import_module(module), function)(name)
-    return paths
+    file_paths: list[Path] = []
+    for field_name, names in own_names(fields).items():
+        module, function = _USER_FILES[field_name]
+        for own_name in names:
+            if field_name in CLASSES:
+                own_name = own_name.partition("{")[0].rpartition(":")[0]
+            file_paths += getattr(import_module(module), function)(own_name)
+    return file_paths
 
 
 def own_names(fields: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     """Return the names of a user's own level, characters or modules, by field."""
-    tests = {"level": is_own_level, "characters": are_own_characters, "algorithm": is_own_algorithm}
-    values: dict[str, Any] = {}
-    for key, is_own in tests.items():
-        if key in fields and is_own(fields[key]):
-            values[key] = fields[key]
-    for key in ("env_module", "wrappers"):
-        values[key] = fields.get(key)
-    values["reward"] = own_rewards(fields.get("reward", ()))
-    names: dict[str, tuple[str, ...]] = {}
-    for key, value in values.items():
-        if isinstance(value, str) and value:
-            names[key] = (value,)
-        elif value:
-            names[key] = tuple(value)
-    return names
+    ownership_tests = {"level": is_own_level, "characters": are_own_characters, "algorithm": is_own_algorithm}
+    own_values: dict[str, Any] = {}
+    for field_name, is_own in ownership_tests.items():
+        if field_name in fields and is_own(fields[field_name]):
+            own_values[field_name] = fields[field_name]
+    for field_name in ("env_module", "wrappers"):
+        own_values[field_name] = fields.get(field_name)
+    own_values["reward"] = own_rewards(fields.get("reward", ()))
+    names_by_field: dict[str, tuple[str, ...]] = {}
+    for field_name, own_value in own_values.items():
+        if isinstance(own_value, str) and own_value:
+            names_by_field[field_name] = (own_value,)
+        elif own_value:
+            names_by_field[field_name] = tuple(own_value)
+    return names_by_field
 
 
-def files_beside(path: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
+def files_beside(study_file: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
     """Return fields with the paths of a user's modules, level and characters that are beside a study's file.
 
     What is not there is looked for when it is used: here, and modules among those that are installed.
     """
     resolved = dict(fields)
-    for key, names in own_names(fields).items():
-        paths = {name: _beside(path.parent, key, name) for name in names}
-        value = fields[key]
-        if isinstance(value, str):
-            resolved[key] = paths[value]
+    for field_name, names in own_names(fields).items():
+        paths = {own_name: _beside(study_file.parent, field_name, own_name) for own_name in names}
+        field_value = fields[field_name]
+        if isinstance(field_value, str):
+            resolved[field_name] = paths[field_value]
         else:
-            resolved[key] = tuple(paths.get(name, name) for name in value)
+            resolved[field_name] = tuple(paths.get(own_name, own_name) for own_name in field_value)
     return resolved
 
 
-def _beside(folder: Path, key: str, name: str) -> str:
-    file, colon, class_name = name, "", ""
-    if key in CLASSES:
-        file, colon, class_name = name.partition(":")
-    module, exists = file.replace(".", "/"), os.path.isdir if key == "level" else os.path.isfile
+def _beside(folder: Path, field_name: str, own_name: str) -> str:
+    file, colon, class_name = own_name, "", ""
+    if field_name in CLASSES:
+        file, colon, class_name = own_name.partition(":")
+    module, exists = file.replace(".", "/"), os.path.isdir if field_name == "level" else os.path.isfile
     for candidate in (file, f"{module}.py", f"{module}/__init__.py"):
-        path = folder / candidate
-        if exists(path):  # of `os.path`: a name may be too long, or hold a NUL
-            return f"{path.resolve()}{colon}{class_name}"
-    return name
+        file_path = folder / candidate
+        if exists(file_path):  # of `os.path`: a name may be too long, or hold a NUL
+            return f"{file_path.resolve()}{colon}{class_name}"
+    return own_name
 
 
 def describe_user_code(fields: Mapping[str, object]) -> dict[str, str]:
@@ -163,14 +163,14 @@ def describe_user_code(fields: Mapping[str, object]) -> dict[str, str]:
     They may name files, code, and arguments of an environment, which may start programs. Nothing is imported
     or opened.
     """
-    read = {}
-    for key in _USER_FILES:
-        if fields.get(key) is not None:
-            read[key] = read_field(Run, key, fields[key])
+    fields_read = {}
+    for field_name in _USER_FILES:
+        if fields.get(field_name) is not None:
+            fields_read[field_name] = read_field(Run, field_name, fields[field_name])
     described = {}
-    for key, names in own_names(read).items():
-        verb = "run" if _USER_FILES[key] is _MODULE_FILES else "read"
-        described[key] = f"{verb} the {_NOUNS.get(key, key)} {', '.join(names)}"
+    for field_name, names in own_names(fields_read).items():
+        verb = "run" if _USER_FILES[field_name] is _MODULE_FILES else "read"
+        described[field_name] = f"{verb} the {_NOUNS.get(field_name, field_name)} {', '.join(names)}"
     arguments = fields.get("env_kwargs")
     if arguments:
         described["env_kwargs"] = f"make {fields.get('env')} with {arguments}"

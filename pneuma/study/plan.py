@@ -79,14 +79,14 @@ class Query:
     conditions: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
 
-    def named(self, name: str) -> Query:
+    def named(self, study_name: str) -> Query:
         """Return the query with the study that a name means, and the preset of `STUDY@PRESET`."""
-        study, separator, preset = name.rpartition("@")
+        plain_name, separator, preset = study_name.rpartition("@")
         if not separator:
-            return replace(self, study=name)
+            return replace(self, study=study_name)
         if self.preset and self.preset != preset:
-            raise UserError(f"{name}: already names the preset {preset}; leave out {self.preset}")
-        return replace(self, study=study, preset=preset)
+            raise UserError(f"{study_name}: already names the preset {preset}; leave out {self.preset}")
+        return replace(self, study=plain_name, preset=preset)
 
 
 @dataclass(frozen=True)
@@ -143,27 +143,27 @@ def make_plan(study: Study, query: Query, engine: Callable[[Run], str] | None = 
     """
     preset = query.preset or default_preset(study)
     amounts = find_preset(study, preset).amounts(study.conditions, study.world)
-    for name in query.conditions:
-        if name in study.conditions and name not in amounts:
-            raise UserError(f"condition {name}: has no runs in the preset {preset}; choose another")
-    names = query.conditions or tuple(amounts)
-    configurations = configure(study, query.settings, names, engine or _first_capable_engine())
+    for condition in query.conditions:
+        if condition in study.conditions and condition not in amounts:
+            raise UserError(f"condition {condition}: has no runs in the preset {preset}; choose another")
+    conditions = query.conditions or tuple(amounts)
+    configurations = configure(study, query.settings, conditions, engine or _first_capable_engine())
     runs: dict[str, Run] = {}
     seeds_by_condition: dict[str, tuple[int, ...]] = {}
     seeds: dict[int, None] = {}
-    for name, origin in configurations.origins.items():
-        run, amount = configurations.runs[name], amounts[origin]
-        runs[name] = replace(run, steps=round_up(run, query.steps or amount.steps))
-        seeds_by_condition[name] = query.seeds or amount.seeds
-        seeds |= dict.fromkeys(seeds_by_condition[name])
-    count = sum(map(len, seeds_by_condition.values()))
-    if count > MOST_RUNS:
-        raise UserError(f"{count:,} runs are too many for one study: at most {MOST_RUNS:,}")
+    for condition, origin in configurations.origins.items():
+        run, amount = configurations.runs[condition], amounts[origin]
+        runs[condition] = replace(run, steps=round_up(run, query.steps or amount.steps))
+        seeds_by_condition[condition] = query.seeds or amount.seeds
+        seeds |= dict.fromkeys(seeds_by_condition[condition])
+    run_count = sum(map(len, seeds_by_condition.values()))
+    if run_count > MOST_RUNS:
+        raise UserError(f"{run_count:,} runs are too many for one study: at most {MOST_RUNS:,}")
     cells: list[Cell] = []
     for seed in seeds:
-        for name, run in runs.items():
-            if seed in seeds_by_condition[name]:
-                cells.append(Cell(name, seed, replace(run, seed=seed)))
+        for condition, run in runs.items():
+            if seed in seeds_by_condition[condition]:
+                cells.append(Cell(condition, seed, replace(run, seed=seed)))
     notes = _rounding_notes(query.steps, runs) + _notes(configurations.study, runs)
     return Plan(configurations.study, tuple(cells), preset, query, tuple(notes))
 
@@ -173,7 +173,7 @@ def _first_capable_engine() -> Callable[[Run], str]:
     from pneuma.engines.environment import able_engine  # gymnasium: not for Pneuma's own worlds
 
     cached_engine = cache(able_engine)
-    return lambda run: cached_engine(Run(**{key: getattr(run, key) for key in ("env",) + OF_GYMNASIUM}))
+    return lambda run: cached_engine(Run(**{name: getattr(run, name) for name in ("env",) + OF_GYMNASIUM}))
 
 
 @dataclass(frozen=True)
@@ -219,28 +219,29 @@ def configure(
             raise UserError(Hint("settings"), text, Hint("conditions"))
     overrides, swept = _read_settings(study, settings)
     variants = _sweep(study, swept)
-    for name in selection:
-        if name not in variants and name not in study.conditions:
-            variants[name] = _with_changes(study, name, variants)
+    for condition in selection:
+        if condition not in variants and condition not in study.conditions:
+            variants[condition] = _with_changes(study, condition, variants)
     conditions: dict[str, Mapping[str, Any]] = {}
     levels: dict[str, Mapping[str, str]] = {}
     origins: dict[str, str] = {}
-    for name, variant in variants.items():
+    for condition, variant in variants.items():
         origin = variant.origin
-        conditions[name] = {**study.conditions[origin], **variant.fields}
+        conditions[condition] = {**study.conditions[origin], **variant.fields}
         if study.levels or swept:
-            levels[name] = {**(study.levels.get(origin) or {CONDITION: origin}), **variant.levels}
-        if not selection or name in selection or (swept and origin in selection):
-            origins[name] = origin
-    baseline = next(name for name, variant in variants.items() if variant.origin == study.baseline)
+            levels[condition] = {**(study.levels.get(origin) or {CONDITION: origin}), **variant.levels}
+        if not selection or condition in selection or (swept and origin in selection):
+            origins[condition] = origin
+    baseline = next(condition for condition, variant in variants.items() if variant.origin == study.baseline)
     changes = {"conditions": conditions, "levels": levels, "baseline": baseline, "settings": dict(settings)}
     crossed = study.model_copy(update=changes)
     runs = {name: make_run(crossed.fields(name, {"steps": 1, **overrides})) for name in origins}
     for key in unread_fields(runs.values(), settings):
         raise UserError(Hint("settings"), f" {key}: {does_nothing(key, runs.values())}")
-    for name, run in runs.items():
-        if _leaves_engine_open(crossed, name) and is_gymnasium_id(run.env) and not beyond_engine(run):
-            runs[name] = make_run({**as_fields(run), "engine": engine(run)})  # which may lack the optimizer
+    for condition, run in runs.items():
+        if _leaves_engine_open(crossed, condition) and is_gymnasium_id(run.env) and not beyond_engine(run):
+            # the chosen engine may lack the optimizer
+            runs[condition] = make_run({**as_fields(run), "engine": engine(run)})
     return Configurations(crossed, runs, origins)
 
 
@@ -255,65 +256,66 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
     classes or rewards are swept.
     """
 
-    def read(key: str, value: Any) -> Any:
-        fields = {key: read_field(Run, key, value)}
+    def read(field_name: str, field_value: Any) -> Any:
+        fields = {field_name: read_field(Run, field_name, field_value)}
         if study.path:
             fields = files_beside(study.path, fields)
-        return fields[key]
+        return fields[field_name]
 
     has_one_player = all(study.fields(name, settings).get("players", 1) == 1 for name in study.conditions)
-    single, swept = {}, {}
-    for key, value in settings.items():
-        values = value
-        if isinstance(value, str):
-            values = [read_value(text) for text in split_list(value)]
-        is_list = isinstance(values, list | tuple) and len(values) > 1
+    single_values, swept = {}, {}
+    for key, setting in settings.items():
+        setting_values = setting
+        if isinstance(setting, str):
+            setting_values = [read_value(value_text) for value_text in split_list(setting)]
+        is_list = isinstance(setting_values, list | tuple) and len(setting_values) > 1
         try:
-            single[key] = read(key, value)
+            single_values[key] = read(key, setting)
         except UserError:
             if not is_list or key not in Run.__dataclass_fields__:
                 raise
-        if is_list and (key not in single or (key in OF_PLAYERS and has_one_player)):
-            swept[key] = {short(item): read(key, item) for item in values}
-            single.pop(key, None)
-    return single, swept
+        if is_list and (key not in single_values or (key in OF_PLAYERS and has_one_player)):
+            swept[key] = {short(swept_value): read(key, swept_value) for swept_value in setting_values}
+            single_values.pop(key, None)
+    return single_values, swept
 
 
 def _sweep(study: Study, swept: Swept) -> dict[str, _Variant]:
     """Cross the conditions of a study with the values of swept fields."""
-    count = math.prod(map(len, [study.conditions, *swept.values()]))
-    if swept and count > MOST_CONDITIONS:
-        raise UserError(Hint("settings"), f": {count:,} conditions are too many: at most {MOST_CONDITIONS:,}")
+    condition_count = math.prod(map(len, [study.conditions, *swept.values()]))
+    if swept and condition_count > MOST_CONDITIONS:
+        text = f": {condition_count:,} conditions are too many: at most {MOST_CONDITIONS:,}"
+        raise UserError(Hint("settings"), text)
     variants = {}
-    for *texts, origin in product(*swept.values(), study.conditions):
-        name, fields, levels = origin, {}, {}
-        for key, text in zip(swept, texts, strict=True):
-            name += f", {key}={text}"
-            fields[key], levels[key] = swept[key][text], text
-        variants[name] = _Variant(origin, fields, levels)
+    for *value_texts, origin in product(*swept.values(), study.conditions):
+        condition, fields, levels = origin, {}, {}
+        for field_name, value_text in zip(swept, value_texts, strict=True):
+            condition += f", {field_name}={value_text}"
+            fields[field_name], levels[field_name] = swept[field_name][value_text], value_text
+        variants[condition] = _Variant(origin, fields, levels)
     return variants
 
 
-def _with_changes(study: Study, name: str, condition_names: Iterable[str]) -> _Variant:
+def _with_changes(study: Study, condition: str, condition_names: Iterable[str]) -> _Variant:
     """Read the name of a condition with changed fields."""
     for origin in sorted(study.conditions, key=len, reverse=True):
-        changes = re.split(r", (?=\w+=)", name.removeprefix(origin))
-        if name.startswith(f"{origin}, ") and not changes[0]:
+        changes = re.split(r", (?=\w+=)", condition.removeprefix(origin))
+        if condition.startswith(f"{origin}, ") and not changes[0]:
             levels = dict(change.split("=", 1) for change in changes[1:])
             settings = own_fields({key: read_value(text) for key, text in levels.items()})
             return _Variant(origin, _read_settings(study, settings)[0], levels)
-    raise unknown_name(f"condition of study {study.name}", name, condition_names)
+    raise unknown_name(f"condition of study {study.name}", condition, condition_names)
 
 
 def differing_fields(conditions: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """Return the fields in which conditions differ: for each, its value in every condition."""
-    names = dict.fromkeys(name for fields in conditions.values() for name in fields if name != "seed")
+    field_names = dict.fromkeys(name for fields in conditions.values() for name in fields if name != "seed")
     differing = {}
-    for name in names:
-        values = {condition: fields.get(name) for condition, fields in conditions.items()}
-        first_value = next(iter(values.values()))
-        if any(value != first_value for value in values.values()):
-            differing[name] = values
+    for field_name in field_names:
+        values_by_condition = {condition: fields.get(field_name) for condition, fields in conditions.items()}
+        first_value = next(iter(values_by_condition.values()))
+        if any(field_value != first_value for field_value in values_by_condition.values()):
+            differing[field_name] = values_by_condition
     return differing
 
 
@@ -322,11 +324,11 @@ def default_preset(study: Study) -> str:
     return QUICK if QUICK in study.presets else next(iter(study.presets), QUICK)
 
 
-def find_preset(study: Study, name: str) -> Preset:
+def find_preset(study: Study, preset_name: str) -> Preset:
     """Return a preset by its name; a UserError that lists the study's presets."""
-    if name not in study.presets:
-        raise unknown_name(f"preset of study {study.name}", name, list(study.presets) + [LAST, CLAIMS])
-    return study.presets[name]
+    if preset_name not in study.presets:
+        raise unknown_name(f"preset of study {study.name}", preset_name, list(study.presets) + [LAST, CLAIMS])
+    return study.presets[preset_name]
 
 
 def _notes(study: Study, runs: Mapping[str, Run]) -> list[str]:
@@ -335,9 +337,9 @@ def _notes(study: Study, runs: Mapping[str, Run]) -> list[str]:
     names_by_configuration: dict[str, list[str]] = {}
     for name, run in runs.items():
         names_by_configuration.setdefault(config_id(run), []).append(name)
-    for names in names_by_configuration.values():
-        if len(names) > 1:
-            notes.append(f"{', '.join(names)} have identical settings: a comparison shows noise")
+    for conditions in names_by_configuration.values():
+        if len(conditions) > 1:
+            notes.append(f"{', '.join(conditions)} have identical settings: a comparison shows noise")
     for name, run in runs.items():
         if run.engine != ENGINES[0] and _leaves_engine_open(study, name):
             reason = beyond_engine(run) or "such actions"

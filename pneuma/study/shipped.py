@@ -43,30 +43,30 @@ def list_studies() -> list[str]:
     return shipped_names(studies_folder())
 
 
-def read_head(name: str, folder: Path | None = None) -> dict[str, Any]:
+def read_head(study_name: str, folder: Path | None = None) -> dict[str, Any]:
     """Return the contents of a shipped study's file, or of another in a folder, unchecked."""
-    return tomllib.loads(((folder or studies_folder()) / f"{name}.toml").read_text(encoding="utf-8"))
+    return tomllib.loads(((folder or studies_folder()) / f"{study_name}.toml").read_text(encoding="utf-8"))
 
 
 def studies_by_figure() -> dict[str, str]:
     """Return the shipped study of each figure, such as optimizer of fig-6-4."""
-    studies = {}
-    for name in list_studies():
-        figure = read_head(name).get("figure")
+    names_by_figure = {}
+    for study_name in list_studies():
+        figure = read_head(study_name).get("figure")
         if figure:
-            studies[figure] = name
-    return studies
+            names_by_figure[figure] = study_name
+    return names_by_figure
 
 
 def find_file(
-    what: str, name: str, folder: Path, other_names: Iterable[str] = (), copies: Path | None = None
+    category: str, name: str, folder: Path, other_names: Iterable[str] = (), copies: Path | None = None
 ) -> Path:
     """Return the path of a file by itself, by a shipped name, or by that of NAME.toml here or in examples.
 
     A study has the name of its figure, too.
 
     Args:
-        what: a study or a search; for messages.
+        category: a study or a search; for messages.
         name: as the user typed it.
         folder: of the shipped files.
         other_names: which a mistyped name may mean.
@@ -76,35 +76,35 @@ def find_file(
     if name in shipped:
         return folder / f"{name}.toml"
     if name.endswith(".toml"):
-        path = Path(name)
+        file_path = Path(name)
         if not os.path.exists(name) and os.path.isfile(folder / name):  # a Path would refuse a long name
-            return folder / path  # such as examples/cartpole.toml, from any folder
+            return folder / file_path  # such as examples/cartpole.toml, from any folder
     else:
-        file = f"{name}.toml"
-        candidates = [Path(file), Path("examples", file), folder / "examples" / file]
+        file_name = f"{name}.toml"
+        candidates = [Path(file_name), Path("examples", file_name), folder / "examples" / file_name]
         if copies:
-            candidates.append(copies / file)
-        existing = [path for path in candidates if os.path.isfile(path)]
+            candidates.append(copies / file_name)
+        existing = [file_path for file_path in candidates if os.path.isfile(file_path)]
         if not existing:
-            return _by_figure(what, name, folder, shipped + list(other_names))
-        path = existing[0]
-        if path not in candidates[:2]:
-            return path
-    refuse_taken_name(path, folder / path.name, what)
-    return path
+            return _by_figure(category, name, folder, shipped + list(other_names))
+        file_path = existing[0]
+        if file_path not in candidates[:2]:
+            return file_path
+    refuse_taken_name(file_path, folder / file_path.name, category)
+    return file_path
 
 
-def _by_figure(what: str, name: str, folder: Path, names: list[str]) -> Path:
+def _by_figure(category: str, name: str, folder: Path, known_names: list[str]) -> Path:
     """Return the study of a figure of this name."""
-    if what == "study":
+    if category == "study":
         figures = studies_by_figure()
         if name in figures:
             return folder / f"{figures[name]}.toml"
         if name in shipped_names(folder / "search"):
             raise UserError(f"{name} is a search, not a study: `pneuma search run {name}`")
-    raise unknown_name(what, name, names + shipped_names(folder / "examples"))
+    raise unknown_name(category, name, known_names + shipped_names(folder / "examples"))
 
 
-def refuse_taken_name(path: Path, shipped: Path, what: str) -> None:
-    if shipped.is_file() and path.resolve() != shipped.resolve():
-        raise UserError(f"{path}: this is the name of a shipped {what}; give yours another file name")
+def refuse_taken_name(own_file: Path, shipped_file: Path, category: str) -> None:
+    if shipped_file.is_file() and own_file.resolve() != shipped_file.resolve():
+        raise UserError(f"{own_file}: this is the name of a shipped {category}; give yours another file name")

@@ -67,47 +67,49 @@ def _named_values(factors: Any) -> Any:
     """Name the values of a factor that is a field of the run, as those of other factors are."""
     if not isinstance(factors, Mapping):
         return factors
-    tables = {}
-    for factor, values in factors.items():
+    values_by_factor = {}
+    for factor, factor_values in factors.items():
         if factor == CONDITION:
             raise wrong(f"{factor} is what [conditions] are; name it otherwise", factor)
-        refusal = f"{factor} = {shown(values)} is not allowed: a list of"
-        if not isinstance(values, tuple | Mapping) or not 2 <= len(values) <= MOST_CONDITIONS:
+        refusal = f"{factor} = {shown(factor_values)} is not allowed: a list of"
+        if not isinstance(factor_values, tuple | Mapping) or not 2 <= len(factor_values) <= MOST_CONDITIONS:
             raise wrong(f"{refusal} 2 to {MOST_CONDITIONS:,} values, or a table of named ones", factor)
-        tables[factor] = values
-        if not isinstance(values, Mapping):
-            tables[factor] = {f"{factor}={short(value)}": {factor: value} for value in values}
-            if len(tables[factor]) < len(values):
+        values_by_factor[factor] = factor_values
+        if not isinstance(factor_values, Mapping):
+            values_by_factor[factor] = {
+                f"{factor}={short(value)}": {factor: value} for value in factor_values
+            }
+            if len(values_by_factor[factor]) < len(factor_values):
                 raise wrong(f"{refusal} different values", factor)
-    return tables
+    return values_by_factor
 
 
-def _read_fields(table: Any) -> Any:
+def _read_fields(run_table: Any) -> Any:
     """Read a table of a run's fields, by the names of Stable-Baselines3 too; return them by Pneuma's."""
-    if not isinstance(table, Mapping):
-        return table
+    if not isinstance(run_table, Mapping):
+        return run_table
     try:
-        fields, keys = fields_and_keys(table)
+        fields, keys_by_field = fields_and_keys(run_table)
     except UserError as error:
         raise wrong(str(error), str(error).split()[0].strip(":")) from None
-    values: dict[str, Any] = {}
+    read_values: dict[str, Any] = {}
     mistakes: dict[str, str] = {}
-    for name, value in fields.items():
+    for field_name, field_value in fields.items():
         try:
-            if name in PLANNED:
-                raise UserError(f"{name} is not allowed here: use {PLANNED[name]}")
-            if name not in Run.__dataclass_fields__:
+            if field_name in PLANNED:
+                raise UserError(f"{field_name} is not allowed here: use {PLANNED[field_name]}")
+            if field_name not in Run.__dataclass_fields__:
                 hint = "put a learner's arguments in algorithm_kwargs"
-                raise UserError(f"{unknown_name('key', name, Run.__dataclass_fields__)}; {hint}")
-            values[name] = read_field(Run, name, value)
+                raise UserError(f"{unknown_name('key', field_name, Run.__dataclass_fields__)}; {hint}")
+            read_values[field_name] = read_field(Run, field_name, field_value)
         except UserError as error:
-            key = keys[name]
+            key = keys_by_field[field_name]
             mistakes[key] = str(error) if key in str(error) else f"{key}: {error}"
         if len(mistakes) == MOST_LISTED:
             break
     if mistakes:
         raise all_wrong(mistakes)
-    return values
+    return read_values
 
 
 Name = Annotated[str, matching(r"(?!_)(?s:.*\S.*)", "a name that can be read and begins otherwise than _")]
@@ -154,17 +156,17 @@ class Preset(Amounts):
     def amounts(self, conditions: Iterable[str], world: str) -> dict[str, Amount]:
         """Return the seeds and steps of each condition that the preset has in a world."""
         in_world: Amounts = getattr(self, world) or Amounts()
-        only = in_world.only or self.only
+        condition_names = in_world.only or self.only
         if not self.seeds:  # the preset of claims has the conditions that it lists
-            only = tuple(self.conditions)
+            condition_names = tuple(self.conditions)
         amounts: dict[str, Amount] = {}
-        for name in conditions:
-            if only and name not in only:
+        for condition in conditions:
+            if condition_names and condition not in condition_names:
                 continue
-            sources = (in_world.conditions.get(name), in_world, self.conditions.get(name), self)
+            sources = (in_world.conditions.get(condition), in_world, self.conditions.get(condition), self)
             seeds = next((source.seeds for source in sources if source and source.seeds), ())
             steps = next((source.steps for source in sources if source and source.steps), 0)
-            amounts[name] = Amount.model_construct(seeds=seeds, steps=steps)
+            amounts[condition] = Amount.model_construct(seeds=seeds, steps=steps)
         return amounts
 
 
@@ -218,40 +220,40 @@ class Study(Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _spread_budget(cls, data: Any) -> Any:
+    def _spread_budget(cls, study_table: Any) -> Any:
         """Take `n_timesteps` of [run] as the steps of presets that say none."""
-        run, presets = data.get("run"), data.get("presets")
+        run, presets = study_table.get("run"), study_table.get("presets")
         if not isinstance(run, Mapping) or "n_timesteps" not in run or not isinstance(presets, Mapping):
-            return data
+            return study_table
         run, presets = {**run}, {**presets}
         try:
             steps = read_field(Run, "steps", run.pop("n_timesteps"))
         except UserError as error:
             raise wrong(f"[run] n_timesteps: {error}", "run") from None
-        for name, table in presets.items():
-            presets[name] = {"steps": steps, **table} if isinstance(table, Mapping) else table
-        return {**data, "presets": presets, "run": run}
+        for preset_name, table in presets.items():
+            presets[preset_name] = {"steps": steps, **table} if isinstance(table, Mapping) else table
+        return {**study_table, "presets": presets, "run": run}
 
     @classmethod
     def without_file(cls, name: str, title: str, conditions: Iterable[str], **changes: Any) -> Study:
         """Return a study whose runs are listed; the first condition is the baseline."""
-        empty: dict[str, dict[str, Any]] = {condition: {} for condition in conditions}
+        empty_conditions: dict[str, dict[str, Any]] = {condition: {} for condition in conditions}
         fields: dict[str, Any] = {
-            "baseline": next(iter(empty)),
+            "baseline": next(iter(empty_conditions)),
             "figure": name,
             "presets": {},
             "worlds": tuple(WORLDS),
         }
         fields.update(changes)
-        return cls.model_construct(name=name, title=title, conditions=empty, **fields)
+        return cls.model_construct(name=name, title=title, conditions=empty_conditions, **fields)
 
     def fields(self, condition: str, overrides: Mapping[str, Any] = MappingProxyType({})) -> dict[str, Any]:
         """Return all fields that a condition sets, including base and shared ones, with others on top."""
-        names = set(self.run)
-        for fields in self.conditions.values():
-            names.update(fields)
-        shared = {**self.run, **world_fields(self.world, names)}
-        return join_fields(self.base, {**shared, **self.conditions[condition], **overrides})
+        set_names = set(self.run)
+        for condition_fields in self.conditions.values():
+            set_names.update(condition_fields)
+        shared_fields = {**self.run, **world_fields(self.world, set_names)}
+        return join_fields(self.base, {**shared_fields, **self.conditions[condition], **overrides})
 
     def in_world(self, world: str) -> Study:
         """Return the study as it runs in one of its worlds.
@@ -259,8 +261,8 @@ class Study(Table):
         All conditions get the world's environment, and its other fields unless the study sets them itself.
         """
         if world not in self.worlds:
-            worlds = ", ".join(self.worlds)
-            raise UserError(f"study {self.name} cannot run in the world {world}; choose {worlds}")
+            world_names = ", ".join(self.worlds)
+            raise UserError(f"study {self.name} cannot run in the world {world}; choose {world_names}")
         return self.model_copy(update={"world": world})
 
     @property
@@ -283,37 +285,37 @@ class Study(Table):
 
 def join_fields(base: str, fields: Mapping[str, Any]) -> dict[str, Any]:
     """Combine fields with a base, if there is one, and with the defaults of the environment they choose."""
-    joined = dict(BASES.get(base, {}))
+    joined_fields = dict(BASES.get(base, {}))
     if fields.get("env") in ENVIRONMENT_SLOTS:
-        joined["slots"] = ENVIRONMENT_SLOTS[fields["env"]]
-    joined.update(fields)
-    return joined
+        joined_fields["slots"] = ENVIRONMENT_SLOTS[fields["env"]]
+    joined_fields.update(fields)
+    return joined_fields
 
 
 # --- Reading ---------------------------------------------------------------------------------------
 
 
 def load_study(
-    name: str, world: str | None = None, other_names: Iterable[str] = (), copies: Path | None = None
+    study_name: str, world: str | None = None, other_names: Iterable[str] = (), copies: Path | None = None
 ) -> Study:
     """Load a shipped study by its name, or any study by the path of its file or by NAME for NAME.toml here.
 
     Its usual world is the arena, if it is run in it. `find_file` tells of the others.
     """
-    study = _read_study(find_file("study", name, studies_folder(), other_names, copies))
+    study = _read_study(find_file("study", study_name, studies_folder(), other_names, copies))
     return study.in_world(checked_world(world) or usual_world(study.worlds))
 
 
-def _read_study(path: Path) -> Study:
+def _read_study(study_path: Path) -> Study:
     """Read a study's file and check that its conditions make valid runs in each of its worlds."""
-    file = read_toml(path)
-    study = _crossed(file, read_model(Study, file))
+    study_file = read_toml(study_path)
+    study = _crossed(study_file, read_model(Study, study_file))
     conditions = study.conditions
     if not conditions:
-        raise file.mistake((), "a study needs at least one condition", "conditions")
+        raise study_file.mistake((), "a study needs at least one condition", "conditions")
     baseline = study.baseline or next(iter(conditions))
     mentioned: list[tuple[Where, str, str]] = [((), "baseline", baseline)]
-    factor_names = {name for values in study.factors.values() for name in values}
+    factor_names = {name for factor_values in study.factors.values() for name in factor_values}
     for levels in study.levels.values():
         factor_names.add(levels.get(CONDITION, ""))
     for key in ("labels", "colors"):
@@ -327,148 +329,152 @@ def _read_study(path: Path) -> Study:
             if not in_world:
                 continue
             if study.worlds and world not in study.worlds:
-                raise file.mistake(("presets", preset), f"{world}: not one of the study's worlds", world)
+                raise study_file.mistake(
+                    ("presets", preset), f"{world}: not one of the study's worlds", world
+                )
             mentioned += _mentioned_conditions(("presets", preset, world), in_world)
-    for where, key, name in mentioned:
+    for table_path, key, name in mentioned:
         if name not in conditions:
             message = str(unknown_name("condition", name, conditions))
             if key in ("baseline", "only"):
                 message = f"{key}: {message}"
-            raise file.mistake(where, message, key)
+            raise study_file.mistake(table_path, message, key)
     changes = {
-        "name": path.stem,
-        "path": path,
-        "figure": _figure(path, study.figure),
+        "name": study_path.stem,
+        "path": study_path,
+        "figure": _figure(study_path, study.figure),
         "baseline": baseline,
-        "run": files_beside(path, study.run),
-        "conditions": {name: files_beside(path, fields) for name, fields in conditions.items()},
+        "run": files_beside(study_path, study.run),
+        "conditions": {name: files_beside(study_path, fields) for name, fields in conditions.items()},
         "worlds": tuple(dict.fromkeys(study.worlds)) or _worlds(study),
     }
     study = study.model_copy(update=changes)
     for world in study.worlds:
-        _check_runs(file, study.in_world(world))
+        _check_runs(study_file, study.in_world(world))
     return study
 
 
-def _mentioned_conditions(where: Where, amounts: Amounts) -> list[tuple[Where, str, str]]:
+def _mentioned_conditions(table_path: Where, amounts: Amounts) -> list[tuple[Where, str, str]]:
     """Return the places, keys and names of the conditions that a preset mentions."""
     mentioned: list[tuple[Where, str, str]] = []
-    for name in amounts.conditions:
-        mentioned.append((where + ("conditions",), name, name))
-    for name in amounts.only:
-        mentioned.append((where, "only", name))
+    for condition in amounts.conditions:
+        mentioned.append((table_path + ("conditions",), condition, condition))
+    for condition in amounts.only:
+        mentioned.append((table_path, "only", condition))
     return mentioned
 
 
-def _figure(path: Path, name: str) -> str:
+def _figure(study_path: Path, figure_name: str) -> str:
     """Return a figure's name, which in a copy of a shipped study is not the shipped one's."""
-    default = f"study-{path.stem}"
-    is_shipped = path.resolve().parent == studies_folder().resolve()
-    if not is_shipped and name in studies_by_figure():
+    default = f"study-{study_path.stem}"
+    is_shipped = study_path.resolve().parent == studies_folder().resolve()
+    if not is_shipped and figure_name in studies_by_figure():
         return default
-    return name or default
+    return figure_name or default
 
 
 def _worlds(study: Study) -> tuple[str, ...]:
     """Return all worlds, or where a study sets its environment itself, the ones that are alike."""
-    env = study.run.get("env", ENVIRONMENTS[0])
+    env_id = study.run.get("env", ENVIRONMENTS[0])
     is_set_by_condition = any("env" in fields for fields in study.conditions.values())
-    if env == ENVIRONMENTS[0] and not is_set_by_condition:
+    if env_id == ENVIRONMENTS[0] and not is_set_by_condition:
         return tuple(WORLDS)
-    names = [name for name, world in WORLDS.items() if world.env == env and not world.overrides]
-    return tuple(names) or (TEXT,)
+    world_names = [name for name, world in WORLDS.items() if world.env == env_id and not world.overrides]
+    return tuple(world_names) or (TEXT,)
 
 
-def _crossed(file: TomlFile, study: Study) -> Study:
+def _crossed(study_file: TomlFile, study: Study) -> Study:
     """Cross a study's conditions with its factors, if it has some."""
     factors = dict(study.factors)
     if study.conditions:
         factors[CONDITION] = study.conditions
-    count = math.prod(map(len, factors.values()))
-    if count > MOST_CONDITIONS:
-        message = f"{count:,} conditions are too many: at most {MOST_CONDITIONS:,}"
-        raise file.mistake((), message, "factors")
+    condition_count = math.prod(map(len, factors.values()))
+    if condition_count > MOST_CONDITIONS:
+        message = f"{condition_count:,} conditions are too many: at most {MOST_CONDITIONS:,}"
+        raise study_file.mistake((), message, "factors")
     if not study.factors:
         return study
     conditions: dict[str, dict[str, Any]] = {}
     levels: dict[str, dict[str, str]] = {}
     labels, colors = dict(study.labels), dict(study.colors)
     baseline = study.baseline
-    for names in product(*factors.values()):
-        joined = ", ".join(names)
-        if joined in conditions:
-            message = f"two combinations are both called {joined}; name their values otherwise"
-            raise file.mistake(("factors",), message)
-        fields = conditions[joined] = {}
-        levels[joined] = {}
-        for factor, name in zip(factors, names, strict=True):
+    for value_names in product(*factors.values()):
+        condition = ", ".join(value_names)
+        if condition in conditions:
+            message = f"two combinations are both called {condition}; name their values otherwise"
+            raise study_file.mistake(("factors",), message)
+        fields = conditions[condition] = {}
+        levels[condition] = {}
+        for factor, name in zip(factors, value_names, strict=True):
             set_twice = fields.keys() & factors[factor][name].keys()
             if set_twice:
                 message = (
                     f"{factor}: {name} sets {min(set_twice)}, which another factor or condition sets too"
                 )
-                raise file.mistake(("factors",), message, factor)
+                raise study_file.mistake(("factors",), message, factor)
             fields.update(factors[factor][name])
-            levels[joined][factor] = name.removeprefix(f"{factor}=")
+            levels[condition][factor] = name.removeprefix(f"{factor}=")
             if name in study.labels:
-                labels.setdefault(joined, ", ".join(study.labels.get(value, value) for value in names))
-            if name in study.colors and joined not in study.colors:
-                colors[joined] = study.colors[name]
-        if baseline in names:
-            baseline = joined
+                labels.setdefault(
+                    condition, ", ".join(study.labels.get(value, value) for value in value_names)
+                )
+            if name in study.colors and condition not in study.colors:
+                colors[condition] = study.colors[name]
+        if baseline in value_names:
+            baseline = condition
     changes = {"conditions": conditions, "levels": levels, "labels": labels, "colors": colors}
     return study.model_copy(update={**changes, "baseline": baseline})
 
 
-def _check_runs(file: TomlFile, study: Study) -> None:
+def _check_runs(study_file: TomlFile, study: Study) -> None:
     """Refuse conditions that make no valid run, and fields that do nothing."""
     runs: list[Run] = []
-    for name, fields in study.conditions.items():
+    for condition, fields in study.conditions.items():
         try:
-            run = make_run(study.fields(name))
-            for key in unread_fields([run], fields):
-                raise UserError(does_nothing(key, [run]))
+            run = make_run(study.fields(condition))
+            for field_name in unread_fields([run], fields):
+                raise UserError(does_nothing(field_name, [run]))
         except UserError as error:
-            raise _mistake_in(file, study, name, str(error)) from None
+            raise _mistake_in(study_file, study, condition, str(error)) from None
         runs.append(run)
     unread = unread_fields(runs, study.run)
     if unread:
-        raise file.mistakes((("run",), key, does_nothing(key, runs)) for key in unread)
+        raise study_file.mistakes((("run",), key, does_nothing(key, runs)) for key in unread)
 
 
-def _mistake_in(file: TomlFile, study: Study, name: str, message: str) -> UserError:
+def _mistake_in(study_file: TomlFile, study: Study, condition: str, message: str) -> UserError:
     """Return an error that points at the field it begins with, or else at the condition."""
     key = message.split()[0]
-    if key not in study.fields(name):
+    if key not in study.fields(condition):
         key = ""
-    if key in study.run and key not in study.conditions[name]:
-        return file.mistake(("run",), message, key)
+    if key in study.run and key not in study.conditions[condition]:
+        return study_file.mistake(("run",), message, key)
     if study.levels:
-        return file.mistake(("factors",), f"{message} (in {name})", key)
-    return file.mistake(("conditions", name), message, key)
+        return study_file.mistake(("factors",), f"{message} (in {condition})", key)
+    return study_file.mistake(("conditions", condition), message, key)
 
 
-def unread_fields(runs: Iterable[Run], keys: Iterable[str]) -> list[str]:
+def unread_fields(runs: Iterable[Run], field_names: Iterable[str]) -> list[str]:
     """Return those fields that none of the runs reads."""
     effective: set[str] = set()
     for run in runs:
         effective |= reads(run)
-    return [key for key in keys if key not in effective]
+    return [field_name for field_name in field_names if field_name not in effective]
 
 
-def does_nothing(key: str, runs: Iterable[Run]) -> str:
+def does_nothing(field_name: str, runs: Iterable[Run]) -> str:
     """Return the message for a field that neither the runs' environments nor their learners read."""
-    names: dict[str, None] = {}
+    reader_names: dict[str, None] = {}
     algorithms: dict[str, None] = {}
     for run in runs:
-        names |= dict.fromkeys((run.env, run.algorithm))
+        reader_names |= dict.fromkeys((run.env, run.algorithm))
         algorithms[run.algorithm] = None
         if "optimizer" in reads(run):
-            names[run.optimizer] = None
+            reader_names[run.optimizer] = None
     hint = ""
     if "ppo" not in algorithms:
         hint = f"; an argument of {next(iter(algorithms))} stands in algorithm_kwargs, by the library's name"
-    return f"{key} does nothing: it is read by none of {', '.join(names)} as they are set{hint}"
+    return f"{field_name} does nothing: it is read by none of {', '.join(reader_names)} as they are set{hint}"
 
 
 def asked_words(study: Study) -> list[str]:
@@ -476,10 +482,10 @@ def asked_words(study: Study) -> list[str]:
 
     A file has the shorter of its absolute path and that from the current folder.
     """
-    file = study.name
+    study_word = study.name
     if study.own_path:
-        file = min(os.path.relpath(study.own_path), study.own_path, key=len)
-    return [file] + world_option(study.world, study.worlds) + setting_words(study.settings)
+        study_word = min(os.path.relpath(study.own_path), study.own_path, key=len)
+    return [study_word] + world_option(study.world, study.worlds) + setting_words(study.settings)
 
 
 def results_words(folder: Path) -> list[str]:
