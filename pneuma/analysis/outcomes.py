@@ -91,7 +91,7 @@ def _declared(declaration: dict[str, Any]) -> Outcome:
             measure = partial(measure, name=declaration.pop("of"))
     elif "curve" in declaration:
         declaration["source"], statistic = declaration.pop("curve"), declaration.pop("statistic", "last")
-        measure = partial(Row.statistic, quantity=declaration["source"], name=statistic)
+        measure = partial(Row.statistic, quantity=declaration["source"], statistic_name=statistic)
     else:
         declaration["source"] = "evaluations"
         take = getattr(measures, declaration.pop("take", "last_value"))

@@ -54,31 +54,33 @@ class RunCheckpoints:
         self._next = time.monotonic() + self._seconds
         self.attempts: list[dict[str, Any]] = []
         for folder in (self._folder, self._folder / CHECKPOINTS):
-            for path in folder.glob(".*.*"):
-                store.remove(path)  # a temporary file of a process that was killed
-        for path in self._folder.glob("*"):
-            if path.is_dir() and path.name != CHECKPOINTS:
-                store.remove(path)  # a folder in the place of a file
+            for stale_path in folder.glob(".*.*"):
+                store.remove(stale_path)  # a temporary file of a process that was killed
+        for stale_path in self._folder.glob("*"):
+            if stale_path.is_dir() and stale_path.name != CHECKPOINTS:
+                store.remove(stale_path)  # a folder in the place of a file
 
     def latest(self) -> Checkpoint | None:
         """Return the latest sound checkpoint and report damaged ones; None to start from the beginning."""
         self.attempts = []
-        for file in checkpoint_files(self._folder):
-            content = read_checkpoint(file)
+        for checkpoint_file in checkpoint_files(self._folder):
+            content = read_checkpoint(checkpoint_file)
             if content:
                 checkpoint, self.attempts = content
                 return checkpoint
-            self._say(f"the checkpoint at step {file.step:,} is damaged: going on from the one before")
-            self._store.remove(file.path)
+            self._say(
+                f"the checkpoint at step {checkpoint_file.step:,} is damaged: going on from the one before"
+            )
+            self._store.remove(checkpoint_file.path)
         return None
 
-    def give_up(self, why: Exception) -> bool:
+    def give_up(self, reason: Exception) -> bool:
         """Discard the latest checkpoint, which the engine cannot use; return whether there was one."""
-        files = checkpoint_files(self._folder)
-        if not files:
+        checkpoints = checkpoint_files(self._folder)
+        if not checkpoints:
             return False
-        self._say(f"the checkpoint at step {files[0].step:,} is given up: {why}")
-        self._store.remove(files[0].path)
+        self._say(f"the checkpoint at step {checkpoints[0].step:,} is given up: {reason}")
+        self._store.remove(checkpoints[0].path)
         return True
 
     def update(self, progress: Progress, attempt: Attempt, at_once: bool) -> None:
@@ -88,21 +90,21 @@ class RunCheckpoints:
         """
         if progress.checkpoint is None:
             return
-        now = time.monotonic()
-        if now < self._next and not at_once:
+        start_clock = time.monotonic()
+        if start_clock < self._next and not at_once:
             return
         history = {"attempts": self.attempts + [attempt.so_far(progress.step)]}
         try:
-            data = encode(progress.checkpoint(), history, self._run_id)
-            self._store.write(self._folder / CHECKPOINTS / file_name(progress.step, data), data)
+            contents = encode(progress.checkpoint(), history, self._run_id)
+            self._store.write(self._folder / CHECKPOINTS / file_name(progress.step, contents), contents)
         except StorageError:
             raise
         except UserError as error:
             self._say(f"no checkpoint at step {progress.step:,}: {error}")
-        for file in checkpoint_files(self._folder)[LATEST_KEPT:]:
-            self._store.remove(file.path)
-        write_seconds = time.monotonic() - now
-        self._next = now + write_seconds + max(self._seconds, WRITE_SHARE * write_seconds)
+        for checkpoint_file in checkpoint_files(self._folder)[LATEST_KEPT:]:
+            self._store.remove(checkpoint_file.path)
+        write_seconds = time.monotonic() - start_clock
+        self._next = start_clock + write_seconds + max(self._seconds, WRITE_SHARE * write_seconds)
 
     def finish(self) -> None:
         self._store.remove(self._folder / CHECKPOINTS)
@@ -113,32 +115,32 @@ class RunCheckpoints:
 
 def sound_checkpoint(folder: Path) -> Checkpoint | None:
     """Return the latest sound checkpoint in a run's folder; None if there is none."""
-    for file in checkpoint_files(folder):
-        content = read_checkpoint(file)
+    for checkpoint_file in checkpoint_files(folder):
+        content = read_checkpoint(checkpoint_file)
         if content:
             checkpoint, _ = content
             return checkpoint
     return None
 
 
-def file_name(step: int, data: bytes) -> str:
-    return f"{step:013}-{checksum(data)[:16]}.safetensors"
+def file_name(step: int, encoded_checkpoint: bytes) -> str:
+    return f"{step:013}-{checksum(encoded_checkpoint)[:16]}.safetensors"
 
 
-def read_checkpoint(file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, Any]]] | None:
+def read_checkpoint(checkpoint_file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, Any]]] | None:
     """Read a checkpoint and its attempts; None if it is damaged, no checkpoint, or of another step or run."""
     try:
-        data = read_stored(file.path)
-        if checksum(data)[:16] != file.digest:
+        encoded_checkpoint = read_stored(checkpoint_file.path)
+        if checksum(encoded_checkpoint)[:16] != checkpoint_file.digest:
             return None
-        checkpoint, about = decode(data)
-        attempts = list(about["history"].get("attempts", []))
+        checkpoint, metadata = decode(encoded_checkpoint)
+        attempts = list(metadata["history"].get("attempts", []))
         if attempts:
             finished_provenance(attempts)  # which reads what is in them
     except Exception:  # untrusted bytes may raise any error of JSON, safetensors and Parquet
         return None
-    run_id = file.path.parent.parent.name
-    if checkpoint.step != file.step or about["run_id"] != run_id:
+    run_id = checkpoint_file.path.parent.parent.name
+    if checkpoint.step != checkpoint_file.step or metadata["run_id"] != run_id:
         return None
     return checkpoint, attempts
 
@@ -148,11 +150,13 @@ def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str) -> b
 
     The file is rejected in the folder of another run.
     """
-    tables = table_files(checkpoint.records)
-    rows = {f"records/{name}": np.frombuffer(data, np.uint8) for name, data in tables.items()}
+    bytes_by_table = table_files(checkpoint.records)
+    record_arrays = {
+        f"records/{name}": np.frombuffer(data, np.uint8) for name, data in bytes_by_table.items()
+    }
     # safetensors has no name for an array without dimensions that NumPy would keep so
     arrays = {name: np.ascontiguousarray(array) for name, array in checkpoint.arrays.items()}
-    about = {
+    metadata = {
         "schema": SCHEMA,
         "run_id": run_id,
         "step": checkpoint.step,
@@ -160,28 +164,28 @@ def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str) -> b
         "history": history,
         "shapes": {name: list(array.shape) for name, array in checkpoint.arrays.items()},
     }
-    return save({**arrays, **rows}, metadata={"pneuma": json.dumps(about)})
+    return save({**arrays, **record_arrays}, metadata={"pneuma": json.dumps(metadata)})
 
 
-def decode(data: bytes) -> tuple[Checkpoint, dict[str, Any]]:
+def decode(encoded_checkpoint: bytes) -> tuple[Checkpoint, dict[str, Any]]:
     """Return a checkpoint, with the run id and attempts that were encoded in it.
 
     Raises:
         ValueError: for bytes of another schema; other bytes may raise anything.
     """
-    header_size = int.from_bytes(data[:8], "little")
-    header = json.loads(data[8 : 8 + header_size])
-    about: dict[str, Any] = json.loads(header["__metadata__"]["pneuma"])
-    if about["schema"] != SCHEMA:
-        raise ValueError(f"a checkpoint of schema {about['schema']}")
-    arrays = load(data)
+    header_size = int.from_bytes(encoded_checkpoint[:8], "little")
+    header = json.loads(encoded_checkpoint[8 : 8 + header_size])
+    metadata: dict[str, Any] = json.loads(header["__metadata__"]["pneuma"])
+    if metadata["schema"] != SCHEMA:
+        raise ValueError(f"a checkpoint of schema {metadata['schema']}")
+    arrays = load(encoded_checkpoint)
     rows = {}
-    for name, columns in TABLES.items():
-        table = from_parquet(arrays[f"records/{name}"].tobytes())
+    for table_name, columns in TABLES.items():
+        table = from_parquet(arrays[f"records/{table_name}"].tobytes())
         value_columns = [column for column in VALUE_COLUMNS if column in table.column_names]
-        rows[name] = table.select(list(columns) + value_columns).to_pylist()
-    shaped_arrays = {name: arrays[name].reshape(shape) for name, shape in about["shapes"].items()}
-    return Checkpoint(about["step"], shaped_arrays, dict(about["numbers"]), Records(**rows)), about
+        rows[table_name] = table.select(list(columns) + value_columns).to_pylist()
+    shaped_arrays = {name: arrays[name].reshape(shape) for name, shape in metadata["shapes"].items()}
+    return Checkpoint(metadata["step"], shaped_arrays, dict(metadata["numbers"]), Records(**rows)), metadata
 
 
 def table_files(records: Records, without: Collection[str] = ()) -> dict[str, bytes]:
@@ -192,8 +196,8 @@ def table_files(records: Records, without: Collection[str] = ()) -> dict[str, by
         without: columns that are left out.
     """
     files = {}
-    for name, columns in TABLES.items():
-        rows: list[Row] = getattr(records, name)
-        recorded = list(columns) + [column for column in VALUE_COLUMNS if rows and column in rows[0]]
-        files[name] = to_parquet(rows, [column for column in recorded if column not in without])
+    for table_name, columns in TABLES.items():
+        rows: list[Row] = getattr(records, table_name)
+        recorded_columns = list(columns) + [column for column in VALUE_COLUMNS if rows and column in rows[0]]
+        files[table_name] = to_parquet(rows, [column for column in recorded_columns if column not in without])
     return files

@@ -49,18 +49,20 @@ class RunIndex:
     @cached_property
     def frame(self) -> pd.DataFrame:
         """`COLUMNS` of each run, by its id; one that has finished here counts before published ones."""
-        stored = pd.DataFrame(columns=COLUMNS)
+        stored_frame = pd.DataFrame(columns=COLUMNS)
         if self._stored:
-            stored = pd.DataFrame(self._stored_runs(), columns=COLUMNS)
-        frames = [stored]
+            stored_frame = pd.DataFrame(self._stored_runs(), columns=COLUMNS)
+        frames = [stored_frame]
         if self.tables:
             indexes = pa.concat_tables([table.index for table in self.tables.values()])
-            paths = [str(table.path) for table in self.tables.values()]
-            counts = [len(table.index) for table in self.tables.values()]
-            published = indexes.to_pandas(use_threads=False).assign(where=np.repeat(paths, counts))
-            frames += [published, stored[stored["status"].isin(FINISHED)]]
-        runs = pd.concat(frames).drop_duplicates("run_id", keep="last")
-        return runs.set_index("run_id", drop=False).astype({"seed": int, "steps": int, "end": int})
+            table_paths = [str(table.path) for table in self.tables.values()]
+            run_counts = [len(table.index) for table in self.tables.values()]
+            published_frame = indexes.to_pandas(use_threads=False).assign(
+                where=np.repeat(table_paths, run_counts)
+            )
+            frames += [published_frame, stored_frame[stored_frame["status"].isin(FINISHED)]]
+        run_frame = pd.concat(frames).drop_duplicates("run_id", keep="last")
+        return run_frame.set_index("run_id", drop=False).astype({"seed": int, "steps": int, "end": int})
 
     @cached_property
     def _where(self) -> Mapping[Any, str]:
@@ -68,13 +70,13 @@ class RunIndex:
 
     @cached_property
     def tables(self) -> dict[str, Published]:
-        tables = {}
-        for path in self.store.published(self._shipped):
+        tables_by_name = {}
+        for table_path in self.store.published(self._shipped):
             try:
-                tables[path.stem] = _read_table(path)
+                tables_by_name[table_path.stem] = _read_table(table_path)
             except UserError as error:
                 self.problems.append(f"{error}; take it from version control again, or publish it again")
-        return tables
+        return tables_by_name
 
     @cached_property
     def places(self) -> Mapping[Any, Any]:
@@ -89,18 +91,18 @@ class RunIndex:
                 return engine
         return run.engine
 
-    def listing(self, name: str) -> dict[str, Any] | None:
+    def listing(self, study_name: str) -> dict[str, Any] | None:
         """Return the record of a study without a file, from here or from its published table."""
-        listing = self.store.listing(name) if self._stored else None
-        if listing is None and name in self.tables:
-            listing = checked_listing(self.tables[name].about.get("listing"), name)
+        listing = self.store.listing(study_name) if self._stored else None
+        if listing is None and study_name in self.tables:
+            listing = checked_listing(self.tables[study_name].about.get("listing"), study_name)
         return listing
 
     def listings(self) -> list[str]:
         """Return the names of studies without a file that are recorded here or published."""
-        names = set(self.store.listings()) if self._stored else set()
-        names.update(name for name in self.tables if self.listing(name))
-        return sorted(names - set(list_studies()))
+        study_names = set(self.store.listings()) if self._stored else set()
+        study_names.update(study_name for study_name in self.tables if self.listing(study_name))
+        return sorted(study_names - set(list_studies()))
 
     def document(self, column: str, run_id: str) -> Mapping[str, Any]:
         """Return the fields or the provenance of a run; empty if they cannot be read."""
@@ -112,7 +114,7 @@ class RunIndex:
         return self.store.read_document(run_id, "provenance.json")
 
     def _stored_runs(self) -> list[tuple[Any, ...]]:
-        runs = []
+        run_rows = []
         for run_id in self.store.runs():
             status = self.store.status(run_id, quick=True)
             if status.identity is None and status.name == "damaged":
@@ -121,41 +123,41 @@ class RunIndex:
                     f"{folder}: its {status.detail} is damaged; run its study again to retrain it"
                 )
             identity = status.identity or Identity(UNKNOWN, 0, 0)
-            about = (run_id, identity.config_id, identity.seed, identity.steps)
-            runs.append(about + (status.name, status.step, ""))
-        return runs
+            identity_cells = (run_id, identity.config_id, identity.seed, identity.steps)
+            run_rows.append(identity_cells + (status.name, status.step, ""))
+        return run_rows
 
     def _read_row(self, run_id: str) -> Row | None:
-        where, row = self._where[run_id], None
-        if not where:
+        location, run_row = self._where[run_id], None
+        if not location:
             try:
-                row = stored_row(self.store, run_id)
+                run_row = stored_row(self.store, run_id)
             except UserError as error:
                 self.problems.append(str(error))
         for table in self.tables.values():
-            if run_id not in table.places or where not in ("", str(table.path)):
+            if run_id not in table.places or location not in ("", str(table.path)):
                 continue
             try:
-                published = table.row(run_id)
+                published_row = table.row(run_id)
             except UserError as error:
                 self.problems.append(str(error))
                 continue
-            if row is None:
-                return published
-            if not published.same_numbers(row):
+            if run_row is None:
+                return published_row
+            if not published_row.same_numbers(run_row):
                 self.problems.append(
                     f"{table.path}: its run {run_id} has other numbers here; those here are used"
                 )
-        return row
+        return run_row
 
 
-def _read_table(path: Path) -> Published:
+def _read_table(table_path: Path) -> Published:
     """Read a published table, once in a process until its file changes; all of Pneuma's take 0.3 s."""
-    with stored_file(path):
-        file = path.stat()
-        return _read_version(path, file.st_ino, file.st_mtime_ns, file.st_size)
+    with stored_file(table_path):
+        file_stat = table_path.stat()
+        return _read_version(table_path, file_stat.st_ino, file_stat.st_mtime_ns, file_stat.st_size)
 
 
 @lru_cache(maxsize=100)
-def _read_version(path: Path, *_version: int) -> Published:
-    return Published(path, read_stored(path))
+def _read_version(table_path: Path, *_version: int) -> Published:
+    return Published(table_path, read_stored(table_path))

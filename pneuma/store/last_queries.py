@@ -35,30 +35,30 @@ class _Note(TypedDict):
 def note_query(store: Store, plan: Plan) -> None:
     """Note a plan's query as the last one of its study and world."""
     query, study = plan.query, plan.study
-    note = {
+    query_note = {
         "preset": plan.preset,
         "seeds": query.seeds,
         "steps": query.steps,
         "conditions": query.conditions,
         "settings": setting_words(query.settings),
     }
-    _write(store, study.name, {**_notes(store, study.name), study.world: note})
+    _write(store, study.name, {**_notes(store, study.name), study.world: query_note})
 
 
 def forget_query(store: Store, study: str, world: str) -> None:
     """Forget the last query of a study in a world."""
-    notes = _notes(store, study)
-    notes.pop(world, None)
-    _write(store, study, notes)
+    notes_by_world = _notes(store, study)
+    notes_by_world.pop(world, None)
+    _write(store, study, notes_by_world)
 
 
 def last_query(store: Store, study: str, world: str) -> Query | None:
     """Return the last query of a study in a world; None if there is none, or its record is damaged."""
     try:
-        note = TypeAdapter(_Note).validate_python(_notes(store, study).get(world))
-        settings = read_settings(note["settings"])
-        fields: dict[str, Any] = {**note, "settings": settings}
-        return Query(study=study, world=checked_world(world), **fields)
+        query_note = TypeAdapter(_Note).validate_python(_notes(store, study).get(world))
+        settings = read_settings(query_note["settings"])
+        query_fields: dict[str, Any] = {**query_note, "settings": settings}
+        return Query(study=study, world=checked_world(world), **query_fields)
     except (ValidationError, UserError):
         return None
 
@@ -69,32 +69,32 @@ def on_top_of_last(store: Store, study: str, world: str, query: Query) -> Query:
     Raises:
         UserError: if the study was not run there.
     """
-    last = last_query(store, study, world)
-    if last is None:
+    noted_query = last_query(store, study, world)
+    if noted_query is None:
         raise UserError(f"{study}@{LAST}: was not run in {store.root} yet; run the study first")
     changes = {name: value for name, value in vars(query).items() if value and name != "preset"}
-    return replace(last, **changes)
+    return replace(noted_query, **changes)
 
 
 def noted_studies(store: Store) -> list[tuple[str, str]]:
     """Return each study and world that was run here."""
-    noted = []
-    for name in names_in(store.root / "last"):
-        study = name.removesuffix(".json")
-        if study != name:
-            noted += [(study, world) for world in _notes(store, study)]
-    return noted
+    studies_and_worlds = []
+    for file_name in names_in(store.root / "last"):
+        study = file_name.removesuffix(".json")
+        if study != file_name:
+            studies_and_worlds += [(study, world) for world in _notes(store, study)]
+    return studies_and_worlds
 
 
 def _notes(store: Store, study: str) -> dict[str, Any]:
-    notes = load_checksummed(store.last_path(study)) or {}
-    notes.pop("schema", None)
-    return notes
+    notes_by_world = load_checksummed(store.last_path(study)) or {}
+    notes_by_world.pop("schema", None)
+    return notes_by_world
 
 
-def _write(store: Store, study: str, notes: Mapping[str, Any]) -> None:
-    path = store.last_path(study)
-    if notes:
-        store.write(path, dump_checksummed(notes))
+def _write(store: Store, study: str, notes_by_world: Mapping[str, Any]) -> None:
+    note_path = store.last_path(study)
+    if notes_by_world:
+        store.write(note_path, dump_checksummed(notes_by_world))
     else:
-        store.remove(path)
+        store.remove(note_path)

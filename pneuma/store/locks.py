@@ -31,29 +31,29 @@ def run_lock(folder: Path) -> Iterator[bool]:
     Raises:
         UserError: when it cannot be created.
     """
-    path = folder / LOCK_FILE
+    lock_path = folder / LOCK_FILE
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        file = open(path, "a+b", opener=open_lock)  # noqa: SIM115 (it is held outside `try`)
+        lock_file = open(lock_path, "a+b", opener=open_lock)  # noqa: SIM115 (it is held outside `try`)
     except OSError as error:
-        raise write_error(path, error) from None
-    with file:
-        yield take_lock(file.fileno())
+        raise write_error(lock_path, error) from None
+    with lock_file:
+        yield take_lock(lock_file.fileno())
 
 
 def is_held(folder: Path) -> bool:
     """Return whether some process trains the run in this folder now."""
     try:
-        with open(folder / LOCK_FILE, "rb", opener=open_lock) as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        with open(folder / LOCK_FILE, "rb", opener=open_lock) as lock_file:
+            fcntl.flock(lock_file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError as error:
         return isinstance(error, BlockingIOError)
     return False
 
 
-def open_lock(path: str, flags: int) -> int:
+def open_lock(lock_path: str, flags: int) -> int:
     """Open a lock's file, which a link must not lead out of the results."""
-    return os.open(path, flags | os.O_NOFOLLOW, 0o666)  # less the umask
+    return os.open(lock_path, flags | os.O_NOFOLLOW, 0o666)  # less the umask
 
 
 def take_lock(descriptor: int) -> bool:

@@ -23,11 +23,11 @@ def of_log(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> Recorded:
     how many episodes they average are taken as they are.
     """
     points, averaged_over = _named_points(scalars, provenance)
-    series = {}
+    series_by_quantity = {}
     for quantity, rows in points.groupby("name"):
         if quantity in TRAINING_QUANTITIES:
-            series[str(quantity)] = rows["step"].to_numpy(float), rows["value"].to_numpy(float)
-    return Recorded(series, _evaluations(points), averaged_over=averaged_over)
+            series_by_quantity[str(quantity)] = rows["step"].to_numpy(float), rows["value"].to_numpy(float)
+    return Recorded(series_by_quantity, _evaluations(points), averaged_over=averaged_over)
 
 
 def by_step(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> pd.DataFrame:
@@ -35,7 +35,7 @@ def by_step(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> pd.DataFram
     points, averaged_over = _named_points(scalars, provenance)
     points = points[~points["name"].str.startswith(WALL_CLOCK)]
     frame = _pivoted(points)
-    quantities = [name for name in TAGS if name in frame]
+    quantities = [quantity for quantity in TAGS if quantity in frame]
     other_tags = sorted(set(frame.columns) - set(quantities))
     frame = frame[quantities + other_tags]
     if averaged_over > 1:
@@ -50,27 +50,27 @@ def _named_points(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> tuple
     """
     logged_over = provenance.get("averaged_over", TRAILING_EPISODES)
     scalars = scalars[~scalars["superseded"].astype(bool)].sort_values("step", kind="stable")
-    tags, values = scalars["tag"], scalars["value"]
-    values = values.mask(tags == NEGATED, -values)
-    names = {tag: name for name, name_tags in TAGS.items() for tag in name_tags}
+    tags, point_values = scalars["tag"], scalars["value"]
+    point_values = point_values.mask(tags == NEGATED, -point_values)
+    names_by_tag = {tag: quantity for quantity, name_tags in TAGS.items() for tag in name_tags}
     for mean_tag, episode_tag in (TAGS["return"], TAGS["length"]):
         if (tags == mean_tag).any():
-            del names[episode_tag]  # a log with both has one curve, that of the means
+            del names_by_tag[episode_tag]  # a log with both has one curve, that of the means
         for tag, episodes in ((mean_tag, logged_over or TRAILING_EPISODES), (episode_tag, 1)):
             window = math.ceil(TRAILING_EPISODES / episodes)
-            values[tags == tag] = values[tags == tag].rolling(window, min_periods=1).mean()
+            point_values[tags == tag] = point_values[tags == tag].rolling(window, min_periods=1).mean()
     plain_tags = tags.where(tags.str.contains("/"), "logged/" + tags)
-    points = scalars.assign(name=tags.map(names).fillna(plain_tags), value=values)
+    points = scalars.assign(name=tags.map(names_by_tag).fillna(plain_tags), value=point_values)
     if not logged_over:
         return points, 1
     return points, max(logged_over, TRAILING_EPISODES)
 
 
 def _evaluations(points: pd.DataFrame) -> list[Any]:
-    columns = {tag: name for name, tag in EVALUATION_TAGS.items()}
+    columns_by_tag = {tag: column_name for column_name, tag in EVALUATION_TAGS.items()}
     evaluations = points[points["name"].str.startswith("eval/") & (points["name"] != "eval/step")]
     tags = evaluations["name"]
-    evaluations = evaluations.assign(name=tags.map(columns).fillna(tags.str.removeprefix("eval/")))
+    evaluations = evaluations.assign(name=tags.map(columns_by_tag).fillna(tags.str.removeprefix("eval/")))
     return _pivoted(evaluations[~evaluations["name"].isin(RUN_COLUMNS)]).reset_index().to_dict("records")
 
 

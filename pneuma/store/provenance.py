@@ -34,12 +34,12 @@ THREADS = 1
 
 
 class Attempt:
-    """One attempt to train a run, timed, from step `start`: 0 or that of a checkpoint."""
+    """One attempt to train a run, timed, from step `start_step`: 0 or that of a checkpoint."""
 
-    def __init__(self, start: int = 0) -> None:
+    def __init__(self, start_step: int = 0) -> None:
         self._started = datetime.now(UTC).isoformat(timespec="seconds")
         self._start_clock = time.perf_counter()
-        self._start = start
+        self._start = start_step
         self._evaluation_seconds = 0.0
         self._first_update: tuple[int, float] | None = None
 
@@ -72,13 +72,13 @@ class Attempt:
 
 def finished_provenance(attempts: list[dict[str, Any]]) -> dict[str, Any]:
     """Describe how a run was trained: the machine of the last attempt, and all attempts."""
-    totals = {}
-    for name in ("wall_seconds", "training_seconds", "evaluation_seconds"):
-        totals[name] = round(sum(attempt[name] for attempt in attempts), 3)
-    evaluation_share = totals.pop("evaluation_seconds") / max(totals["wall_seconds"], 1e-9)
+    total_seconds = {}
+    for time_name in ("wall_seconds", "training_seconds", "evaluation_seconds"):
+        total_seconds[time_name] = round(sum(attempt[time_name] for attempt in attempts), 3)
+    evaluation_share = total_seconds.pop("evaluation_seconds") / max(total_seconds["wall_seconds"], 1e-9)
     return {
         "started": attempts[0]["started"],
-        **totals,
+        **total_seconds,
         "evaluation_share": round(evaluation_share, 3),
         **attempts[-1]["machine"],
         "attempts": attempts,
@@ -92,9 +92,9 @@ def machine() -> dict[str, Any]:
     """Return everything about this process and machine that may affect a run's last bits."""
     version, _, commit = code().partition(" ")
     packages = {"pneuma": version}
-    for name in PACKAGES:
-        if _version(name):
-            packages[name] = _version(name)
+    for package in PACKAGES:
+        if _version(package):
+            packages[package] = _version(package)
     return {
         "threads": THREADS,
         "python": platform.python_version(),
@@ -128,9 +128,9 @@ def _device() -> str:
 
 
 @cache
-def _version(name: str) -> str:
+def _version(package: str) -> str:
     try:
-        return version(name)
+        return version(package)
     except PackageNotFoundError:
         return ""
 
@@ -140,56 +140,56 @@ def code() -> str:
     """Return the code's version, and for a source tree its git commit, marked if it has changes."""
     if CARRIED_CODE in os.environ:
         return os.environ[CARRIED_CODE]
-    text = _version("pneuma-rl") or "unknown"
+    code_version = _version("pneuma-rl") or "unknown"
     if _is_repository(SOURCE):
-        text += f" {_commit(SOURCE)}"
-    return text.rstrip()
+        code_version += f" {_commit(SOURCE)}"
+    return code_version.rstrip()
 
 
 def uncommitted(source: Path = SOURCE) -> list[str]:
     """Return files of a tree's code and studies that differ from the commit; none without a commit."""
     if not _is_repository(source):
         return []
-    lines = _git(source, "status", "--porcelain", "--", "pneuma", "studies").splitlines()
-    return [line[3:] for line in lines]
+    status_lines = _git(source, "status", "--porcelain", "--", "pneuma", "studies").splitlines()
+    return [status_line[3:] for status_line in status_lines]
 
 
 @cache
-def file_at(path: Path, commit: str, line: str) -> str | None:
+def file_at(file_path: Path, commit: str, searched_line: str) -> str | None:
     """Return the text of a file with a line as it was at a commit, where it may have had another name.
 
     None without a checkout that has the commit, or where no such file was there.
     """
-    names = _grep_at(path, commit, line, f"*{path.suffix}", "--full-name", "-l")
-    return _git(path.parent, "show", names[0]) if names else None
+    file_names = _grep_at(file_path, commit, searched_line, f"*{file_path.suffix}", "--full-name", "-l")
+    return _git(file_path.parent, "show", file_names[0]) if file_names else None
 
 
-def line_at(path: Path, commit: str, beginning: str, folder: str) -> str:
+def line_at(file_path: Path, commit: str, beginning: str, folder: str) -> str:
     """Return the first line with a text in a folder of the checkout of a file, at a commit; may be empty."""
-    return "".join(_grep_at(path, commit, beginning, folder, "-h")[:1])
+    return "".join(_grep_at(file_path, commit, beginning, folder, "-h")[:1])
 
 
-def _grep_at(path: Path, commit: str, text: str, files: str, *options: str) -> list[str]:
+def _grep_at(path: Path, commit: str, text: str, file_pattern: str, *options: str) -> list[str]:
     """Return what `git grep` finds in files of the checkout of a file, at a commit."""
     if not re.fullmatch("[0-9a-f]{40}", commit):
         return []
-    return _git(path.parent, "grep", *options, "-Fe", text, commit, "--", f":/{files}").splitlines()
+    return _git(path.parent, "grep", *options, "-Fe", text, commit, "--", f":/{file_pattern}").splitlines()
 
 
-def project(study: Path, files: Iterable[Path] = ()) -> dict[str, str]:
+def project(study_file: Path, own_files: Iterable[Path] = ()) -> dict[str, str]:
     """Return a user's study file by its name, and the commit of the repository that it is in, if any.
 
     The commit is marked as dirty where its files have changed, and where it lacks the study's file or one of
     the files that its runs use.
     """
-    folder = study.resolve().parent
+    folder = study_file.resolve().parent
     commit = _commit(folder)
     if not commit:
-        return {"study": study.name}
-    for path in (study, *files):
-        if _git(folder, "status", "--porcelain", "--ignored", "--", str(path.resolve())):
+        return {"study": study_file.name}
+    for file_path in (study_file, *own_files):
+        if _git(folder, "status", "--porcelain", "--ignored", "--", str(file_path.resolve())):
             commit = commit.removesuffix("-dirty") + "-dirty"
-    return {"study": study.name, "commit": commit}
+    return {"study": study_file.name, "commit": commit}
 
 
 def packages_of(run: Run) -> dict[str, str]:
@@ -197,8 +197,8 @@ def packages_of(run: Run) -> dict[str, str]:
     from gymnasium.envs.registration import registry  # workers have it, commands need not
 
     modules = [name for name in SIMULATORS if name in sys.modules]
-    for names in own_names(as_fields(run)).values():
-        modules += names
+    for user_modules in own_names(as_fields(run)).values():
+        modules += user_modules
     if run.env in registry:
         entry_point = registry[run.env].entry_point
         modules.append(str(getattr(entry_point, "__module__", entry_point)))
@@ -222,9 +222,9 @@ def _commit(folder: Path) -> str:
     return _git(folder, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*").strip()
 
 
-def _git(folder: Path, *words: str) -> str:
+def _git(folder: Path, *git_words: str) -> str:
     """Return what git prints in a folder; nothing where it fails, or is not installed."""
-    command = ["git", "-C", str(folder), *words]
+    command = ["git", "-C", str(folder), *git_words]
     try:
         return subprocess.check_output(command, text=True, stderr=subprocess.DEVNULL)
     except (OSError, subprocess.CalledProcessError):
@@ -234,8 +234,8 @@ def _git(folder: Path, *words: str) -> str:
 @cache
 def _cpu() -> str:
     """Return the processor's model name; of an ARM one, which has none, the numbers that name it."""
-    names = []
+    model_names = []
     if sys.platform == "linux":
         first_core = Path("/proc/cpuinfo").read_text().split("\n\n")[0]
-        names = re.findall(r"^(?:model name|CPU \w+)\t*: (.*)$", first_core, re.MULTILINE)
-    return ", ".join(names) or platform.processor() or "unknown"
+        model_names = re.findall(r"^(?:model name|CPU \w+)\t*: (.*)$", first_core, re.MULTILINE)
+    return ", ".join(model_names) or platform.processor() or "unknown"

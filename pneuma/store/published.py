@@ -22,37 +22,37 @@ from pneuma.store.tables import from_parquet
 
 
 def encode_published(
-    rows: Sequence[Row], about: Mapping[str, Any], curves: Sequence[str] | None = None
+    rows: Sequence[Row], description: Mapping[str, Any], curves: Sequence[str] | None = None
 ) -> bytes:
     """Return rows as a published table with the curves of some quantities, or all.
 
-    The same rows give the same bytes. `Published.about` gives `about` back.
+    The same rows give the same bytes. `Published.about` gives `description` back.
     """
     table = pa.concat_tables([row.table for row in rows], promote_options="permissive")
     table = _without_folders(table.combine_chunks())
     curve_names, other_names, left_out = [], [], []
-    for name in table.column_names:
-        if COLUMN_TYPES.get(name) != CURVE:
-            other_names.append(name)
-        elif curves is None or name.partition(" ")[0] in curves:
-            curve_names.append(name)
+    for column_name in table.column_names:
+        if COLUMN_TYPES.get(column_name) != CURVE:
+            other_names.append(column_name)
+        elif curves is None or column_name.partition(" ")[0] in curves:
+            curve_names.append(column_name)
         else:
-            left_out.append(name)
+            left_out.append(column_name)
     table = table.drop_columns(left_out)
-    metadata = {"pneuma": json.dumps({"schema": SCHEMA, **about}), "pneuma.checksum": _NO_CHECKSUM}
+    metadata = {"pneuma": json.dumps({"schema": SCHEMA, **description}), "pneuma.checksum": _NO_CHECKSUM}
     table = table.cast(pa.schema(map(_as_parquet, table.schema))).replace_schema_metadata(metadata)
-    sink = io.BytesIO()
+    buffer = io.BytesIO()
     pq.write_table(
         table,
-        sink,
+        buffer,
         compression="zstd",
         compression_level=19,
         # a dictionary does not help where numbers hardly repeat
         use_dictionary=other_names,
-        use_byte_stream_split=[f"{name}.list.element" for name in curve_names],
+        use_byte_stream_split=[f"{column_name}.list.element" for column_name in curve_names],
     )
-    data = sink.getvalue()
-    return data.replace(_NO_CHECKSUM, f"sha256:{checksum(data)}".encode())
+    encoded_table = buffer.getvalue()
+    return encoded_table.replace(_NO_CHECKSUM, f"sha256:{checksum(encoded_table)}".encode())
 
 
 _FOLDERS = re.compile(r'(?<=")/(?:[^"/]*/)*(?=[^"/]*")')
@@ -61,10 +61,10 @@ _FOLDERS = re.compile(r'(?<=")/(?:[^"/]*/)*(?=[^"/]*")')
 
 def _without_folders(table: pa.Table) -> pa.Table:
     """Return rows whose fields name the user's own files without their folders, which are of one machine."""
-    index = table.column_names.index("fields")
-    column = table.schema.field(index)
-    texts = [_FOLDERS.sub("", text) for text in table["fields"].to_pylist()]
-    return table.set_column(index, column, pa.array(texts, column.type))
+    column_index = table.column_names.index("fields")
+    column = table.schema.field(column_index)
+    fields_texts = [_FOLDERS.sub("", fields_text) for fields_text in table["fields"].to_pylist()]
+    return table.set_column(column_index, column, pa.array(fields_texts, column.type))
 
 
 def _as_parquet(column: pa.Field) -> pa.Field:
@@ -95,17 +95,17 @@ class Published:
         UserError: for a file that is damaged, or that `encode_published` did not make.
     """
 
-    def __init__(self, path: Path, data: bytes) -> None:
-        self.path = path
-        self._data = data
-        with stored_file(path):
-            digests = _CHECKSUM.findall(data)
+    def __init__(self, table_path: Path, encoded_table: bytes) -> None:
+        self.path = table_path
+        self._data = encoded_table
+        with stored_file(table_path):
+            digests = _CHECKSUM.findall(encoded_table)
             if len(digests) != 1:
                 raise ValueError("damaged")
-            without_checksum = data.replace(b"sha256:" + digests[0], _NO_CHECKSUM)
+            without_checksum = encoded_table.replace(b"sha256:" + digests[0], _NO_CHECKSUM)
             if digests[0] != checksum(without_checksum).encode():
                 raise ValueError("damaged")
-            index = from_parquet(data, INDEX_COLUMNS).select(INDEX_COLUMNS)
+            index = from_parquet(encoded_table, INDEX_COLUMNS).select(INDEX_COLUMNS)
             self.about = parse_json(index.schema.metadata[b"pneuma"])
             if self.about.get("schema") != SCHEMA:
                 raise ValueError("of another version of Pneuma")

@@ -47,15 +47,15 @@ def of_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> seri
     quantities: dict[str, series.Series] = {}
     # from where every slot has finished an episode
     first_step = math.inf
-    for name, columns in (("episodes", EPISODE_QUANTITIES), ("metrics", UPDATE_QUANTITIES)):
-        table = tables[f"{name}.parquet"]
-        table = table.take(np.argsort(table["step"].to_numpy(), kind="stable"))
-        steps = table["step"].to_numpy().astype(float)
+    for table_name, columns in (("episodes", EPISODE_QUANTITIES), ("metrics", UPDATE_QUANTITIES)):
+        record_table = tables[f"{table_name}.parquet"]
+        record_table = record_table.take(np.argsort(record_table["step"].to_numpy(), kind="stable"))
+        steps = record_table["step"].to_numpy().astype(float)
         for column in columns:
-            if column in table.column_names:
-                quantities[column] = steps, table[column].to_numpy().astype(float)
-        if name == "episodes":
-            _, first_places = np.unique(table["slot"].to_numpy(), return_index=True)
+            if column in record_table.column_names:
+                quantities[column] = steps, record_table[column].to_numpy().astype(float)
+        if table_name == "episodes":
+            _, first_places = np.unique(record_table["slot"].to_numpy(), return_index=True)
             if len(first_places) == (fields.get("slots") or 0) * fields.get("players", 1) > 0:
                 first_step = steps[first_places].max()
     return series.Recorded(quantities, tables["evaluations.parquet"].to_pylist(), first_step)
@@ -70,10 +70,10 @@ def stored_row(store: Store, run_id: str) -> Row:
         return decode_row(store.read_file(run_id, ROW_FILE))
     with stored_file(store.run_folder(run_id)):
         status = store.status(run_id, quick=True)
-        data = encode_row(cells_of_files(run_id, status, _stored_files(store, run_id)))
-        row = decode_row(data)
+        encoded_row = encode_row(cells_of_files(run_id, status, _stored_files(store, run_id)))
+        row = decode_row(encoded_row)
     with suppress(UserError):  # a folder that cannot be written is still read
-        store.save_row(run_id, data)
+        store.save_row(run_id, encoded_row)
     return row
 
 
@@ -82,12 +82,12 @@ def row_until(store: Store, run_id: str, run: Run, step: int) -> Row:
     if store.status(run_id, quick=True).finished:
         files = _stored_files(store, run_id)
     else:
-        latest = sound_checkpoint(store.run_folder(run_id))
-        if latest is None or latest.step < step:
+        latest_checkpoint = sound_checkpoint(store.run_folder(run_id))
+        if latest_checkpoint is None or latest_checkpoint.step < step:
             raise UserError(
                 f"{store.run_folder(run_id)}: has no valid checkpoint at step {step:,}; search again"
             )
-        files = {f"{table}.parquet": data for table, data in table_files(latest.records).items()}
+        files = {f"{table}.parquet": data for table, data in table_files(latest_checkpoint.records).items()}
     files |= {"run.json": run_document(replace(run, steps=step), run_id), "provenance.json": b"{}"}
     status = Status("done", step, identity=run_identity(run))
     return decode_row(encode_row(cells_of_files(run_id, status, files, until=step)))
@@ -102,28 +102,28 @@ def cells_of_files(
 ) -> dict[str, Any]:
     """Return the cells of a finished run's row, from the files that it leaves, or their rows up to a step."""
     fields, provenance = parse_json(files["run.json"])["run"], parse_json(files["provenance.json"])
-    tables = {}
-    for file, data in files.items():
-        if file.endswith(".parquet"):
-            table = from_parquet(data)
+    tables_by_file = {}
+    for file_name, contents in files.items():
+        if file_name.endswith(".parquet"):
+            record_table = from_parquet(contents)
             if until is not None:
-                table = table.filter(pc.field("step") <= until)
-            tables[file] = table
-    if SCALARS_FILE in tables:
+                record_table = record_table.filter(pc.field("step") <= until)
+            tables_by_file[file_name] = record_table
+    if SCALARS_FILE in tables_by_file:
         from pneuma.store.points import of_log
 
-        recorded = of_log(tables[SCALARS_FILE].to_pandas(use_threads=False), provenance)
+        recorded = of_log(tables_by_file[SCALARS_FILE].to_pandas(use_threads=False), provenance)
     else:
-        recorded = of_tables(fields, tables)
+        recorded = of_tables(fields, tables_by_file)
     return row_cells(run_id, status, fields, recorded, provenance)
 
 
-def record_frame(store: Store, run_id: str, table: str) -> pd.DataFrame:
+def record_frame(store: Store, run_id: str, table_name: str) -> pd.DataFrame:
     """Return a run's episodes or metrics as recorded, for export; of a log, all its scalars by step."""
-    file = SCALARS_FILE if SCALARS_FILE in store.checksums(run_id) else f"{table}.parquet"
-    with stored_file(store.run_folder(run_id) / file):
-        frame = from_parquet(store.read_file(run_id, file)).to_pandas()
-    if file == SCALARS_FILE:
+    file_name = SCALARS_FILE if SCALARS_FILE in store.checksums(run_id) else f"{table_name}.parquet"
+    with stored_file(store.run_folder(run_id) / file_name):
+        frame = from_parquet(store.read_file(run_id, file_name)).to_pandas()
+    if file_name == SCALARS_FILE:
         from pneuma.store.points import by_step
 
         frame = by_step(frame, parse_json(store.read_file(run_id, "provenance.json")))
@@ -143,14 +143,14 @@ def row_cells(
     """Return the cells of a finished run's row, by column; of an import, `fields` are what is known."""
     grid = series.make_grid(fields["steps"])
     step = np.empty(0)
-    updates: dict[str, np.ndarray] = {}
-    for name in UPDATE_QUANTITIES:
-        if name in recorded.series:
-            steps, values = recorded.series[name]
-            step = step if updates else steps
+    update_values: dict[str, np.ndarray] = {}
+    for update_quantity in UPDATE_QUANTITIES:
+        if update_quantity in recorded.series:
+            steps, values = recorded.series[update_quantity]
+            step = step if update_values else steps
             if np.array_equal(steps, step):  # those of an imported log may be unlike
-                updates[name] = values
-    signs, stuck = series.update_signs(step, updates)
+                update_values[update_quantity] = values
+    signs, stuck_counts = series.update_signs(step, update_values)
     cells: dict[str, Any] = {
         "run_id": run_id,
         "config_id": status.identity.config_id if status.identity else UNKNOWN,
@@ -164,8 +164,8 @@ def row_cells(
     }
     if recorded.averaged_over:
         cells[rows.AVERAGED_OVER] = recorded.averaged_over
-    if updates:
-        cells |= dict(zip(rows.STUCK, stuck, strict=True))
+    if update_values:
+        cells |= dict(zip(rows.STUCK, stuck_counts, strict=True))
     with np.errstate(over="ignore"):  # of returns of 1e308 sums are infinite
         for quantity in recorded.series:
             cells |= _quantity_cells(recorded, quantity, grid, status.step)
@@ -189,17 +189,17 @@ def _quantity_cells(recorded: series.Recorded, quantity: str, grid: np.ndarray, 
     """Return the cells of one quantity: its curves, rounded, and which of their numbers are kept exact."""
     curves = _curves(recorded, quantity, grid, end)
     step, values = series.finite_points(grid, next(iter(curves.values())))
-    numbers = {}
+    exact_values = {}
     if len(values):
         for name in rows.EXACT.get(quantity, ()):
-            numbers[f"{quantity} {name}"] = series.curve_statistic(name, step, values, float(grid[-1]))
+            exact_values[f"{quantity} {name}"] = series.curve_statistic(name, step, values, float(grid[-1]))
     if quantity in series.EXTREMES:
         extreme = series.EXTREMES[quantity]
         curve = series.peak_curve(*recorded.series[quantity], grid, extreme)
         curves[f"{quantity} {rows.PEAKS}"] = curve
         if np.isfinite(curve).any():
-            numbers[f"{quantity} {rows.PEAK}"] = float(extreme.reduce(curve))
-    return {name: _rounded(curve, quantity).tolist() for name, curve in curves.items()} | numbers
+            exact_values[f"{quantity} {rows.PEAK}"] = float(extreme.reduce(curve))
+    return {name: _rounded(curve, quantity).tolist() for name, curve in curves.items()} | exact_values
 
 
 def _curves(recorded: series.Recorded, quantity: str, grid: np.ndarray, end: int) -> dict[str, np.ndarray]:
@@ -208,12 +208,12 @@ def _curves(recorded: series.Recorded, quantity: str, grid: np.ndarray, end: int
     if quantity in UPDATE_QUANTITIES:
         return {quantity: series.update_curve(step, values, grid, end)}
     if recorded.averaged_over:
-        single = values.astype(np.float32).astype(float)
-        return {curve_column(quantity, WINDOWS[1]): series.held_curve(step, single, grid, end)}
-    mean = partial(series.episode_curve, step, values, grid, from_step=recorded.first_step, end=end)
-    curves = {curve_column(quantity, WINDOWS[0]): mean(trailing=False)}
+        single_values = values.astype(np.float32).astype(float)
+        return {curve_column(quantity, WINDOWS[1]): series.held_curve(step, single_values, grid, end)}
+    mean_curve = partial(series.episode_curve, step, values, grid, from_step=recorded.first_step, end=end)
+    curves = {curve_column(quantity, WINDOWS[0]): mean_curve(trailing=False)}
     if quantity in ("return", "length"):  # as Stable-Baselines3 logs
-        curves[curve_column(quantity, WINDOWS[1])] = mean(trailing=True)
+        curves[curve_column(quantity, WINDOWS[1])] = mean_curve(trailing=True)
     return curves
 
 
@@ -223,11 +223,11 @@ def _rounded(values: np.ndarray, quantity: str) -> np.ndarray:
     A curve over several orders of magnitude, without negative values, is rounded in proportion to each value
     instead.
     """
-    finite = values[np.isfinite(values)]
-    if not len(finite) or finite.min() == finite.max():
+    finite_values = values[np.isfinite(values)]
+    if not len(finite_values) or finite_values.min() == finite_values.max():
         return values
-    lowest, highest = float(finite.min()), float(finite.max())
-    if lowest >= 0 and (quantity in RELATIVE or highest > LEVELS * finite[finite > 0].min()):
+    lowest, highest = float(finite_values.min()), float(finite_values.max())
+    if lowest >= 0 and (quantity in RELATIVE or highest > LEVELS * finite_values[finite_values > 0].min()):
         fraction, exponent = np.frexp(values)
         return np.ldexp(np.round(fraction * LEVELS) / LEVELS, exponent)
     span = highest - lowest

@@ -67,17 +67,17 @@ def curve_column(quantity: str, window: str) -> str:
 
 
 def _column_types() -> dict[str, pa.DataType]:
-    types = dict.fromkeys(TEXT_CELLS, pa.string())
-    types |= dict.fromkeys(INTEGER_CELLS + STUCK + (AVERAGED_OVER,), pa.int64())
-    types[LAST_EPISODES] = NUMBER
+    types_by_column = dict.fromkeys(TEXT_CELLS, pa.string())
+    types_by_column |= dict.fromkeys(INTEGER_CELLS + STUCK + (AVERAGED_OVER,), pa.int64())
+    types_by_column[LAST_EPISODES] = NUMBER
     for quantity in TRAINING_QUANTITIES:
         for window in WINDOWS:
-            types[curve_column(quantity, window)] = CURVE
+            types_by_column[curve_column(quantity, window)] = CURVE
         for statistic in EXACT.get(quantity, ()):
-            types[f"{quantity} {statistic}"] = NUMBER
+            types_by_column[f"{quantity} {statistic}"] = NUMBER
     for quantity in EXTREMES:
-        types |= {f"{quantity} {PEAKS}": CURVE, f"{quantity} {PEAK}": NUMBER}
-    return types
+        types_by_column |= {f"{quantity} {PEAKS}": CURVE, f"{quantity} {PEAK}": NUMBER}
+    return types_by_column
 
 
 COLUMN_TYPES = _column_types()
@@ -88,23 +88,23 @@ COLUMN_TYPES = _column_types()
 
 def encode_row(cells: Mapping[str, Any]) -> bytes:
     """Return one row as a file in Arrow's own format, which is read 25 times as fast as Parquet."""
-    table = pa.table({name: pa.array([cell], COLUMN_TYPES.get(name)) for name, cell in cells.items()})
-    sink = pa.BufferOutputStream()
-    with pa.ipc.new_file(sink, table.schema) as writer:
-        writer.write_table(table)
-    return sink.getvalue().to_pybytes()
+    row_table = pa.table({name: pa.array([cell], COLUMN_TYPES.get(name)) for name, cell in cells.items()})
+    buffer = pa.BufferOutputStream()
+    with pa.ipc.new_file(buffer, row_table.schema) as writer:
+        writer.write_table(row_table)
+    return buffer.getvalue().to_pybytes()
 
 
-def decode_row(data: bytes) -> Row:
+def decode_row(encoded_row: bytes) -> Row:
     """Return the row in a run's folder.
 
     Raises:
         ValueError: for anything else; it may be any error.
     """
-    table = sound_rows(from_ipc(data))
-    if table.num_rows != 1:
+    row_table = sound_rows(from_ipc(encoded_row))
+    if row_table.num_rows != 1:
         raise ValueError("has not one row")
-    return read_row(table)
+    return read_row(row_table)
 
 
 _PATTERNS = {
@@ -123,16 +123,18 @@ def sound_rows(table: pa.Table) -> pa.Table:
     """
     schema = table.schema.remove_metadata()
     table = table.select(_columns_to_read(schema.serialize().to_pybytes()))
-    for name in REQUIRED_CELLS:
-        is_sound = not table[name].null_count
-        if name in _PATTERNS:
-            is_sound = all(re.fullmatch(_PATTERNS[name], str(cell)) for cell in table[name].to_pylist())
+    for column_name in REQUIRED_CELLS:
+        is_sound = not table[column_name].null_count
+        if column_name in _PATTERNS:
+            is_sound = all(
+                re.fullmatch(_PATTERNS[column_name], str(cell)) for cell in table[column_name].to_pylist()
+            )
         if not is_sound:
-            raise ValueError(f"column {name} is invalid")
+            raise ValueError(f"column {column_name} is invalid")
     evaluations = pc.list_flatten(table[EVALUATIONS])
     if pa.types.is_struct(evaluations.type):
-        steps = pc.struct_field(evaluations, "step")
-        if not pc.all(pc.is_finite(steps)).as_py():
+        evaluation_steps = pc.struct_field(evaluations, "step")
+        if not pc.all(pc.is_finite(evaluation_steps)).as_py():
             raise ValueError(f"column {EVALUATIONS} is invalid")
     return table
 
@@ -140,7 +142,7 @@ def sound_rows(table: pa.Table) -> pa.Table:
 @lru_cache
 def _columns_to_read(serialized_schema: bytes) -> list[str]:
     """Return which columns of a schema are read, and check their types; most runs have the same schema."""
-    names = []
+    column_names = []
     for column in pa.ipc.read_schema(pa.py_buffer(serialized_schema)):
         is_sound = column.type == COLUMN_TYPES.get(column.name)
         if column.name == EVALUATIONS:
@@ -149,8 +151,8 @@ def _columns_to_read(serialized_schema: bytes) -> list[str]:
             continue
         if not is_sound:
             raise ValueError(f"column {column.name} is invalid")
-        names.append(column.name)
-    return names
+        column_names.append(column.name)
+    return column_names
 
 
 def _are_evaluations(column_type: pa.DataType) -> bool:
@@ -173,41 +175,41 @@ _TYPES_BY_DEFAULT = {str: (str,), list: (list,), type(None): (int, float, list)}
 @cache
 def _field_types() -> dict[str, tuple[type, ...]]:
     """Return the types that the value of a field may have, by those of its default."""
-    types = dict(FORK_TYPES)
-    for name, default in as_fields(Run()).items():
-        types[name] = _TYPES_BY_DEFAULT.get(type(default), (int, float))
-    return types
+    types_by_field = dict(FORK_TYPES)
+    for field_name, default in as_fields(Run()).items():
+        types_by_field[field_name] = _TYPES_BY_DEFAULT.get(type(default), (int, float))
+    return types_by_field
 
 
-def _read_fields(text: str) -> dict[str, Any]:
+def _read_fields(fields_text: str) -> dict[str, Any]:
     """Read a configuration, with each field of a type that it may have."""
-    fields, types_by_field = parse_json(text), _field_types()
-    for name, value in fields.items():
-        is_sound = value is None or isinstance(value, types_by_field.get(name, (str, int, float, list)))
-        if isinstance(value, list) and any(isinstance(item, list | dict) for item in value):
+    fields, types_by_field = parse_json(fields_text), _field_types()
+    for field_name, value in fields.items():
+        is_sound = value is None or isinstance(value, types_by_field.get(field_name, (str, int, float, list)))
+        if isinstance(value, list) and any(isinstance(element, list | dict) for element in value):
             is_sound = False
         if not is_sound:
-            raise ValueError(f"{name} = {json.dumps(value)[:40]}")
+            raise ValueError(f"{field_name} = {json.dumps(value)[:40]}")
     return fields
 
 
 _DOCUMENTS = {"fields": _read_fields, "provenance": parse_json, "signs": unpack_signs}
 
 
-def read_row(table: pa.Table, index: int = 0, published: bool = False) -> Row:
+def read_row(table: pa.Table, row_index: int = 0, published: bool = False) -> Row:
     """Return a row of a table of `sound_rows`.
 
     Raises:
         ValueError: naming a column that is invalid.
     """
-    row = table.slice(index, 1).replace_schema_metadata(None)
-    cells = {name: row[name][0].as_py() for name in TEXT_CELLS + INTEGER_CELLS}
-    for name, read in _DOCUMENTS.items():
+    row_table = table.slice(row_index, 1).replace_schema_metadata(None)
+    cells = {column_name: row_table[column_name][0].as_py() for column_name in TEXT_CELLS + INTEGER_CELLS}
+    for column_name, read_document in _DOCUMENTS.items():
         try:
-            cells[name] = read(cells[name])
+            cells[column_name] = read_document(cells[column_name])
         except ValueError as error:
-            raise ValueError(f"column {name} is invalid ({error})") from None
-    return Row(row, published, budget=cells.pop("steps"), **cells)
+            raise ValueError(f"column {column_name} is invalid ({error})") from None
+    return Row(row_table, published, budget=cells.pop("steps"), **cells)
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,8 +263,8 @@ class Row:
     @property
     def update_steps(self) -> int | None:
         """Agent steps of one update; None if its fields do not say."""
-        fields = {"horizon": None, "slots": None, "players": 1, **self.fields}
-        counts = [fields[name] for name in ("horizon", "slots", "players")]
+        field_values = {"horizon": None, "slots": None, "players": 1, **self.fields}
+        counts = [field_values[field_name] for field_name in ("horizon", "slots", "players")]
         return None if None in counts else math.prod(counts) or None
 
     @property
@@ -274,7 +276,7 @@ class Row:
     @cached_property
     def _columns(self) -> frozenset[str]:
         """The names of its cells that have a value."""
-        return frozenset(name for name in self.table.column_names if self.table[name][0].is_valid)
+        return frozenset(column for column in self.table.column_names if self.table[column][0].is_valid)
 
     # --- Curves and their statistics ---------------------------------------------------------------
 
@@ -285,7 +287,7 @@ class Row:
 
     @cached_property
     def quantities(self) -> tuple[str, ...]:
-        return tuple(name for name in TRAINING_QUANTITIES if self.windows_of(name))
+        return tuple(quantity for quantity in TRAINING_QUANTITIES if self.windows_of(quantity))
 
     def windows_of(self, quantity: str) -> tuple[str, ...]:
         """Return the windows in which it has a curve, the default first; quantities of updates have any."""
@@ -302,27 +304,27 @@ class Row:
 
     def _points(self, column: str) -> np.ndarray:
         if column in self._columns:
-            values = self.table[column][0].values
-            if len(values) == GRID_POINTS:
-                return values.to_numpy(zero_copy_only=False).astype(float)
+            points = self.table[column][0].values
+            if len(points) == GRID_POINTS:
+                return points.to_numpy(zero_copy_only=False).astype(float)
         return np.full(GRID_POINTS, np.nan)
 
     def known_curve(self, quantity: str) -> Series:
         """Return the points of a curve that have a value; empty if there is no such curve."""
         return finite_points(self.grid, self.curve(quantity))
 
-    def statistic(self, quantity: str, name: str) -> float:
+    def statistic(self, quantity: str, statistic_name: str) -> float:
         """Return a `curve_statistic` of a quantity or its `PEAK`, NaN if it has no value.
 
         It is exact where that is kept. Older tables lack some: then it is that of the rounded curve.
         """
-        exact = self.cell(f"{quantity} {name}")
-        if exact is not None and not math.isnan(exact):
-            return float(exact)
-        if name == PEAK:
+        exact_value = self.cell(f"{quantity} {statistic_name}")
+        if exact_value is not None and not math.isnan(exact_value):
+            return float(exact_value)
+        if statistic_name == PEAK:
             return float(EXTREMES[quantity].reduce(self._points(f"{quantity} {PEAKS}")))
         step, values = self.known_curve(quantity)
-        return curve_statistic(name, step, values, self.budget)
+        return curve_statistic(statistic_name, step, values, self.budget)
 
     # --- Evaluations -------------------------------------------------------------------------------
 
@@ -333,8 +335,8 @@ class Row:
         if not pa.types.is_struct(evaluations.type):
             return pa.table({})
         table = pa.Table.from_struct_array(evaluations)
-        names = [name for name in table.column_names if table[name].null_count < len(table)]
-        return table.select(names)
+        column_names = [name for name in table.column_names if table[name].null_count < len(table)]
+        return table.select(column_names)
 
     def evaluations(self, column: str) -> np.ndarray:
         """Return a column of its evaluations, in their order; empty if it has no such column."""
@@ -347,19 +349,19 @@ class Row:
         values = self.evaluations(column)
         return finite_points(self.evaluations("step")[: len(values)], values)
 
-    def same_numbers(self, other: Row) -> bool:
+    def same_numbers(self, other_row: Row) -> bool:
         """Return whether two rows of one run agree in every single number and evaluation that both have.
 
         Curves are not compared: tables published earlier keep more of their digits.
         """
-        for name in self._columns & other._columns:
+        for column in self._columns & other_row._columns:
             # of a number that one of them lacks, the difference is NaN
-            if COLUMN_TYPES.get(name) == NUMBER and abs(self.cell(name) - other.cell(name)) > 0:
+            if COLUMN_TYPES.get(column) == NUMBER and abs(self.cell(column) - other_row.cell(column)) > 0:
                 return False
-        names = set(self.evaluations_table.column_names) & set(other.evaluations_table.column_names)
-        for name in names:
-            if name.endswith("score"):  # it is scaled by the random player, who has been measured again
+        columns = set(self.evaluations_table.column_names) & set(other_row.evaluations_table.column_names)
+        for column in columns:
+            if column.endswith("score"):  # it is scaled by the random player, who has been measured again
                 continue
-            if not np.array_equal(self.evaluations(name), other.evaluations(name), equal_nan=True):
+            if not np.array_equal(self.evaluations(column), other_row.evaluations(column), equal_nan=True):
                 return False
         return True

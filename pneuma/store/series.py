@@ -71,13 +71,13 @@ def episode_curve(
         from_step: the step at which every slot has finished an episode; the curve is blank before it.
         end: the agent steps that the run trained; the curve is blank after it.
     """
-    first, last = _window(step, grid)
-    has_enough = last > first
+    first_index, end_index = _window(step, grid)
+    has_enough = end_index > first_index
     if trailing:  # the mean of fewer episodes would not be a mean of 100
-        first = np.maximum(last - TRAILING_EPISODES, 0)
-        has_enough = last >= TRAILING_EPISODES
+        first_index = np.maximum(end_index - TRAILING_EPISODES, 0)
+        has_enough = end_index >= TRAILING_EPISODES
     is_valid = has_enough & (grid >= from_step) & (grid <= end)
-    curve = _means(values, first, last, is_valid)
+    curve = _means(values, first_index, end_index, is_valid)
     return _single(curve) if trailing else curve
 
 
@@ -88,9 +88,10 @@ def update_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, end: in
     that are not finite are ignored. All are in single precision, as in published tables.
     """
     step, values = finite_points(step, values)
-    first, last = _window(step, grid)
-    first = np.minimum(first, np.maximum(last - 1, 0))  # an empty window contains the update before it
-    return _single(_means(values, first, last, (last > 0) & (grid <= end)))
+    first_index, end_index = _window(step, grid)
+    # an empty window contains the update before it
+    first_index = np.minimum(first_index, np.maximum(end_index - 1, 0))
+    return _single(_means(values, first_index, end_index, (end_index > 0) & (grid <= end)))
 
 
 def peak_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, extreme: np.ufunc) -> np.ndarray:
@@ -114,8 +115,8 @@ def held_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, end: int)
 
 def finite_points(step: np.ndarray, values: np.ndarray) -> Series:
     """Return the finite values with their steps."""
-    finite = np.isfinite(values)
-    return step[finite], values[finite]
+    is_finite = np.isfinite(values)
+    return step[is_finite], values[is_finite]
 
 
 def _single(curve: np.ndarray) -> np.ndarray:
@@ -125,23 +126,27 @@ def _single(curve: np.ndarray) -> np.ndarray:
 def _window(step: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the first index of each point's window, and the one after its last: values at or before t."""
     window_start = np.concatenate([np.zeros(WINDOW_POINTS), grid[:-WINDOW_POINTS]])
-    first = np.searchsorted(step, window_start, side="right")
-    last = np.searchsorted(step, grid, side="right")
-    return first, last
+    first_index = np.searchsorted(step, window_start, side="right")
+    end_index = np.searchsorted(step, grid, side="right")
+    return first_index, end_index
 
 
-def _means(values: np.ndarray, first: np.ndarray, last: np.ndarray, is_valid: np.ndarray) -> np.ndarray:
+def _means(
+    values: np.ndarray, first_index: np.ndarray, end_index: np.ndarray, is_valid: np.ndarray
+) -> np.ndarray:
     """Return the mean of the values of each window, NaN where it is not valid.
 
     Differences of a running total are used, unless a value is huge or not finite, which would spoil all later
     means.
     """
     if len(values) and not np.abs(values).max() <= HUGE:
-        sums = np.array([values[start:stop].sum() for start, stop in zip(first, last, strict=True)])
+        sums = np.array(
+            [values[start:stop].sum() for start, stop in zip(first_index, end_index, strict=True)]
+        )
     else:
         running_total = np.concatenate([[0.0], np.cumsum(values)])
-        sums = running_total[last] - running_total[first]
-    return np.divide(sums, last - first, out=np.full(sums.shape, np.nan), where=is_valid)
+        sums = running_total[end_index] - running_total[first_index]
+    return np.divide(sums, end_index - first_index, out=np.full(sums.shape, np.nan), where=is_valid)
 
 
 # --- Statistics of a curve ---------------------------------------------------------------------------
@@ -171,16 +176,16 @@ STATISTICS: dict[str, Callable[[np.ndarray], Any]] = {
 }
 
 
-def curve_statistic(name: str, step: np.ndarray, values: np.ndarray, until: float) -> float:
+def curve_statistic(statistic: str, step: np.ndarray, values: np.ndarray, until: float) -> float:
     """Return one of `STATISTICS` of a curve up to a step, or its mean `height`, from its points with a value.
 
     `early` is the mean of the first tenth. NaN without a point.
     """
-    if name == "height":
+    if statistic == "height":
         return mean_height(step, values, until)
-    if name == "early":
+    if statistic == "early":
         values = values[step <= 0.1 * until]
-    return float(STATISTICS[name](values)) if len(values) else math.nan
+    return float(STATISTICS[statistic](values)) if len(values) else math.nan
 
 
 # --- Signs of collapse -----------------------------------------------------------------------------
@@ -219,9 +224,9 @@ def update_signs(
         The stretches of each sign; and the number of stuck updates, of all updates, and of unbroken spells of
         stuck ones: (0, 0, 0) if entropy or actions were not recorded, or there is a single action.
     """
-    recorded = {name: values for name, values in columns.items() if not np.isnan(values).all()}
+    recorded = {quantity: values for quantity, values in columns.items() if not np.isnan(values).all()}
     signs: dict[str, list[Stretch]] = {}
-    stuck = 0, 0, 0
+    stuck_counts = 0, 0, 0
     # where there is a single action, the entropy is always 0
     has_choice = "entropy" in recorded and np.nanmax(recorded["entropy"]) > 0
     is_low = recorded.get("entropy", np.zeros(0)) < LEAST_ENTROPY
@@ -229,16 +234,16 @@ def update_signs(
     if has_choice and ("action_0" in recorded or "action_0" not in columns):
         signs[NO_ENTROPY] = stretches(step, is_low)
     if recorded.keys() >= set(ACTION_QUANTITIES):
-        shares = np.array([recorded[name] for name in ACTION_QUANTITIES])  # (actions, updates)
+        action_shares = np.array([recorded[quantity] for quantity in ACTION_QUANTITIES])  # (actions, updates)
         # the spells, without columns, count as one action
-        most_used = np.maximum(shares.max(axis=0), 1 - shares.sum(axis=0))
+        most_used = np.maximum(action_shares.max(axis=0), 1 - action_shares.sum(axis=0))
         signs[ONE_ACTION] = stretches(step, most_used >= MOST_OF_ONE)
         if has_choice:
             is_stuck = is_low & (most_used > STUCK_SHARE)
-            stuck = int(is_stuck.sum()), len(step), len(stretches(step, is_stuck))
+            stuck_counts = int(is_stuck.sum()), len(step), len(stretches(step, is_stuck))
     if "dead_units" in recorded:
         signs[DEAD_UNITS] = stretches(step, recorded["dead_units"] >= MOST_DEAD)
-    return signs, stuck
+    return signs, stuck_counts
 
 
 def stretches(step: np.ndarray, holds: np.ndarray) -> list[Stretch]:
@@ -257,18 +262,18 @@ def pack_signs(signs: Mapping[str, list[Stretch]]) -> str:
     return json.dumps({"unit": unit, "signs": packed}, separators=(",", ":"))
 
 
-def unpack_signs(text: str) -> dict[str, list[Stretch]]:
+def unpack_signs(packed_text: str) -> dict[str, list[Stretch]]:
     """Return what `pack_signs` was given.
 
     Raises:
         ValueError: for any other text.
     """
-    packed = parse_json(text)
+    packed = parse_json(packed_text)
     signs = {}
     try:
         for sign, gaps in packed["signs"].items():
-            ends = [end * packed["unit"] for end in accumulate(map(float, gaps))]
-            signs[sign] = list(zip(ends[::2], ends[1::2], strict=True))
+            stretch_ends = [stretch_end * packed["unit"] for stretch_end in accumulate(map(float, gaps))]
+            signs[sign] = list(zip(stretch_ends[::2], stretch_ends[1::2], strict=True))
     except (KeyError, TypeError, AttributeError, OverflowError) as error:
         raise ValueError(f"invalid signs of collapse: {error}") from None
     return signs

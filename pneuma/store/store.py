@@ -159,8 +159,8 @@ class Store:
         """Create the folder if needed; check that it can be written, and that no link leads out of it."""
         try:
             self.root.mkdir(parents=True, exist_ok=True)
-            for name in ("runs", "studies", "searches"):
-                self._check_within(self.root / name)
+            for folder_name in ("runs", "studies", "searches"):
+                self._check_within(self.root / folder_name)
             with tempfile.TemporaryFile(dir=self.root):
                 pass
         except OSError as error:
@@ -191,37 +191,37 @@ class Store:
         self._check_within(folder / CHECKPOINTS)
         return run_lock(folder)
 
-    def publishing_lock(self, name: str) -> AbstractContextManager[bool]:
+    def publishing_lock(self, table_name: str) -> AbstractContextManager[bool]:
         """Return the lock to hold to write a published table: of two that merge, one would lose rows."""
-        folder = self.root / ".publishing" / name
+        folder = self.root / ".publishing" / table_name
         self._check_within(folder)
         return run_lock(folder)
 
     def runs(self) -> list[str]:
         """Return the ids of all runs with anything stored, sorted."""
-        return [name for name in names_in(self.root / "runs") if _RUN_ID.fullmatch(name)]
+        return [run_id for run_id in names_in(self.root / "runs") if _RUN_ID.fullmatch(run_id)]
 
     def status(self, run_id: str, quick: bool = False) -> Status:
         """Return a run's status, judged by the checksums of its files; with `quick`, by their existence."""
-        folder, stored = self.run_folder(run_id), self._stored(run_id)
-        status = stored or Status("planned")
-        names = names_in(folder) if stored else []
-        for name, expected in status.checksums.items():
-            if name == ROW_FILE:
+        folder, stored_status = self.run_folder(run_id), self._stored(run_id)
+        status = stored_status or Status("planned")
+        names = names_in(folder) if stored_status else []
+        for file_name, expected in status.checksums.items():
+            if file_name == ROW_FILE:
                 continue  # it is made again where it is missing
-            if name not in names or not (quick or read_sound(folder, name, expected) is not None):
-                return replace(status, name="damaged", step=0, detail=name)
+            if file_name not in names or not (quick or read_sound(folder, file_name, expected) is not None):
+                return replace(status, name="damaged", step=0, detail=file_name)
         if status.finished:
             return status
         try:
-            files = checkpoint_files(folder)
+            checkpoints = checkpoint_files(folder)
         except UserError as error:
             return replace(status, name="damaged", step=0, detail=str(error))
-        steps = [status.step] + [file.step for file in files]  # a crash stores no step
+        steps = [status.step] + [checkpoint.step for checkpoint in checkpoints]  # a crash stores no step
         status = replace(status, step=max(steps))
         if is_held(folder):
             return replace(status, name="running")
-        if stored is None and os.path.lexists(folder / "status.json"):
+        if stored_status is None and os.path.lexists(folder / "status.json"):
             return replace(status, name="damaged", detail="status.json")
         if status.name == "planned" and status.step:
             return replace(status, name="partial")
@@ -245,12 +245,14 @@ class Store:
                 raise UserError(f"run {run_id} is training now: stop its study first")
             self.remove(folder)
 
-    def save_row(self, run_id: str, data: bytes) -> None:
+    def save_row(self, run_id: str, encoded_row: bytes) -> None:
         """Write the row of a finished run that lacks it."""
-        stored = self._stored(run_id)
-        if stored and stored.finished:
-            status = replace(stored, checksums={**stored.checksums, ROW_FILE: checksum(data)})
-            files = {ROW_FILE: data, "status.json": _status_document(status)}
+        stored_status = self._stored(run_id)
+        if stored_status and stored_status.finished:
+            status = replace(
+                stored_status, checksums={**stored_status.checksums, ROW_FILE: checksum(encoded_row)}
+            )
+            files = {ROW_FILE: encoded_row, "status.json": _status_document(status)}
             self._write_all(self.run_folder(run_id), files)
 
     def save_run(self, run_id: str, status: Status, files: Mapping[str, bytes]) -> None:
@@ -258,49 +260,51 @@ class Store:
 
         A finished run is never replaced by an unfinished one, because another process may have trained it.
         """
-        folder, before = self.run_folder(run_id), self.status(run_id, quick=status.finished)
-        if before.finished and not status.finished:
+        folder, earlier_status = self.run_folder(run_id), self.status(run_id, quick=status.finished)
+        if earlier_status.finished and not status.finished:
             return self.remove(folder / LOCK_FILE)
-        checksums = {name: checksum(data) for name, data in files.items()}
-        status = replace(status, identity=status.identity or before.identity, checksums=checksums)
+        checksums = {file_name: checksum(contents) for file_name, contents in files.items()}
+        status = replace(status, identity=status.identity or earlier_status.identity, checksums=checksums)
         self._write_all(folder, {**files, "status.json": _status_document(status)})
-        for path in folder.glob("[!.]*"):
-            if path.name not in checksums and path.name != "status.json" and path.is_file():
-                self.remove(path)
+        for file_path in folder.glob("[!.]*"):
+            if file_path.name not in checksums and file_path.name != "status.json" and file_path.is_file():
+                self.remove(file_path)
         if status.finished:  # whoever takes a lock from now on sees that nothing is left to train
             self.remove(folder / LOCK_FILE)
 
-    def save_failure(self, run_id: str, run: Run, status: str, why: str) -> None:
-        files = {"run.json": run_document(run, run_id), "error.txt": why.encode()}
+    def save_failure(self, run_id: str, run: Run, status: str, reason: str) -> None:
+        files = {"run.json": run_document(run, run_id), "error.txt": reason.encode()}
         self.save_run(run_id, Status(status), files)
 
     def failure(self, run_id: str) -> str:
         """Return the last line of why a run failed; empty if it did not."""
         try:
-            text = self.read_file(run_id, "error.txt").decode(errors="replace")
+            reason = self.read_file(run_id, "error.txt").decode(errors="replace")
         except UserError:
             return ""
-        return text.strip().rpartition("\n")[2]
+        return reason.strip().rpartition("\n")[2]
 
-    def read_file(self, run_id: str, name: str) -> bytes:
+    def read_file(self, run_id: str, file_name: str) -> bytes:
         """Return one file of a run, if it is what was written."""
         folder = self.run_folder(run_id)
-        data = read_sound(folder, name, self.checksums(run_id).get(name))
-        if data is None:
-            raise UserError(f"{folder / name}: missing or damaged; run the study again to retrain this run")
-        return data
+        contents = read_sound(folder, file_name, self.checksums(run_id).get(file_name))
+        if contents is None:
+            raise UserError(
+                f"{folder / file_name}: missing or damaged; run the study again to retrain this run"
+            )
+        return contents
 
-    def read_document(self, run_id: str, name: str) -> dict[str, Any]:
+    def read_document(self, run_id: str, file_name: str) -> dict[str, Any]:
         """Return a run's JSON file; empty if it is missing, damaged or not an object."""
         try:
-            return parse_json(self.read_file(run_id, name))
+            return parse_json(self.read_file(run_id, file_name))
         except (UserError, ValueError):
             return {}
 
     def checksums(self, run_id: str) -> Mapping[str, str]:
         """Return the checksum of each file of a run; none if nothing is stored of it."""
-        stored = self._stored(run_id)
-        return stored.checksums if stored else {}
+        stored_status = self._stored(run_id)
+        return stored_status.checksums if stored_status else {}
 
     def _stored(self, run_id: str) -> Status | None:
         """Return the status that is stored, true or not; None if there is none, or it is damaged."""
@@ -330,43 +334,43 @@ class Store:
 
     def listings(self) -> list[str]:
         """Return the names of the studies without a file that are recorded here."""
-        names = names_in(self.studies)
-        return [name.removesuffix(".json") for name in names if re.fullmatch(r"[^.].*\.json", name)]
+        file_names = names_in(self.studies)
+        return [name.removesuffix(".json") for name in file_names if re.fullmatch(r"[^.].*\.json", name)]
 
     def last_path(self, study: str) -> Path:
         """Return where the last queries of a study are noted (`last_queries.py`)."""
         return self.root / "last" / f"{study}.json"
 
-    def published_path(self, name: str) -> Path:
-        return self.root / PUBLISHED / f"{name}{TABLE_SUFFIX}"
+    def published_path(self, table_name: str) -> Path:
+        return self.root / PUBLISHED / f"{table_name}{TABLE_SUFFIX}"
 
     def published(self, shipped: bool = True) -> list[Path]:
         """Return the published tables here; with `shipped`, also Pneuma's own of other names."""
         folders = [self.root / PUBLISHED]
         if shipped:
             folders.insert(0, shipped_tables())
-        paths: dict[str, Path] = {}
+        table_paths: dict[str, Path] = {}
         for folder in folders:
-            for name in names_in(folder):
-                if name.endswith(TABLE_SUFFIX):
-                    paths[name] = folder / name
-        return [paths[name] for name in sorted(paths)]
+            for file_name in names_in(folder):
+                if file_name.endswith(TABLE_SUFFIX):
+                    table_paths[file_name] = folder / file_name
+        return [table_paths[file_name] for file_name in sorted(table_paths)]
 
     # --- Writing ------------------------------------------------------------------------------
 
-    def write(self, path: Path, data: bytes) -> None:
+    def write(self, file_path: Path, contents: bytes) -> None:
         """Write a file into the results folder, whole or not at all, and create its folder if needed.
 
         A link at its path is replaced, never followed.
         """
-        self._write_all(path.parent, {path.name: data})
+        self._write_all(file_path.parent, {file_path.name: contents})
 
     def _write_all(self, folder: Path, files: Mapping[str, bytes]) -> None:
         """Write files into a folder in this order. If one fails, those before it may be there."""
         with self._writing(folder):
             replace_files(folder, files)
-        for path in stale_files(folder):
-            self.remove(path)
+        for stale_path in stale_files(folder):
+            self.remove(stale_path)
 
     def remove(self, path: Path) -> None:
         """Remove a file or a folder of the results, if it exists; of a link, the link itself.
@@ -401,17 +405,17 @@ class Store:
             raise write_error(folder, error) from None
 
 
-def read_sound(folder: Path, name: str, expected: str | None) -> bytes | None:
+def read_sound(folder: Path, file_name: str, expected_checksum: str | None) -> bytes | None:
     """Return a file of a run; None if it lacks the checksum that the run's status lists."""
-    if not expected or not _FILE_NAME.fullmatch(name):
+    if not expected_checksum or not _FILE_NAME.fullmatch(file_name):
         return None
     try:
-        data = read_stored(folder / name)
+        contents = read_stored(folder / file_name)
     except OSError:
         return None
-    if checksum(data) != expected:
+    if checksum(contents) != expected_checksum:
         return None
-    return data
+    return contents
 
 
 class CheckpointFile(NamedTuple):
@@ -422,12 +426,12 @@ class CheckpointFile(NamedTuple):
 
 def checkpoint_files(folder: Path) -> list[CheckpointFile]:
     """Return the checkpoint files in a run's folder, the latest first; they may be damaged."""
-    files = []
-    for name in names_in(folder / CHECKPOINTS):
-        match = _CHECKPOINT_NAME.fullmatch(name)
+    checkpoints = []
+    for file_name in names_in(folder / CHECKPOINTS):
+        match = _CHECKPOINT_NAME.fullmatch(file_name)
         if match:
-            files.append(CheckpointFile(int(match[1]), match[2], folder / CHECKPOINTS / name))
-    return sorted(files, reverse=True)
+            checkpoints.append(CheckpointFile(int(match[1]), match[2], folder / CHECKPOINTS / file_name))
+    return sorted(checkpoints, reverse=True)
 
 
 def run_identity(run: Run) -> Identity:
@@ -438,7 +442,7 @@ def run_document(run: Run, run_id: str) -> bytes:
     """Return a run's configuration; in another environment without the fields of Pneuma's worlds."""
     fields = as_fields(run)
     if is_gymnasium_id(run.env):
-        fields = {name: value for name, value in fields.items() if name not in OF_WORLDS}
+        fields = {field_name: value for field_name, value in fields.items() if field_name not in OF_WORLDS}
     return to_json({"schema": SCHEMA, "run_id": run_id, "run": fields})
 
 

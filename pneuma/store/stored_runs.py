@@ -24,10 +24,10 @@ def find_run(store: Store, prefix: str) -> str:
     if len(matching) == 1:
         return matching[0]
     if matching:
-        listed = ", ".join(matching[:MOST_LISTED])
+        listed_ids = ", ".join(matching[:MOST_LISTED])
         if len(matching) > MOST_LISTED:
-            listed += ", …"
-        raise UserError(f"run {prefix!r} is ambiguous: give more digits; {folder} holds {listed}")
+            listed_ids += ", …"
+        raise UserError(f"run {prefix!r} is ambiguous: give more digits; {folder} holds {listed_ids}")
     hint = nearest_name(prefix, run_ids) if run_ids else " (it holds none)"
     text = f"no run {prefix!r} in {folder}{hint}; `pneuma run list` shows all runs; "
     raise UserError(text, Hint("results"), " selects the folder")
@@ -36,30 +36,30 @@ def find_run(store: Store, prefix: str) -> str:
 def run_files(store: Store, run_id: str) -> list[dict[str, Any]]:
     """Return the files of a run's folder: sound, damaged, missing, or unlisted (without a checksum)."""
     folder, checksums = store.run_folder(run_id), store.checksums(run_id)
-    sizes = {}
-    for path in folder.rglob("[!.]*"):
-        if path.is_file():
-            sizes[path.relative_to(folder).as_posix()] = path.stat().st_size
-    files = []
-    for name in dict.fromkeys(list(checksums) + sorted(sizes)):
+    bytes_by_file = {}
+    for file_path in folder.rglob("[!.]*"):
+        if file_path.is_file():
+            bytes_by_file[file_path.relative_to(folder).as_posix()] = file_path.stat().st_size
+    file_rows = []
+    for file_name in dict.fromkeys(list(checksums) + sorted(bytes_by_file)):
         state = "sound"
-        if name == "status.json":
+        if file_name == "status.json":
             continue
-        if name not in checksums:
+        if file_name not in checksums:
             state = "unlisted"
-        elif name not in sizes:
+        elif file_name not in bytes_by_file:
             state = "missing"
-        elif read_sound(folder, name, checksums[name]) is None:
+        elif read_sound(folder, file_name, checksums[file_name]) is None:
             state = "damaged"
-        files.append({"name": name, "bytes": sizes.get(name, 0), "state": state})
-    return files
+        file_rows.append({"name": file_name, "bytes": bytes_by_file.get(file_name, 0), "state": state})
+    return file_rows
 
 
 def default_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields that a stored run would have had without its study's."""
-    given = {key: settings[key] for key in ("env", "algorithm", "optimizer") if key in settings}
+    chosen_fields = {key: settings[key] for key in ("env", "algorithm", "optimizer") if key in settings}
     try:
-        return as_fields(make_run(given))
+        return as_fields(make_run(chosen_fields))
     except UserError:  # from another version of Pneuma
         return as_fields(make_run({}))
 
@@ -72,7 +72,7 @@ def stored_settings(store: Store, run_id: str) -> dict[str, Any]:
 
 def stored_run(settings: Mapping[str, Any]) -> Run:
     """Return the run of a stored configuration, without fields that an earlier version had."""
-    return make_run({key: value for key, value in settings.items() if key in FIELDS})
+    return make_run({field_name: value for field_name, value in settings.items() if field_name in FIELDS})
 
 
 def trusted_settings(store: Store, run_id: str, trust: bool) -> dict[str, Any]:
@@ -82,10 +82,10 @@ def trusted_settings(store: Store, run_id: str, trust: bool) -> dict[str, Any]:
         UserError: without `trust`, for a run that names files, code, or arguments of its environment.
     """
     settings = stored_settings(store, run_id)
-    uses = describe_user_code(settings)
-    if uses and not trust:
+    code_uses = describe_user_code(settings)
+    if code_uses and not trust:
         raise UserError(
-            f"run {run_id} would {' and '.join(uses.values())}: if you trust its source, add ",
+            f"run {run_id} would {' and '.join(code_uses.values())}: if you trust its source, add ",
             Hint("trust", True),
         )
     return settings

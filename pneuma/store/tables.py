@@ -24,34 +24,34 @@ def to_parquet(rows: Iterable[Mapping[str, Any]], columns: Sequence[str]) -> byt
     """Return rows as a Parquet file; the same rows give the same bytes."""
     rows = list(rows)
     arrays = []
-    for name in columns:
-        values = [row[name] for row in rows]
-        arrays.append(pa.array(values, _column_type(name, values)))
-    sink = io.BytesIO()
-    pq.write_table(pa.table(arrays, names=list(columns)), sink, compression="zstd")
-    return sink.getvalue()
+    for column_name in columns:
+        column_values = [row[column_name] for row in rows]
+        arrays.append(pa.array(column_values, _column_type(column_name, column_values)))
+    buffer = io.BytesIO()
+    pq.write_table(pa.table(arrays, names=list(columns)), buffer, compression="zstd")
+    return buffer.getvalue()
 
 
-def _column_type(name: str, values: Sequence[Any]) -> pa.DataType:
-    if name in TEXT_COLUMNS:
+def _column_type(column_name: str, column_values: Sequence[Any]) -> pa.DataType:
+    if column_name in TEXT_COLUMNS:
         return pa.string()
-    if name in INTEGER_COLUMNS and all(isinstance(value, int) for value in values):
+    if column_name in INTEGER_COLUMNS and all(isinstance(value, int) for value in column_values):
         return pa.int64()
     return pa.float64()
 
 
-def from_parquet(data: bytes, columns: Sequence[str] | None = None) -> pa.Table:
+def from_parquet(encoded_table: bytes, columns: Sequence[str] | None = None) -> pa.Table:
     """Read a Parquet file, or some of its columns, from memory, in this thread only.
 
     Arrow's `read_table`, and reading from a Python file, always start threads, because of which a command may
     abort when it ends.
     """
-    return pq.ParquetFile(pa.BufferReader(data)).read(columns=columns, use_threads=False)
+    return pq.ParquetFile(pa.BufferReader(encoded_table)).read(columns=columns, use_threads=False)
 
 
-def from_ipc(data: bytes) -> pa.Table:
+def from_ipc(encoded_table: bytes) -> pa.Table:
     """Read a file in Arrow's own format from memory, in this thread only."""
     options = pa.ipc.IpcReadOptions(use_threads=False)
-    table = pa.ipc.open_file(pa.BufferReader(data), options=options).read_all()
+    table = pa.ipc.open_file(pa.BufferReader(encoded_table), options=options).read_all()
     table.validate(full=True)  # Arrow checks no offsets of its own accord
     return table
