@@ -50,26 +50,26 @@ def prepare(
     from pneuma.store.checkpoints import sound_checkpoint  # safetensors, pyarrow: not for `--help`
 
     statuses = {cell.run_id: store.status(cell.run_id) for cell in plan.cells}
-    todo = missing(plan, statuses, retry_failed)
-    for name, step in until.items():
-        if step and name in todo:
-            checkpoint = sound_checkpoint(store.run_folder(name))
+    missing_runs = missing(plan, statuses, retry_failed)
+    for run_id, step in until.items():
+        if step and run_id in missing_runs:
+            checkpoint = sound_checkpoint(store.run_folder(run_id))
             if checkpoint and checkpoint.step >= step:
-                del todo[name]
-    check_environments(todo.values())
+                del missing_runs[run_id]
+    check_environments(missing_runs.values())
     store.check_writable()
-    for name, run in todo.items():
-        store.plan_run(name, run_identity(run))
+    for run_id, run in missing_runs.items():
+        store.plan_run(run_id, run_identity(run))
     if plan.query.study:
         study = plan.study
         if study.path and study.own_path:
             store.write(store.studies / study.path.name, study.path.read_bytes())
         note_query(store, plan)
-    return todo, _notes(plan, statuses, todo)
+    return missing_runs, _notes(plan, statuses, missing_runs)
 
 
 def execute(
-    plan: Plan, todo: Mapping[str, Run], store: Store, config: ExecutorConfig, on_progress: OnProgress
+    plan: Plan, missing_runs: Mapping[str, Run], store: Store, config: ExecutorConfig, on_progress: OnProgress
 ) -> list[CellResult]:
     """Train the runs that `prepare` found missing; return the plan's cells, without those only published.
 
@@ -88,26 +88,26 @@ def execute(
         for cell in cells_by_run[run_id]:
             on_progress(cell, event)
 
-    if todo:
-        load_executor(config).train_runs(Job(todo, store, config), report)
-    return cell_results(plan, store, todo, end_events)
+    if missing_runs:
+        load_executor(config).train_runs(Job(missing_runs, store, config), report)
+    return cell_results(plan, store, missing_runs, end_events)
 
 
 def cell_results(
-    plan: Plan, store: Store, todo: Collection[str], end_events: Mapping[str, Event] = {}
+    plan: Plan, store: Store, missing_runs: Collection[str], end_events: Mapping[str, Event] = {}
 ) -> list[CellResult]:
     """Return the state of a plan's cells, without those that are only published.
 
     Args:
         plan: whose cells.
         store: where their runs are kept.
-        todo: the runs that were to be trained. Finished ones without an end event were trained.
+        missing_runs: the runs that were to be trained. Finished ones without an end event were trained.
         end_events: the final event of each run that has ended. It counts where the end could not be stored.
     """
     results = []
     for cell in plan.cells:
         status = store.status(cell.run_id)
-        trained, reason = status.finished and cell.run_id in todo, ""
+        trained, reason = status.finished and cell.run_id in missing_runs, ""
         event = end_events.get(cell.run_id)
         if event:
             trained, reason = event["trained"], event.get("reason", "")
@@ -126,33 +126,33 @@ def kept_step(status: Status) -> int:
 
 def missing(plan: Plan, statuses: Mapping[str, Status], retry_failed: bool = False) -> dict[str, Run]:
     """Return the plan's runs to train, by id: not finished, published or (unless retried) failed."""
-    todo = {}
+    missing_runs = {}
     for cell in plan.cells:
         status = statuses[cell.run_id]
         if status.finished or cell.run_id in plan.published:
             continue
         if retry_failed or not status.failed:
-            todo[cell.run_id] = cell.run
-    return todo
+            missing_runs[cell.run_id] = cell.run
+    return missing_runs
 
 
-def _notes(plan: Plan, statuses: Mapping[str, Status], todo: Mapping[str, Run]) -> list[str]:
+def _notes(plan: Plan, statuses: Mapping[str, Status], missing_runs: Mapping[str, Run]) -> list[str]:
     notes = []
-    labels = {cell.run_id: f"{cell.condition} seed {cell.seed}" for cell in plan.cells}
+    labels_by_run = {cell.run_id: f"{cell.condition} seed {cell.seed}" for cell in plan.cells}
     failures = []
-    for name, status in statuses.items():
-        if status.name == "damaged" and name in todo:
-            notes.append(f"{labels[name]}: {status.detail!r} is damaged; the run is trained again")
-        if status.failed and name not in todo and name not in plan.published:
+    for run_id, status in statuses.items():
+        if status.name == "damaged" and run_id in missing_runs:
+            notes.append(f"{labels_by_run[run_id]}: {status.detail!r} is damaged; the run is trained again")
+        if status.failed and run_id not in missing_runs and run_id not in plan.published:
             failures.append(status.name)
-    published = [name for name in plan.published if not statuses[name].finished]
+    published = [run_id for run_id in plan.published if not statuses[run_id].finished]
     if published:
-        runs = counted(len(published), "published run")
-        notes.append(f"{runs} not trained: figures and numbers take them from there")
-    open_runs = [run for run in todo.values() if is_open(run)]
+        run_count = counted(len(published), "published run")
+        notes.append(f"{run_count} not trained: figures and numbers take them from there")
+    open_runs = [run for run in missing_runs.values() if is_open(run)]
     if open_runs:
-        runs = counted(len(open_runs), "run")
-        notes.append(f"{runs} cannot be resumed: if stopped, they start over")
+        run_count = counted(len(open_runs), "run")
+        notes.append(f"{run_count} cannot be resumed: if stopped, they start over")
     if failures:
         statuses_text = ", ".join(sorted(set(failures)))
         text = f"{counted(len(failures), 'run')} failed before ({statuses_text}); "
@@ -164,13 +164,13 @@ def check_environments(runs: Iterable[Run]) -> None:
     """Make each distinct environment of some runs once, with a learner of no fields, to find mistakes."""
     from pneuma.engines.environment import check_environment  # gymnasium: not for `--help`
 
-    fields = ("env", *OF_GYMNASIUM, "engine", "algorithm")
+    environment_fields = ("env", *OF_GYMNASIUM, "engine", "algorithm")
     run_by_environment: dict[Any, Run] = {}
     for run in runs:
         if is_open(run):
-            key: Any = replace(run, seed=0)  # its learner is made too
+            environment: Any = replace(run, seed=0)  # its learner is made too
         else:
-            key = env_config(run), *(getattr(run, field) for field in fields)
-        run_by_environment[key] = run
+            environment = env_config(run), *(getattr(run, field_name) for field_name in environment_fields)
+        run_by_environment[environment] = run
     for run in run_by_environment.values():
         check_environment(run)

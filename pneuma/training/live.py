@@ -18,10 +18,10 @@ from pneuma.store.quantities import EVALUATION_TAGS, NEGATED, TAGS
 from pneuma.store.series import TRAILING_EPISODES
 
 LOGGED_BY_EPISODE = ("return", "length")
-MEAN_TAGS = {name: TAGS[name][0] for name in LOGGED_BY_EPISODE}
+MEAN_TAGS = {quantity: TAGS[quantity][0] for quantity in LOGGED_BY_EPISODE}
 TAGS_BY_TABLE = {
-    "episodes": {name: TAGS[name][1] for name in LOGGED_BY_EPISODE},
-    "metrics": {name: tag for name, (tag, _) in TAGS.items() if name not in LOGGED_BY_EPISODE},
+    "episodes": {quantity: TAGS[quantity][1] for quantity in LOGGED_BY_EPISODE},
+    "metrics": {quantity: tag for quantity, (tag, _) in TAGS.items() if quantity not in LOGGED_BY_EPISODE},
     "evaluations": EVALUATION_TAGS,
 }
 GROUPS = {"metrics": "train", "evaluations": "eval"}
@@ -60,17 +60,17 @@ class LiveLog:
         if not self._writer:
             return
         with suppress(OSError):
-            for table, tags in TAGS_BY_TABLE.items():
-                rows = getattr(progress.records, table)
-                for row in rows[self._written.get(table, 0) :]:
+            for table_name, tags in TAGS_BY_TABLE.items():
+                table_rows = getattr(progress.records, table_name)
+                for row in table_rows[self._written.get(table_name, 0) :]:
                     if row["step"] > self._first_step:
-                        self._write(table, row, tags)
-                self._written[table] = len(rows)
+                        self._write(table_name, row, tags)
+                self._written[table_name] = len(table_rows)
             recent_episodes = progress.records.episodes[-TRAILING_EPISODES:]
             if recent_episodes:
                 means = {"step": progress.step}
-                for name in LOGGED_BY_EPISODE:
-                    means[name] = sum(row[name] for row in recent_episodes) / len(recent_episodes)
+                for quantity in LOGGED_BY_EPISODE:
+                    means[quantity] = sum(row[quantity] for row in recent_episodes) / len(recent_episodes)
                 self._write("episodes", means, MEAN_TAGS)
             self._writer.flush()
 
@@ -79,11 +79,11 @@ class LiveLog:
             with suppress(OSError):
                 self._writer.close()
 
-    def _write(self, table: str, row: Row, tags: Mapping[str, str]) -> None:
+    def _write(self, table_name: str, row: Row, tags: Mapping[str, str]) -> None:
         """Write the finite values of a row by their tags."""
-        for name, value in row.items():
-            tag = tags.get(name)
-            if tag is None and table in GROUPS and name != "step":
-                tag = f"{GROUPS[table]}/{name}"
-            if tag and value is not None and math.isfinite(value):
-                self._writer.add_scalar(tag, -value if tag == NEGATED else value, row["step"])
+        for column_name, column_value in row.items():
+            tag = tags.get(column_name)
+            if tag is None and table_name in GROUPS and column_name != "step":
+                tag = f"{GROUPS[table_name]}/{column_name}"
+            if tag and column_value is not None and math.isfinite(column_value):
+                self._writer.add_scalar(tag, -column_value if tag == NEGATED else column_value, row["step"])

@@ -23,7 +23,7 @@ from pneuma.training.executors.base import Event
 SAMPLE = 100
 START_SECONDS = 4.0
 """Seconds that a worker takes to start with compiled programs."""
-OF_PACE = tuple(name for name, about in FIELDS.items() if about.paces)
+OF_PACE = tuple(field_name for field_name, declaration in FIELDS.items() if declaration.paces)
 """Fields that decide how long a step takes. Steps are one, as every run has the same number of
 evaluations."""
 LINE_SECONDS = 10.0
@@ -51,19 +51,19 @@ def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
     """Return the paces of finished runs on a processor like this one: those of a plan, and some others."""
     from pneuma.store.row_builder import stored_row  # safetensors, pyarrow: not for `--help`
 
-    here = machine()["cpu"]
-    paces_by_kind: dict[str, list[float]] = {}
-    for name in dict.fromkeys([*names_first, *store.runs()[:SAMPLE]]):
+    own_cpu = machine()["cpu"]
+    paces_by_key: dict[str, list[float]] = {}
+    for run_id in dict.fromkeys([*names_first, *store.runs()[:SAMPLE]]):
         try:
-            row = stored_row(store, name)
-            pace = (row.wall_seconds or 0) / (row.end - row.begun)
-            machines = [attempt["machine"] for attempt in row.provenance["attempts"]]
+            run_row = stored_row(store, run_id)
+            pace = (run_row.wall_seconds or 0) / (run_row.end - run_row.begun)
+            machines = [attempt["machine"] for attempt in run_row.provenance["attempts"]]
             processors = {(machine["cpu"], machine["device"]) for machine in machines}
         except (UserError, KeyError, TypeError, ValueError, ArithmeticError):
             continue  # an imported, damaged or untrusted run
-        if pace > 0 and processors == {(here, "cpu")}:
-            paces_by_kind.setdefault(_kind(row.fields), []).append(pace)
-    return {kind: statistics.fmean(paces) for kind, paces in paces_by_kind.items()}
+        if pace > 0 and processors == {(own_cpu, "cpu")}:
+            paces_by_key.setdefault(_kind(run_row.fields), []).append(pace)
+    return {pace_key: statistics.fmean(paces) for pace_key, paces in paces_by_key.items()}
 
 
 def expected_seconds(paces: Paces, run: Run, steps: int) -> float | None:
@@ -73,7 +73,7 @@ def expected_seconds(paces: Paces, run: Run, steps: int) -> float | None:
 
 
 def _kind(settings: Mapping[str, Any]) -> str:
-    return repr([settings.get(key) for key in OF_PACE])
+    return repr([settings.get(field_name) for field_name in OF_PACE])
 
 
 # --- While it runs ---------------------------------------------------------------------------------
@@ -95,8 +95,8 @@ class ProgressDisplay:
         self._until = until
         self._show = bool(to_train) and not quiet
         self._live = self._show and sys.stderr.isatty()
-        self._budgets = {name: run.steps for name, run in to_train.items()}
-        self._steps = {name: kept_step(store.status(name, quick=True)) for name in to_train}
+        self._budgets = {run_id: run.steps for run_id, run in to_train.items()}
+        self._steps = {run_id: kept_step(store.status(run_id, quick=True)) for run_id in to_train}
         self._ended: set[str] = set()
         self._bar = Progress(
             TextColumn("{task.description}", markup=False),
@@ -123,41 +123,41 @@ class ProgressDisplay:
             self._bar.stop()
 
     def update(self, cell: Cell, event: Event) -> None:
-        label = f"{cell.condition} seed {cell.seed}"
+        cell_label = f"{cell.condition} seed {cell.seed}"
         if event["event"] in ("note", "status"):
             if self._show or event["event"] == "note":
-                print_aside(f"{label}: {event['text']}")
+                print_aside(f"{cell_label}: {event['text']}")
             return
         status = self._count(cell.run_id, event)
         steps_trained = sum(self._steps.values())
         self._bar.update(self._task, completed=steps_trained, description=self._ended_text())
-        now = time.monotonic()
-        if self._show and not self._live and (status or now >= self._next_line):
-            self._next_line = now + LINE_SECONDS
-            print_aside(self._line(label, status))
+        clock = time.monotonic()
+        if self._show and not self._live and (status or clock >= self._next_line):
+            self._next_line = clock + LINE_SECONDS
+            print_aside(self._line(cell_label, status))
 
-    def _count(self, name: str, event: Event) -> str:
+    def _count(self, run_id: str, event: Event) -> str:
         """Count the steps of a run in an event; return the status with which it ended or paused, if any."""
         status: str = event.get("status", "")
         if status in FINISHED:
-            self._steps[name] = self._budgets[name]  # also of one that diverged before
+            self._steps[run_id] = self._budgets[run_id]  # also of one that diverged before
         else:
-            self._steps[name] = max(self._steps[name], event["step"])
-        pauses_at = self._until.get(name) or self._budgets[name]
-        if status in ("stopped", "partial") and self._steps[name] >= pauses_at:
+            self._steps[run_id] = max(self._steps[run_id], event["step"])
+        pauses_at = self._until.get(run_id) or self._budgets[run_id]
+        if status in ("stopped", "partial") and self._steps[run_id] >= pauses_at:
             return "paused"
         if status not in ("", "stopped"):
-            self._ended.add(name)
+            self._ended.add(run_id)
         return status
 
-    def _line(self, label: str, status: str) -> str:
+    def _line(self, cell_label: str, status: str) -> str:
         progress = self._bar.tasks[0]
-        line = f"{self._ended_text()} ended, {progress.percentage:.0f} % of all steps"
+        progress_line = f"{self._ended_text()} ended, {progress.percentage:.0f} % of all steps"
         if status:
-            line = f"{label}: {status}; {line}"
+            progress_line = f"{cell_label}: {status}; {progress_line}"
         if progress.time_remaining:
-            line += f", {duration(progress.time_remaining)} left"
-        return line
+            progress_line += f", {duration(progress.time_remaining)} left"
+        return progress_line
 
     def _ended_text(self) -> str:
         return f"{len(self._ended)}/{len(self._steps)} runs"

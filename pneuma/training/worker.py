@@ -37,7 +37,7 @@ from pneuma.store.provenance import Attempt, finished_provenance, packages_of
 from pneuma.store.row_builder import cells_of_files
 from pneuma.store.rows import encode_row
 from pneuma.store.store import ROW_FILE, Status, Store, run_document, run_identity
-from pneuma.study.identity import run_id
+from pneuma.study import identity
 from pneuma.training.executors.base import Event, Job, end_event
 from pneuma.training.live import open_log
 
@@ -53,8 +53,8 @@ def main() -> int:
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what libraries print is no event
     worker = Worker(events, stop)
-    for order in iter(orders.get, ""):
-        if not worker.train(Job.from_json(order)):
+    for job_text in iter(orders.get, ""):
+        if not worker.train(Job.from_json(job_text)):
             return 1
         orders.task_done()
         gc.collect()  # a learner and its memory of experience may refer to each other
@@ -72,80 +72,82 @@ class Worker:
     def train(self, job: Job) -> bool:
         """Train a job's runs, without those that another process holds; return whether none crashed."""
         self._job, is_sound = job, True
-        for name, run in job.runs.items():
-            last_event = self._last_event(name, run)
+        for run_id, run in job.runs.items():
+            last_event = self._last_event(run_id, run)
             self._send(**last_event)
             is_sound = is_sound and last_event.get("status") != "crashed"
         return is_sound
 
-    def _send(self, event: str, run_id: str, **about: Any) -> None:
-        self._events.write(json.dumps({"event": event, "run_id": run_id, **about}) + "\n")
+    def _send(self, event: str, run_id: str, **details: Any) -> None:
+        self._events.write(json.dumps({"event": event, "run_id": run_id, **details}) + "\n")
 
-    def _last_event(self, name: str, run: Run) -> Event:
+    def _last_event(self, run_id: str, run: Run) -> Event:
         """Train a run if it is free and has not finished; return the event of its end."""
         store = self._job.store
         try:
-            with store.lock(name) as is_free:
+            with store.lock(run_id) as is_free:
                 if not is_free:
-                    return {"event": "busy", "run_id": name}
-                status = store.status(name)
+                    return {"event": "busy", "run_id": run_id}
+                status = store.status(run_id)
                 if status.finished:
-                    store.remove(store.run_folder(name) / LOCK_FILE)
-                    return end_event(name, status.name, status.step, trained=False)
+                    store.remove(store.run_folder(run_id) / LOCK_FILE)
+                    return end_event(run_id, status.name, status.step, trained=False)
                 if self._stop.is_set():
-                    return end_event(name, "stopped")
+                    return end_event(run_id, "stopped")
                 try:
-                    status = self._train(name, run)
-                    return end_event(name, status.name, status.step)
+                    status = self._train(run_id, run)
+                    return end_event(run_id, status.name, status.step)
                 except Exception as error:
                     if is_storage_problem(error):
                         raise
                     is_final = self._job.last_try or isinstance(error, OwnCodeError)
                     if is_final:
-                        store.save_failure(name, run, "crashed", traceback.format_exc())
-                    return end_event(name, "crashed", reason=describe(error), final=is_final)
+                        store.save_failure(run_id, run, "crashed", traceback.format_exc())
+                    return end_event(run_id, "crashed", reason=describe(error), final=is_final)
         except Exception as error:  # it cannot be locked or stored
             if not is_storage_problem(error):
-                return end_event(name, "crashed", reason=describe(error))
+                return end_event(run_id, "crashed", reason=describe(error))
             self._stop.set()  # those after it as well, because the disk takes nothing more
-            return end_event(name, "stopped", reason=describe(error), storage=True)
+            return end_event(run_id, "stopped", reason=describe(error), storage=True)
 
-    def _train(self, name: str, run: Run) -> Status:
+    def _train(self, run_id: str, run: Run) -> Status:
         """Train a run to its end, discarding checkpoints that its engine cannot use.
 
         Raises:
             CheckpointError: when there is no checkpoint left to discard.
         """
-        if run_id(run) != name:
+        if identity.run_id(run) != run_id:
             raise RuntimeError(
                 "Pneuma or the run's own files (level, characters, reward, environment, wrappers) changed"
             )
 
-        def note(text: str) -> None:
-            self._send("note", name, text=text)
+        def note(message: str) -> None:
+            self._send("note", run_id, text=message)
 
         seconds = self._job.config.checkpoint_seconds
-        checkpoints = RunCheckpoints(self._job.store, name, seconds, note)
+        checkpoints = RunCheckpoints(self._job.store, run_id, seconds, note)
         while True:
             try:
                 with _first_warning(note) as warning:
-                    return self._train_once(name, run, checkpoints, warning)
+                    return self._train_once(run_id, run, checkpoints, warning)
             except CheckpointError as error:
                 if not checkpoints.give_up(error):
                     raise
 
-    def _train_once(self, name: str, run: Run, checkpoints: RunCheckpoints, warning: Sequence[str]) -> Status:
-        config = self._job.config
+    def _train_once(
+        self, run_id: str, run: Run, checkpoints: RunCheckpoints, warning: Sequence[str]
+    ) -> Status:
+        executor_config = self._job.config
         checkpoint = checkpoints.latest()
         first_step = checkpoint.step if checkpoint else 0
-        until = config.until.get(name) or run.steps
-        if until <= first_step < run.steps:
+        pause_step = executor_config.until.get(run_id) or run.steps
+        if pause_step <= first_step < run.steps:
             return Status("stopped", first_step)
-        self._send("step", name, step=first_step)
-        begins = f"resumes at step {first_step:,}" if first_step else "begins"
-        self._send("status", name, text=begins)
+        self._send("step", run_id, step=first_step)
+        beginning = f"resumes at step {first_step:,}" if first_step else "begins"
+        self._send("status", run_id, text=beginning)
         attempt = Attempt(first_step)
-        log = open_log(config.logs.get(name), first_step)
+        live_log = open_log(executor_config.logs.get(run_id), first_step)
 
         def update(progress: Progress) -> bool:
             if not gc.isenabled():
@@ -153,39 +155,39 @@ class Worker:
                     gc.freeze()
                 gc.enable()
             attempt.update(progress.step, progress.evaluation_seconds)
-            now = time.monotonic()
-            if now >= self._next_report:
-                self._next_report = now + REPORT_SECONDS
-                self._send("step", name, step=progress.step)
-            is_stopping = self._stop.is_set() or until <= progress.step < run.steps
-            log.update(progress)
+            clock = time.monotonic()
+            if clock >= self._next_report:
+                self._next_report = clock + REPORT_SECONDS
+                self._send("step", run_id, step=progress.step)
+            is_stopping = self._stop.is_set() or pause_step <= progress.step < run.steps
+            live_log.update(progress)
             checkpoints.update(progress, attempt, is_stopping)
             return not is_stopping
 
-        with closing(log):
+        with closing(live_log):
             result = train_run(run, update, checkpoint)
         if result.status != "stopped":
             provenance = finished_provenance([*checkpoints.attempts, attempt.so_far(result.step)])
             if warning:
                 provenance["warning"] = warning[0]
-            if config.project:
-                provenance["project"] = config.project
+            if executor_config.project:
+                provenance["project"] = executor_config.project
             provenance["packages"] |= packages_of(run)
-            _store_result(self._job.store, name, run, result, provenance)
+            _store_result(self._job.store, run_id, run, result, provenance)
             checkpoints.finish()
         return Status(result.status, result.step)
 
 
-def _store_result(store: Store, name: str, run: Run, result: Result, provenance: Mapping[str, Any]) -> None:
+def _store_result(store: Store, run_id: str, run: Run, result: Result, provenance: Mapping[str, Any]) -> None:
     status = Status(result.status, result.step, identity=run_identity(run))
-    files = {"run.json": run_document(run, name), "provenance.json": to_json(provenance)}
+    files = {"run.json": run_document(run, run_id), "provenance.json": to_json(provenance)}
     without = WORLD_COLUMNS if is_gymnasium_id(run.env) else ()
-    for table, data in table_files(result.records, without).items():
-        files[f"{table}.parquet"] = data
+    for table_name, contents in table_files(result.records, without).items():
+        files[f"{table_name}.parquet"] = contents
     if result.policy is not None:
         files[result.policy.file] = result.policy.to_bytes()
-    files[ROW_FILE] = encode_row(cells_of_files(name, status, files))
-    store.save_run(name, status, files)
+    files[ROW_FILE] = encode_row(cells_of_files(run_id, status, files))
+    store.save_run(run_id, status, files)
 
 
 def describe(error: Exception) -> str:
@@ -199,40 +201,40 @@ def describe(error: Exception) -> str:
 @contextmanager
 def _first_warning(say: Callable[[str], None]) -> Iterator[list[str]]:
     """Say what training warns of first, and yield it as a list of one text; evaluations warn of it again."""
-    texts: list[str] = []
+    warning_texts: list[str] = []
     with warnings.catch_warnings():
-        show = warnings.showwarning
+        show_warning = warnings.showwarning
 
-        def collect(message: Warning | str, category: type[Warning], *where: Any) -> None:
+        def collect(message: Warning | str, category: type[Warning], *location: Any) -> None:
             if not issubclass(category, RunWarning):
-                show(message, category, *where)
-            elif not texts:
-                texts.append(str(message))
-                say(texts[0])
+                show_warning(message, category, *location)
+            elif not warning_texts:
+                warning_texts.append(str(message))
+                say(warning_texts[0])
 
         warnings.showwarning = collect  # type: ignore[assignment]
         warnings.simplefilter("always", RunWarning)
-        yield texts
+        yield warning_texts
 
 
 def _listen(lines: TextIO, orders: queue.Queue[str], stop: threading.Event) -> None:
-    for line in lines:
-        if line.strip() == "stop":
+    for order in lines:
+        if order.strip() == "stop":
             stop.set()
         else:
-            orders.put(line)
+            orders.put(order)
     if orders.unfinished_tasks:
         os._exit(1)
     orders.put("")
 
 
-def die_with(parent: int) -> None:
+def die_with(parent_process: int) -> None:
     """Let the system kill this process when its parent ends, even during a long computation."""
     if sys.platform != "linux":
         return  # only the lifeline works there
     parent_death_signal = 1  # PR_SET_PDEATHSIG of prctl(2)
     ctypes.CDLL(None).prctl(parent_death_signal, signal.SIGKILL)
-    if os.getppid() != parent:
+    if os.getppid() != parent_process:
         os._exit(1)  # the parent had already ended
 
 

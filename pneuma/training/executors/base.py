@@ -83,27 +83,31 @@ class Job:
     last_try: bool = False
 
     def to_json(self) -> str:
-        config = asdict(self.config)
-        for key in ("logs", "until"):  # of these runs alone
-            config[key] = {name: value for name, value in config[key].items() if name in self.runs}
-        job = {
+        config_table = asdict(self.config)
+        for option_name in ("logs", "until"):  # of these runs alone
+            config_table[option_name] = {
+                run_id: value for run_id, value in config_table[option_name].items() if run_id in self.runs
+            }
+        job_table = {
             "results": str(self.store.root.resolve()),
-            "config": config,
-            "runs": {name: as_fields(run) for name, run in self.runs.items()},
+            "config": config_table,
+            "runs": {run_id: as_fields(run) for run_id, run in self.runs.items()},
             "last_try": self.last_try,
         }
-        return json.dumps(job)
+        return json.dumps(job_table)
 
     @classmethod
-    def from_json(cls, text: str) -> Job:
-        job = json.loads(text)
-        runs = {name: make_run(fields) for name, fields in job["runs"].items()}
-        return cls(runs, Store(job["results"]), ExecutorConfig(**job["config"]), job["last_try"])
+    def from_json(cls, job_text: str) -> Job:
+        job_table = json.loads(job_text)
+        runs = {run_id: make_run(fields) for run_id, fields in job_table["runs"].items()}
+        return cls(
+            runs, Store(job_table["results"]), ExecutorConfig(**job_table["config"]), job_table["last_try"]
+        )
 
 
-def end_event(name: str, status: str, step: int = 0, **about: Any) -> Event:
-    end = {"event": "end", "run_id": name, "status": status, "step": step, "trained": True}
-    return {**end, **about}
+def end_event(run_id: str, status: str, step: int = 0, **details: Any) -> Event:
+    end = {"event": "end", "run_id": run_id, "status": status, "step": step, "trained": True}
+    return {**end, **details}
 
 
 def load_executor(config: ExecutorConfig) -> ModuleType:

@@ -101,20 +101,20 @@ class Interrupts:
 
     def __enter__(self) -> Interrupts:
         if threading.current_thread() is threading.main_thread():
-            for number in self._signals:
+            for signal_number in self._signals:
                 # what was ignored still is, as `nohup` ignores SIGHUP
-                if signal.getsignal(number) != signal.SIG_IGN:
-                    self._handlers_before[number] = signal.signal(number, self._note)
+                if signal.getsignal(signal_number) != signal.SIG_IGN:
+                    self._handlers_before[signal_number] = signal.signal(signal_number, self._note)
         return self
 
     def __exit__(self, *_: object) -> None:
-        for number, handler in self._handlers_before.items():
-            signal.signal(number, handler)
+        for signal_number, handler in self._handlers_before.items():
+            signal.signal(signal_number, handler)
 
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        if number != signal.SIGHUP or not self._seen:
-            self._seen.append(number)
-        if number == signal.SIGTERM:
+    def _note(self, signal_number: int, frame: FrameType | None) -> None:
+        if signal_number != signal.SIGHUP or not self._seen:
+            self._seen.append(signal_number)
+        if signal_number == signal.SIGTERM:
             self._patience_ends = min(self._patience_ends, time.monotonic() + PATIENCE)
 
 
@@ -142,7 +142,7 @@ class Supervisor:
     """
 
     def __init__(self, job: Job, on_event: OnEvent, interrupts: Interrupts) -> None:
-        self._tasks = [_Task(name, run) for name, run in job.runs.items()]
+        self._tasks = [_Task(run_id, run) for run_id, run in job.runs.items()]
         self._job, self._store, self._on_event = job, job.store, on_event
         self._interrupts, self._heeded_level = interrupts, 0
         self._storage_problem = ""
@@ -157,8 +157,8 @@ class Supervisor:
         try:
             while self._tasks or self._workers():
                 self._hand_out_tasks()
-                for key, _ in self._selector.select(LOOK_SECONDS):
-                    self._read(key.data)
+                for selector_key, _ in self._selector.select(LOOK_SECONDS):
+                    self._read(selector_key.data)
                 self._heed_interrupts()
         finally:
             for worker in self._workers():
@@ -169,7 +169,7 @@ class Supervisor:
             raise StorageError(self._storage_problem)
 
     def _workers(self) -> list[_Worker]:
-        return [key.data for key in self._selector.get_map().values()]
+        return [selector_key.data for selector_key in self._selector.get_map().values()]
 
     def _stop_level(self) -> int:
         """Return 0 to go on, 1 to let every run go on to a checkpoint, 2 to end all at once."""
@@ -215,14 +215,14 @@ class Supervisor:
 
     def _read(self, worker: _Worker) -> None:
         """Read one event line of a worker, or notice that it has ended."""
-        line, task = worker.events.readline(), worker.task
-        if not line:
+        event_line, task = worker.events.readline(), worker.task
+        if not event_line:
             self._selector.unregister(worker.events)
             self._reap(worker)
             return
         try:
-            event = parse_json(line)
-            kind = event["event"]
+            event = parse_json(event_line)
+            event_name = event["event"]
             if task is None or event["run_id"] != task.name:
                 raise ValueError
         except (ValueError, KeyError):
@@ -233,20 +233,20 @@ class Supervisor:
         if event.get("status") == "crashed":
             worker.crash = event  # it ends now
             return
-        if kind == "busy":
+        if event_name == "busy":
             if not task.is_busy:
-                lock = self._store.run_folder(task.name) / LOCK_FILE
-                self._note(task, f"another process trains this run; waiting for it to let go of {lock}")
+                lock_path = self._store.run_folder(task.name) / LOCK_FILE
+                self._note(task, f"another process trains this run; waiting for it to let go of {lock_path}")
             if self._stop_level() == 0:
                 self._tasks.append(replace(task, is_busy=True))
         else:
             self._on_event(event)
-        if kind in ("busy", "end"):
+        if event_name in ("busy", "end"):
             worker.end_task()
 
     def _reap(self, worker: _Worker) -> None:
         """Reap a worker, and try the run that crashed or was lost with it once more, or store its end."""
-        code, output = worker.wait_and_read_stderr()
+        exit_code, error_output = worker.wait_and_read_stderr()
         task, crash, is_stopping = worker.task, worker.crash, self._stop_level() > 0
         if task is None:
             return
@@ -255,43 +255,43 @@ class Supervisor:
         elif is_stopping:
             self._on_event(end_event(task.name, "stopped"))
         elif task.tries < TRIES:
-            reason = f"crashed ({crash['reason']})" if crash else _reason(code)
+            reason = f"crashed ({crash['reason']})" if crash else _reason(exit_code)
             self._tasks.append(replace(task, tries=task.tries + 1))
             self._note(task, f"{reason}; tried once more")
         else:
-            self._end_lost(task, code, output)
+            self._end_lost(task, exit_code, error_output)
 
-    def _end_lost(self, task: _Task, code: int, output: bytes) -> None:
+    def _end_lost(self, task: _Task, exit_code: int, error_output: bytes) -> None:
         """Store and report the end of a run whose worker died, unless another process trains it now."""
-        status, texts = "crashed", [_reason(code), output.decode(errors="replace")]
-        if code < 0:
+        status, reason_texts = "crashed", [_reason(exit_code), error_output.decode(errors="replace")]
+        if exit_code < 0:
             status = "killed"
-            texts.reverse()  # what explains most comes last
+            reason_texts.reverse()  # what explains most comes last
         try:
             with self._store.lock(task.name) as is_free:
                 if is_free:
-                    self._store.save_failure(task.name, task.run, status, "\n".join(texts))
+                    self._store.save_failure(task.name, task.run, status, "\n".join(reason_texts))
         except StorageError as error:
             self._storage_problem = str(error)
         except UserError as error:
             self._note(task, str(error))
         self._on_event(end_event(task.name, status))
 
-    def _note(self, task: _Task, text: str) -> None:
-        self._on_event({"event": "note", "run_id": task.name, "text": text})
+    def _note(self, task: _Task, message: str) -> None:
+        self._on_event({"event": "note", "run_id": task.name, "text": message})
 
 
-def _reason(code: int) -> str:
-    if code >= 0:
-        return f"the worker process ended with code {code}"
-    name = signal.Signals(-code).name
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+def _reason(exit_code: int) -> str:
+    if exit_code >= 0:
+        return f"the worker process ended with code {exit_code}"
+    signal_name = signal.Signals(-exit_code).name
+    memory_limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     hint = ""
-    if name == "SIGKILL":
+    if signal_name == "SIGKILL":
         hint = " (by hand, or by the system when memory ran out)"
-    elif limit != resource.RLIM_INFINITY:  # many libraries do not survive a request that is refused
-        hint = f" (perhaps because memory ran out: its limit is {limit / 2**30:.1f} GiB)"
-    return f"the worker process was killed by {name}{hint}"
+    elif memory_limit != resource.RLIM_INFINITY:  # many libraries do not survive a request that is refused
+        hint = f" (perhaps because memory ran out: its limit is {memory_limit / 2**30:.1f} GiB)"
+    return f"the worker process was killed by {signal_name}{hint}"
 
 
 # --- Workers --------------------------------------------------------------------------------------
@@ -338,21 +338,21 @@ class _Worker(subprocess.Popen[bytes]):
         self.task = None
         self._errors_start = os.fstat(self._errors.fileno()).st_size
 
-    def send(self, line: str) -> None:
-        data = line.encode() + b"\n"
+    def send(self, order: str) -> None:
+        unsent_bytes = order.encode() + b"\n"
         # it has ended, which reading from it will show, or has nothing to do
         with suppress(BrokenPipeError, ValueError):
-            while data:  # a signal may come in between
-                data = data[self.orders.write(data) :]
+            while unsent_bytes:  # a signal may come in between
+                unsent_bytes = unsent_bytes[self.orders.write(unsent_bytes) :]
 
     def wait_and_read_stderr(self) -> tuple[int, bytes]:
         """Wait for its end; return its exit code, and what it wrote since its last run ended."""
-        code = self.wait()
+        exit_code = self.wait()
         self.orders.close()
         self.events.close()
         self._errors.seek(self._errors_start)
         with self._errors:
-            return code, self._errors.read()
+            return exit_code, self._errors.read()
 
 
 def worker_environment() -> dict[str, str]:
@@ -361,10 +361,10 @@ def worker_environment() -> dict[str, str]:
     It imports this code. Of the shell's variables it gets those that are known to change no numbers, and
     those that the user names.
     """
-    path = str(SOURCE)
+    import_path = str(SOURCE)
     if os.environ.get("PYTHONPATH"):
-        path += os.pathsep + os.environ["PYTHONPATH"]
-    added = {
+        import_path += os.pathsep + os.environ["PYTHONPATH"]
+    fixed_variables = {
         "NPROC": "1",  # the size of XLA's pool of threads; its flags alone no longer hold that
         "XLA_FLAGS": XLA_FLAGS,
         "JAX_DEFAULT_MATMUL_PRECISION": "highest",  # float32 on a GPU too, whose default is less
@@ -372,17 +372,17 @@ def worker_environment() -> dict[str, str]:
         "JAX_COMPILATION_CACHE_DIR": str(_cache() / "jax"),  # compiled once for all workers
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "PYTHONHASHSEED": "0",  # a user's own code may iterate over sets
-        "PYTHONPATH": path,
+        "PYTHONPATH": import_path,
     }
-    names = {*PASSED_VARIABLES, *os.environ.get(ALSO_PASSED, "").split(",")}
-    passed = {}
-    for name, value in os.environ.items():
-        if name in names or name.startswith(PASSED_PREFIXES):
-            passed[name] = value
+    passed_names = {*PASSED_VARIABLES, *os.environ.get(ALSO_PASSED, "").split(",")}
+    passed_variables = {}
+    for variable, variable_value in os.environ.items():
+        if variable in passed_names or variable.startswith(PASSED_PREFIXES):
+            passed_variables[variable] = variable_value
     if not _is_byte_code_kept():
-        passed.pop("PYTHONDONTWRITEBYTECODE", None)
-        added["PYTHONPYCACHEPREFIX"] = str(_cache() / "bytecode")
-    return {**passed, **dict.fromkeys(_ONE_THREAD, "1"), **added}
+        passed_variables.pop("PYTHONDONTWRITEBYTECODE", None)
+        fixed_variables["PYTHONPYCACHEPREFIX"] = str(_cache() / "bytecode")
+    return {**passed_variables, **dict.fromkeys(_ONE_THREAD, "1"), **fixed_variables}
 
 
 def _is_byte_code_kept() -> bool:
@@ -390,8 +390,8 @@ def _is_byte_code_kept() -> bool:
 
     In containers often none is written, and folders of packages may be read-only.
     """
-    numpy = find_spec("numpy")
-    return numpy is None or numpy.cached is None or Path(numpy.cached).is_file()
+    numpy_spec = find_spec("numpy")
+    return numpy_spec is None or numpy_spec.cached is None or Path(numpy_spec.cached).is_file()
 
 
 def prepare_node() -> None:

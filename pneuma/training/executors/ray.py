@@ -54,11 +54,11 @@ def train_runs(job: Job, on_event: OnEvent) -> None:
     """Train runs on the nodes of a cluster; see `base`. Raises UserError if one cannot train them."""
     config = job.config
     job.store.root.mkdir(parents=True, exist_ok=True)
-    names, size = list(job.runs), min(MOST_IN_TASK, math.ceil(len(job.runs) / config.workers))
+    run_ids, group_size = list(job.runs), min(MOST_IN_TASK, math.ceil(len(job.runs) / config.workers))
     jobs = []
-    for start in range(0, len(names), size):
-        group = {name: job.runs[name] for name in names[start : start + size]}
-        jobs.append(replace(job, runs=group, config=replace(config, workers=1)))
+    for group_start in range(0, len(run_ids), group_size):
+        run_group = {run_id: job.runs[run_id] for run_id in run_ids[group_start : group_start + group_size]}
+        jobs.append(replace(job, runs=run_group, config=replace(config, workers=1)))
     with Interrupts() as interrupts:
         join(config.address)  # within `Interrupts`: Ctrl-C would break the start of Ray
         if interrupts.count:
@@ -107,27 +107,27 @@ class _Tasks:
 
     def _report(self, job: Job, state: str) -> None:
         """Report how far the runs of a job are; one that is nowhere has ended."""
-        for name in job.runs:
-            if self._states.get(name) == "":
+        for run_id in job.runs:
+            if self._states.get(run_id) == "":
                 continue
-            status = job.store.status(name)
+            status = job.store.status(run_id)
             if status.finished or not state:
-                self._states[name] = ""
-                self._on_event(_end_event(name, status, self._config.until.get(name, 0)))
+                self._states[run_id] = ""
+                self._on_event(_end_event(run_id, status, self._config.until.get(run_id, 0)))
                 continue
             if status.step:
-                self._on_event({"event": "step", "run_id": name, "step": status.step})
-            elif state != self._states.get(name):
-                self._on_event({"event": "status", "run_id": name, "text": state})
-            self._states[name] = state
+                self._on_event({"event": "step", "run_id": run_id, "step": status.step})
+            elif state != self._states.get(run_id):
+                self._on_event({"event": "status", "run_id": run_id, "text": state})
+            self._states[run_id] = state
 
 
-def _end_event(name: str, status: Status, pause_step: int) -> Event:
+def _end_event(run_id: str, status: Status, pause_step: int) -> Event:
     """Return the event of the end of a run that has no task any more."""
     is_paused = 0 < pause_step <= status.step
     if status.finished or status.failed or status.name == "killed" or is_paused:
-        return end_event(name, status.name, status.step)
-    return end_event(name, "killed", status.step, reason="its node was lost twice")
+        return end_event(run_id, status.name, status.step)
+    return end_event(run_id, "killed", status.step, reason="its node was lost twice")
 
 
 def _check(task: Any) -> None:
@@ -170,24 +170,24 @@ def join(address: str | None) -> None:
 
     if hasattr(worker, "print_to_stdstream"):  # else Ray writes on standard output, where --json does
         worker.print_to_stdstream = lambda *_, **__: None
-    quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
+    quiet_options: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
     if address is None:
         os.environ.setdefault("RAY_worker_niceness", "0")  # 15 else: runs would yield to whatever there is
-        runtime: dict[str, Any] = {"env_vars": {"PYTHONPATH": str(SOURCE)}}  # the compiled library
+        runtime_env: dict[str, Any] = {"env_vars": {"PYTHONPATH": str(SOURCE)}}  # the compiled library
         resources: dict[str, Any] = {"num_cpus": available_cores(), "_node_ip_address": "127.0.0.1"}
         with chdir(SOURCE):  # Ray lets its processes import from the current folder
-            ray.init("local", include_dashboard=False, runtime_env=runtime, **resources, **quiet)
+            ray.init("local", include_dashboard=False, runtime_env=runtime_env, **resources, **quiet_options)
         return
     host, _, port = address.rpartition(":")
     try:  # or Ray would try for minutes
         socket.create_connection((host.strip("[]"), int(port)), JOIN_SECONDS).close()
-        runtime = {
+        runtime_env = {
             "py_modules": [str(SOURCE / "pneuma")],
             "excludes": ["__pycache__"],
             "env_vars": {CARRIED_CODE: code()},
         }
         with chdir(SOURCE):
-            ray.init(address, runtime_env=runtime, **quiet)
+            ray.init(address, runtime_env=runtime_env, **quiet_options)
     except Exception as error:  # Ray raises many kinds of errors
         raise UserError(
             Hint("address", address),
@@ -199,13 +199,13 @@ def join(address: str | None) -> None:
 # --- On a node ----------------------------------------------------------------------------------------
 
 
-def train_here(text: str, required: Mapping[str, str], folder: str) -> None:
+def train_here(job_text: str, required: Mapping[str, str], current_folder: str) -> None:
     """Train a job on the node that Ray calls this on.
 
     Args:
-        text: the job, as JSON.
+        job_text: the job, as JSON.
         required: the versions that the node must have.
-        folder: the command's current one, from which users' rewards and levels are read.
+        current_folder: the command's current one, from which users' rewards and levels are read.
 
     Raises:
         UserError: if the node has other versions, or does not see the results folder.
@@ -214,7 +214,7 @@ def train_here(text: str, required: Mapping[str, str], folder: str) -> None:
     missing = [f"{name} {version}" for name, version in required.items() if installed.get(name) != version]
     if missing:
         raise UserError(EXECUTOR, f": the node {node} lacks {', '.join(missing)}")
-    job = Job.from_json(text)
+    job = Job.from_json(job_text)
     folders = [job.store.run_folder(name) for name in job.runs]
     if not all((run / "status.json").exists() for run in folders):  # the command has noted all runs there
         raise UserError(
@@ -222,7 +222,7 @@ def train_here(text: str, required: Mapping[str, str], folder: str) -> None:
         )
     die_with(os.getppid())  # Ray's own process here
     with suppress(OSError):
-        os.chdir(folder)
+        os.chdir(current_folder)
     prepare_node()
     with Interrupts([signal.SIGINT]) as interrupts:  # as `ray.cancel` does
         Supervisor(job, lambda event: None, interrupts).work()
@@ -230,6 +230,6 @@ def train_here(text: str, required: Mapping[str, str], folder: str) -> None:
 
 def versions() -> dict[str, str]:
     """Return the versions that must match between the command and every node, as they can change results."""
-    about = machine()
-    packages = {name: version for name, version in about["packages"].items() if name != "pneuma"}
-    return {"Python": about["python"], **packages}
+    machine_facts = machine()
+    packages = {name: version for name, version in machine_facts["packages"].items() if name != "pneuma"}
+    return {"Python": machine_facts["python"], **packages}
