@@ -39,9 +39,9 @@ COMMANDS = {
 class _Commands(Mapping[str, Any]):
     """The commands by name, each imported when it is asked for."""
 
-    def __getitem__(self, name: str) -> Any:
-        group = get_command(import_module(f"pneuma.cli.{COMMANDS[name][0]}").app)
-        return getattr(group, "commands", {}).get(name, group)
+    def __getitem__(self, command_name: str) -> Any:
+        group = get_command(import_module(f"pneuma.cli.{COMMANDS[command_name][0]}").app)
+        return getattr(group, "commands", {}).get(command_name, group)
 
     def __iter__(self) -> Iterator[str]:
         return iter(COMMANDS)
@@ -68,7 +68,7 @@ class _Root(TyperGroup):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+            formatter.write_dl([(command_name, text) for command_name, (_, text) in COMMANDS.items()])
 
 
 app = typer.Typer(
@@ -106,8 +106,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise UserError(f"the variable NUMBA_NUM_THREADS = {threads} is not allowed: a number from 1 on")
         os.environ["MPLBACKEND"] = "agg"  # figures are files; another value, or a wrong one, is for scripts
         os.environ.pop("SOURCE_DATE_EPOCH", None)  # no figure has a date
-        words = None if arguments is None else list(arguments)
-        code = app(args=words, prog_name="pneuma", standalone_mode=False)
+        typed_words = None if arguments is None else list(arguments)
+        exit_code = app(args=typed_words, prog_name="pneuma", standalone_mode=False)
     except UserError as error:
         from pneuma.cli.hints import write_hint  # not for `--help`
 
@@ -128,28 +128,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _refuse(f"{error}: a link that leads to itself")
     except OSError as error:  # a folder that may not be read, a name too long, a full disk
         return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error) or repr(error))
-    return code if isinstance(code, int) else 0
+    return exit_code if isinstance(exit_code, int) else 0
 
 
 def run() -> None:
-    for name in ("stdin", "stdout", "stderr"):  # one that is closed takes and gives nothing
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
+    for stream_name in ("stdin", "stdout", "stderr"):  # one that is closed takes and gives nothing
+        if getattr(sys, stream_name) is None:
+            setattr(sys, stream_name, open(os.devnull, "r" if stream_name == "stdin" else "w"))  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):  # a terminal of few characters shows the others as \\u…
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    code = main()
-    if code == STOPPED:
+    exit_code = main()
+    if exit_code == STOPPED:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C, while the interpreter ends
-    raise SystemExit(code)
+    raise SystemExit(exit_code)
 
 
 def _refuse(message: str) -> int:
     if message.startswith("Usage:"):  # a command was left out: Typer's message is the help itself
         print(message, file=sys.stderr)
     else:
-        text = plain(" ".join(message.split()))
-        if len(text) > LONGEST_MESSAGE:  # of a value of a file, which may be endless
-            text = f"{text[: LONGEST_MESSAGE // 2]} … {text[-LONGEST_MESSAGE // 2 :]}"
-        print(f"pneuma: {text}", file=sys.stderr)
+        message_line = plain(" ".join(message.split()))
+        if len(message_line) > LONGEST_MESSAGE:  # of a value of a file, which may be endless
+            message_line = f"{message_line[: LONGEST_MESSAGE // 2]} … {message_line[-LONGEST_MESSAGE // 2 :]}"
+        print(f"pneuma: {message_line}", file=sys.stderr)
     return 2

@@ -29,24 +29,24 @@ def delete_study(name: opt.Study, selection: opt.RunFilter, yes: Yes = False) ->
     index = selection.index
     data = find_study(index, selection.query(name))
     study, store = data.study, index.store
-    stored = set(data.runs["run_id"][data.runs["where"] == ""])
-    shared: dict[str, str] = {}
+    stored_ids = set(data.runs["run_id"][data.runs["where"] == ""])
+    holders: dict[str, str] = {}
     for holder in studies_here(index):
         if (holder.study.name, holder.study.world) != (study.name, study.world):
-            shared |= dict.fromkeys(stored.intersection(holder.runs["run_id"]), holder.where)
+            holders |= dict.fromkeys(stored_ids.intersection(holder.runs["run_id"]), holder.where)
     notes = []
-    if shared:
-        notes.append(f"Note: kept, as {shared[min(shared)]} has them too: {counted(len(shared), 'run')}.")
-    result = _delete(store, sorted(stored - shared.keys()), yes, notes, data.coverage)
-    if set(result.document["removed"]) != stored - shared.keys():
+    if holders:
+        notes.append(f"Note: kept, as {holders[min(holders)]} has them too: {counted(len(holders), 'run')}.")
+    result = _delete(store, sorted(stored_ids - holders.keys()), yes, notes, data.coverage)
+    if set(result.document["removed"]) != stored_ids - holders.keys():
         return result  # nobody agreed
-    last = last_query(store, study.name, study.world)
+    noted_query = last_query(store, study.name, study.world)
     if study.path is None:
-        if stored.issuperset(data.runs["run_id"]) and not selection.condition and selection.seeds is None:
+        if stored_ids.issuperset(data.runs["run_id"]) and not selection.condition and selection.seeds is None:
             store.remove(store.listing_path(study.name))
-    elif last is not None:
-        runs = find_study(index, replace(last, preset=LAST)).runs
-        if stored.issuperset(runs["run_id"][runs["where"] == ""]):
+    elif noted_query is not None:
+        listed_runs = find_study(index, replace(noted_query, preset=LAST)).runs
+        if stored_ids.issuperset(listed_runs["run_id"][listed_runs["where"] == ""]):
             forget_query(store, study.name, study.world)
     return result
 
@@ -58,29 +58,29 @@ def delete_run(name: opt.RunId, yes: Yes = False, results: opt.Results = opt.HER
 
 
 def _delete(
-    store: Store, run_ids: Sequence[str], yes: bool, notes: Sequence[str] = (), about: str = ""
+    store: Store, run_ids: Sequence[str], yes: bool, notes: Sequence[str] = (), coverage: str = ""
 ) -> Result:
     if not run_ids and not notes:
         raise UserError(f"nothing to delete: no such run is stored in {store.root}")
     unchanged = Result({"removed": []}, ["Nothing was deleted."], notes=notes)
     if not run_ids:
         return unchanged
-    lines = [about] if about else []
+    shown_lines = [coverage] if coverage else []
     for run_id in run_ids:
         status = store.status(run_id, quick=True)
         if status.name == "running":
             raise UserError(f"run {run_id} is training now: stop its study first")
-        seed = f", seed {status.identity.seed}" if status.identity else ""
-        lines.append(f"  {run_id}  {status.name}, {status.step:,} steps{seed}")
+        seed_text = f", seed {status.identity.seed}" if status.identity else ""
+        shown_lines.append(f"  {run_id}  {status.name}, {status.step:,} steps{seed_text}")
     if not yes:
         if not sys.stdin.isatty():
             raise UserError("--yes is required because this is not a terminal")
-        for line in lines:
-            say(line)
+        for shown_line in shown_lines:
+            say(shown_line)
         print(f"Remove {counted(len(run_ids), 'run')}? [y/N] ", end="", file=sys.stderr, flush=True)
         if sys.stdin.readline().strip().lower() not in ("y", "yes"):
             return unchanged
     for run_id in run_ids:
         store.delete_run(run_id)
-    text = f"Removed {counted(len(run_ids), 'run')} from {store.root}."
-    return Result({"removed": list(run_ids)}, [text], notes=notes)
+    removed_line = f"Removed {counted(len(run_ids), 'run')} from {store.root}."
+    return Result({"removed": list(run_ids)}, [removed_line], notes=notes)

@@ -39,11 +39,11 @@ def list_() -> Result:
     import gymnasium
 
     rows: list[dict[str, Any]] = []
-    for name in ENVIRONMENTS:
-        with closing(gymnasium.make(name).unwrapped) as env:
+    for env_id in ENVIRONMENTS:
+        with closing(gymnasium.make(env_id).unwrapped) as env:
             observation = str(env.observation_space.shape or env.observation_space)
             actions = int(env.action_space.n)  # type: ignore[attr-defined]
-        rows.append({"id": name, "observation": observation, "actions": actions, "about": ABOUT[name]})
+        rows.append({"id": env_id, "observation": observation, "actions": actions, "about": ABOUT[env_id]})
     return rows_result("environments", rows)
 
 
@@ -111,7 +111,7 @@ def render(
 
 
 def _render_other(
-    name: str, out: Path, player: str, seed: int, seconds: float, trust: bool, results: Path
+    env_id: str, out: Path, player: str, seed: int, seconds: float, trust: bool, results: Path
 ) -> Result:
     """Draw an environment that is not Pneuma's, by its own rendering."""
     from pneuma.api import stored_policy
@@ -121,14 +121,14 @@ def _render_other(
     from pneuma.store.store import Store
     from pneuma.store.stored_runs import find_run, stored_run, trusted_settings
 
-    run, policy = make_run({"env": name}), None
+    run, policy = make_run({"env": env_id}), None
     if player != RANDOM:
         store = Store(results)
-        run_id = find_run(store, _run_id(player, name, results))
+        run_id = find_run(store, _run_id(player, env_id, results))
         settings = trusted_settings(store, run_id, trust)
         run, policy = stored_run(settings), stored_policy(store, run_id, settings)
-        if run.env != name:
-            raise UserError(f"--player {player}: was trained in {run.env}, not in {name}")
+        if run.env != env_id:
+            raise UserError(f"--player {player}: was trained in {run.env}, not in {env_id}")
     frames = episode_frames(run, policy, seed)
     if out.suffix.lower() == ".png":
         write_file(out, watch.encode_png(next(frames)))
@@ -138,7 +138,7 @@ def _render_other(
     return Result({"file": out}, [f"wrote {out}"])
 
 
-def _load_player(player: str, name: str, results: Path, trust: bool) -> tuple[Policy, dict[str, Any]]:
+def _load_player(player: str, env_id: str, results: Path, trust: bool) -> tuple[Policy, dict[str, Any]]:
     """Return a stored run's policy, and its settings.
 
     A reward is left out if it is code, because pictures do not show it.
@@ -148,43 +148,43 @@ def _load_player(player: str, name: str, results: Path, trust: bool) -> tuple[Po
     from pneuma.env.fields import REWARDS
 
     try:
-        policy, env, settings = load_policy(_run_id(player, name, results), results, trust=trust)
+        policy, trained_in, settings = load_policy(_run_id(player, env_id, results), results, trust=trust)
     except UserError as error:
         raise UserError(f"--player {player}: ", *error.args) from None
-    if env != name or not isinstance(policy, Policy):
-        raise UserError(f"--player {player}: was trained in {env}, not in {name}")
+    if trained_in != env_id or not isinstance(policy, Policy):
+        raise UserError(f"--player {player}: was trained in {trained_in}, not in {env_id}")
     rewards = settings.get("reward") or REWARDS[:1]
     settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in rewards]
     return policy, settings
 
 
-def _run_id(player: str, env: str, results: Path) -> str:
+def _run_id(player: str, env_id: str, results: Path) -> str:
     """Return a player's run; of best:STUDY the best stored one in an environment, by the primary outcome."""
     from pneuma.analysis.environments import by_environment
     from pneuma.analysis.ranking import ranked_runs
 
     if not player.startswith(BEST):
         return player
-    worlds = [name for name, world in WORLDS.items() if world.env == env]
+    worlds = [name for name, world in WORLDS.items() if world.env == env_id]
     data = opt.RunFilter(world=next(iter(worlds), None), results=results).open(player.removeprefix(BEST))
     data_by_environment = by_environment(data)
-    if env not in data_by_environment:
+    if env_id not in data_by_environment:
         raise UserError(
-            f"--player {player}: was trained in {' and '.join(data_by_environment)}, not in {env}"
+            f"--player {player}: was trained in {' and '.join(data_by_environment)}, not in {env_id}"
         )
-    _, ranked = ranked_runs(data_by_environment[env])
-    return str(ranked["run_id"].iloc[0])
+    _, ranked_frame = ranked_runs(data_by_environment[env_id])
+    return str(ranked_frame["run_id"].iloc[0])
 
 
 def _story(worlds: Worlds) -> str:
     """Return what happened in an episode."""
     from pneuma.env.watch import SECONDS_AFTER_LAST_KILL, agent_steps
 
-    count, ending = worlds.monsters.shape[1], worlds.ending(0)
-    killed = count - worlds.worlds["monsters_left"][0]
-    text = f"{killed} of {count} monsters killed, {counted(agent_steps(worlds), 'step')}"
+    monster_count, ending = worlds.monsters.shape[1], worlds.ending(0)
+    killed = monster_count - worlds.worlds["monsters_left"][0]
+    outcome = f"{killed} of {monster_count} monsters killed, {counted(agent_steps(worlds), 'step')}"
     if ending != "running":
-        return f"{text}, {ending.replace('-', ' ')}"
-    if killed < count:
-        return f"{text}; the episode goes on: --seconds shows more"
-    return f"{text}; it ends {SECONDS_AFTER_LAST_KILL} s after the last kill, the episode itself goes on"
+        return f"{outcome}, {ending.replace('-', ' ')}"
+    if killed < monster_count:
+        return f"{outcome}; the episode goes on: --seconds shows more"
+    return f"{outcome}; it ends {SECONDS_AFTER_LAST_KILL} s after the last kill, the episode itself goes on"

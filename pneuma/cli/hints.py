@@ -46,7 +46,7 @@ def write_hint(hint: Any) -> str:
         if hint.results is not None:
             words += results_words(hint.results)
         return command("study", VERBS[hint.field], *words)
-    name = OPTIONS.get(hint.field, f"--{hint.field.replace('_', '-')}")
+    option_name = OPTIONS.get(hint.field, f"--{hint.field.replace('_', '-')}")
     if hint.value is None or hint.value is True:
-        return name
-    return f"{name} {shlex.quote(str(hint.value))}"
+        return option_name
+    return f"{option_name} {shlex.quote(str(hint.value))}"

@@ -72,30 +72,30 @@ def _imported(imported: Import, results: Path) -> Result:
     notes = [written(message, write_hint) for message in messages]
     for note in notes:
         say(f"Note: {note}.")
-    runs: list[dict[str, object]] = []
-    new = points = 0
+    run_rows: list[dict[str, object]] = []
+    new_count = point_count = 0
     for log in logs:
         identity = {"run_id": log.run_id, "condition": log.condition, "seed": log.seed}
-        runs.append({**identity, "steps": log.steps, "imported": log.new})
-        new += log.new
-        points += len(log.points)
-    amount = f"{counted(len(logs), 'run')}, {counted(points, 'point')}"
+        run_rows.append({**identity, "steps": log.steps, "imported": log.new})
+        new_count += log.new
+        point_count += len(log.points)
+    amounts = f"{counted(len(logs), 'run')}, {counted(point_count, 'point')}"
     lines = [
-        f"{study}: {amount}; {new} imported now, {len(logs) - new} were stored.",
+        f"{study}: {amounts}; {new_count} imported now, {len(logs) - new_count} were stored.",
         _averaging(logs),
         f"Draw it with: {command('study', 'plot', study, *results_words(results))}",
     ]
-    return Result({"study": study, "runs": runs, "notes": notes}, lines)
+    return Result({"study": study, "runs": run_rows, "notes": notes}, lines)
 
 
 def _averaging(logs: list[Log]) -> str:
     """Return of how many episodes the runs' returns are means."""
-    averaged = {log.provenance.get("averaged_over", 100) for log in logs}
-    if None in averaged:
+    episode_counts = {log.provenance.get("averaged_over", 100) for log in logs}
+    if None in episode_counts:
         return (
             "Returns are kept as in the file. If they are single episodes', --averaged-over 1 averages them."
         )
-    episodes = max(100, *averaged)
+    episodes = max(100, *episode_counts)
     if episodes == 100:
         return "Returns are means of 100 episodes."
     return f"Returns are means of {episodes} episodes, and so smoother than those of runs trained here (100)."

@@ -43,8 +43,8 @@ def option(
     metavar: str, help_text: str, read: Callable[[str], Any] | None = None, name: str = "", **details: Any
 ) -> Any:
     """Return an option, called as its parameter unless it has a name; `read` converts its text."""
-    names = [name] if name else []
-    return typer.Option(*names, metavar=metavar, help=help_text, parser=read, **details)
+    option_names = [name] if name else []
+    return typer.Option(*option_names, metavar=metavar, help=help_text, parser=read, **details)
 
 
 def argument(metavar: str, help_text: str) -> Any:
@@ -59,10 +59,10 @@ def choice(allowed: Iterable[str], help_text: str, metavar: str = "", name: str 
     """Return an option with a fixed set of values; `hint` ends the message if another one is given."""
     names = tuple(allowed)
 
-    def read(text: str) -> str:
-        if text not in names:
-            raise WrongText(f"{text}: must be one of {', '.join(names)}{nearest_name(text, names)}{hint}")
-        return text
+    def read(typed: str) -> str:
+        if typed not in names:
+            raise WrongText(f"{typed}: must be one of {', '.join(names)}{nearest_name(typed, names)}{hint}")
+        return typed
 
     return option(metavar or "|".join(names), help_text, read, name, autocompletion=lambda: list(names))
 
@@ -70,35 +70,35 @@ def choice(allowed: Iterable[str], help_text: str, metavar: str = "", name: str 
 def count(help_text: str) -> Any:
     """Return an option for a whole number of at least 1: 100000, 100_000 or 1e5."""
 
-    def read(text: str) -> int:
+    def read(typed: str) -> int:
         try:
-            number = float(text)
+            number = float(typed)
         except ValueError:
             number = 0.0
         if not (1 <= number < 2**53 and number.is_integer()):
-            raise WrongText(f"{text}: must be a whole number of at least 1, as 100_000 or 1e5")
+            raise WrongText(f"{typed}: must be a whole number of at least 1, as 100_000 or 1e5")
         return int(number)
 
     return option("N", help_text, read)
 
 
-def seeds(help_text: str, first: int = 0) -> Any:
-    """Return an option for seeds: a count from `first` on, a list, or ranges that include both ends."""
+def seeds(help_text: str, first_seed: int = 0) -> Any:
+    """Return an option for seeds: a count from `first_seed` on, a list, or ranges that include both ends."""
 
-    def read(text: str) -> tuple[int, ...]:
+    def read(typed: str) -> tuple[int, ...]:
         try:
-            return read_seeds(text, first)
+            return read_seeds(typed, first_seed)
         except ValueError:
-            raise WrongText(f"{text}: must be {SEEDS_ALLOWED}") from None
+            raise WrongText(f"{typed}: must be {SEEDS_ALLOWED}") from None
 
     return option("N|LIST", help_text, read)
 
 
-def _read_setting(text: str) -> tuple[str, Any]:
-    key, equals, value = text.partition("=")
-    if not (key.strip() and equals):
-        raise WrongText(f"{text}: must be KEY=VALUE, as in learning_rate=1e-3")
-    return key.strip(), read_value(value.strip())
+def _read_setting(typed: str) -> tuple[str, Any]:
+    field_name, equals, value_text = typed.partition("=")
+    if not (field_name.strip() and equals):
+        raise WrongText(f"{typed}: must be KEY=VALUE, as in learning_rate=1e-3")
+    return field_name.strip(), read_value(value_text.strip())
 
 
 # --- The options -----------------------------------------------------------------------------------
@@ -156,7 +156,7 @@ class RunFilter:
     world: World = None
     results: Results = HERE
 
-    def query(self, name: str) -> Query:
+    def query(self, study_name: str) -> Query:
         """Return the query of a study by its name, or by STUDY@PRESET."""
         query = Query(
             world=self.world,
@@ -166,7 +166,7 @@ class RunFilter:
             conditions=tuple(self.condition or ()),
             settings=dict(self.set_ or ()),
         )
-        return query.named(name)
+        return query.named(study_name)
 
     @property
     def store(self) -> Store:
@@ -185,8 +185,8 @@ class RunFilter:
         """Open the finished runs of a study's cells, and print what is shown."""
         from pneuma.analysis.runs import open_study
 
-        query = self.query(study) if isinstance(study, str) else study
-        return open_study(self.index, query, say)
+        study_query = self.query(study) if isinstance(study, str) else study
+        return open_study(self.index, study_query, say)
 
 
 @dataclass(frozen=True)
@@ -222,8 +222,8 @@ class Commands(typer.Typer):
         )
 
     def command(self, name: str | None = None, **options: Any) -> Any:
-        add = super().command(name, **options)
-        return lambda function: add(_printing(function))
+        add_command = super().command(name, **options)
+        return lambda function: add_command(_printing(function))
 
 
 def _printing(function: Callable[..., Result]) -> Callable[..., int]:
@@ -231,21 +231,21 @@ def _printing(function: Callable[..., Result]) -> Callable[..., int]:
     groups: dict[str, Any] = {}
     options: list[inspect.Parameter] = []
     keyword = inspect.Parameter.KEYWORD_ONLY
-    for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
+    for parameter_name, parameter in inspect.signature(function, eval_str=True).parameters.items():
         group = parameter.annotation
         if not is_dataclass(group):
             options.append(parameter.replace(kind=keyword))
             continue
-        groups[name] = group
-        types = get_type_hints(group, include_extras=True)
+        groups[parameter_name] = group
+        types_by_option = get_type_hints(group, include_extras=True)
         for item in fields(group):
-            annotation = types[item.name]
+            annotation = types_by_option[item.name]
             options.append(inspect.Parameter(item.name, keyword, default=item.default, annotation=annotation))
 
     @functools.wraps(function)
     def called(json: bool, **values: Any) -> int:
-        for name, group in groups.items():
-            values[name] = group(**{item.name: values.pop(item.name) for item in fields(group)})
+        for parameter_name, group in groups.items():
+            values[parameter_name] = group(**{item.name: values.pop(item.name) for item in fields(group)})
         with kept_for_the_result():
             result = function(**values)
         if json and result.file:

@@ -110,54 +110,54 @@ class Result:
 
 def answer_result(answer: Answer) -> Result:
     """Return an answer as a command prints it."""
-    texts: list[str | Table] = []
+    shown_parts: list[str | Table] = []
     for cells in answer.cells:
-        if texts or answer.title:
-            texts.append("")
-        texts.append(frame_table(cells))
+        if shown_parts or answer.title:
+            shown_parts.append("")
+        shown_parts.append(frame_table(cells))
     if answer.legend:
-        texts += [""] + list(answer.legend)
-    return Result(answer.document, texts, answer.title, answer.notes, answer.cells[0], answer.table)
+        shown_parts += [""] + list(answer.legend)
+    return Result(answer.document, shown_parts, answer.title, answer.notes, answer.cells[0], answer.table)
 
 
-def rows_result(name: str, rows: Sequence[Mapping[str, Any]]) -> Result:
+def rows_result(document_key: str, rows: Sequence[Mapping[str, Any]]) -> Result:
     """Return rows with equal keys, which the document calls by a name."""
     heads = list(rows[0]) if rows else []
-    return Result({name: rows}, [Table(heads, [list(row.values()) for row in rows])], table=rows)
+    return Result({document_key: rows}, [Table(heads, [list(row.values()) for row in rows])], table=rows)
 
 
-def listed_result(kind: str, name: str, folder: Path) -> Result:
+def listed_result(singular: str, plural: str, folder: Path) -> Result:
     """Return the files of a folder of studies or searches."""
-    rows = []
+    file_rows = []
     for file_name in shipped_names(folder):
-        head = read_head(file_name, folder)
-        row = {kind: file_name}
+        file_head = read_head(file_name, folder)
+        file_row = {singular: file_name}
         for key in ("title", "section", "figure"):
-            row[key] = head.get(key, "")
-        rows.append(row)
-    return rows_result(name, rows)
+            file_row[key] = file_head.get(key, "")
+        file_rows.append(file_row)
+    return rows_result(plural, file_rows)
 
 
-def print_result(result: Result, form: str) -> None:
+def print_result(result: Result, output_format: str) -> None:
     """Print a result in one of `OUTPUT_FORMATS`."""
     if result.file:
         sys.stdout.buffer.write(result.file)
         return
-    if form == "table" and result.title:
+    if output_format == "table" and result.title:
         print(plain(result.title))
     for note in result.notes:
-        text = written(note, write_hint)
-        if text and form == "table":
-            print(plain(text))
-        elif text:
-            say(text)
-    if form == "table":
-        for item in result.shown:
-            if isinstance(item, Table):
-                _print_table(item)
+        note_text = written(note, write_hint)
+        if note_text and output_format == "table":
+            print(plain(note_text))
+        elif note_text:
+            say(note_text)
+    if output_format == "table":
+        for shown_item in result.shown:
+            if isinstance(shown_item, Table):
+                _print_table(shown_item)
             else:
-                print(plain(item))
-    elif form == "json":
+                print(plain(shown_item))
+    elif output_format == "json":
         from pydantic_core import to_jsonable_python
 
         document = {"schema": 1, **result.document}  # of objects and tables too; NaN becomes null
@@ -169,50 +169,50 @@ def print_result(result: Result, form: str) -> None:
         from pneuma.analysis.export import encode_frame
 
         table = result.table
-        if form == "csv" and result.numbers is not None:
+        if output_format == "csv" and result.numbers is not None:
             table = result.numbers
         assert table is not None, "a command without a table has no --format"
-        text = encode_frame(pd.DataFrame(table), form).decode()
-        print("\n".join(map(plain, text.split("\n"))), end="")
+        table_text = encode_frame(pd.DataFrame(table), output_format).decode()
+        print("\n".join(map(plain, table_text.split("\n"))), end="")
 
 
 def _print_table(table: Table) -> None:
     """Print a table of text, which may be untrusted; in a narrow terminal cells are folded between words."""
-    lines = [[_cell_text(cell) for cell in row] for row in table.rows]
+    text_rows = [[_cell_text(cell) for cell in row] for row in table.rows]
     if any(table.heads):
-        lines.insert(0, [_cell_text(head) for head in table.heads])
-    room = math.inf
+        text_rows.insert(0, [_cell_text(head) for head in table.heads])
+    free_width = math.inf
     if sys.stdout.isatty():
-        room = shutil.get_terminal_size().columns - len(COLUMN_GAP) * (len(lines[0]) - 1)
-    widths = _column_widths(lines, room)
-    for line in lines:
-        folded = []
-        for cell, width in zip(line, widths, strict=True):
+        free_width = shutil.get_terminal_size().columns - len(COLUMN_GAP) * (len(text_rows[0]) - 1)
+    widths = _column_widths(text_rows, free_width)
+    for text_row in text_rows:
+        folded_cells = []
+        for cell, width in zip(text_row, widths, strict=True):
             is_narrow = cell_len(cell) <= width
-            folded.append([cell] if is_narrow else textwrap.wrap(cell, width, break_long_words=False))
-        for texts in zip_longest(*folded, fillvalue=""):
-            padded = [
-                text + " " * (width - cell_len(text)) for text, width in zip(texts, widths, strict=True)
+            folded_cells.append([cell] if is_narrow else textwrap.wrap(cell, width, break_long_words=False))
+        for line_texts in zip_longest(*folded_cells, fillvalue=""):
+            padded_texts = [
+                text + " " * (width - cell_len(text)) for text, width in zip(line_texts, widths, strict=True)
             ]
-            print(COLUMN_GAP.join(padded).rstrip().replace(UNBREAKABLE_SPACE, " "))
+            print(COLUMN_GAP.join(padded_texts).rstrip().replace(UNBREAKABLE_SPACE, " "))
 
 
 def _cell_text(cell: object) -> str:
     """Return a cell as text, with spaces in an interval at which no line is broken."""
     if cell is None or cell != cell:
         return "–"
-    text = f"{cell:,.4g}" if isinstance(cell, float) else plain(str(cell))
-    return re.sub(r"\[[^]]*]", lambda interval: interval[0].replace(" ", UNBREAKABLE_SPACE), text)
+    cell_text = f"{cell:,.4g}" if isinstance(cell, float) else plain(str(cell))
+    return re.sub(r"\[[^]]*]", lambda interval: interval[0].replace(" ", UNBREAKABLE_SPACE), cell_text)
 
 
-def _column_widths(lines: Sequence[Sequence[str]], room: float) -> list[int]:
+def _column_widths(text_rows: Sequence[Sequence[str]], free_width: float) -> list[int]:
     """Return the widths of columns; the widest ones are narrowed to fit, though no word is broken."""
     widths, least_widths = [], []
-    for column in zip(*lines, strict=True):
+    for column in zip(*text_rows, strict=True):
         widths.append(max(map(cell_len, column)))
-        words = " ".join(column).split(" ")
-        least_widths.append(max(map(cell_len, words)))
-    while sum(widths) > room:
+        column_words = " ".join(column).split(" ")
+        least_widths.append(max(map(cell_len, column_words)))
+    while sum(widths) > free_width:
         spare = [
             width if width > least_width else 0
             for width, least_width in zip(widths, least_widths, strict=True)
@@ -227,8 +227,8 @@ def frame_table(frame: pd.DataFrame) -> Table:
     return Table(list(map(str, frame)), frame.to_numpy())
 
 
-def _as_plain(value: Any) -> Any:
-    return rows_of(value) if hasattr(value, "to_dict") else value.item()
+def _as_plain(unknown_value: Any) -> Any:
+    return rows_of(unknown_value) if hasattr(unknown_value, "to_dict") else unknown_value.item()
 
 
 def rows_of(table: pd.DataFrame) -> list[dict[Any, Any]]:
@@ -256,10 +256,10 @@ def check_file(out: Path, endings: Collection[str], force: bool = True) -> None:
         raise UserError(f"--out {out}: already exists and was not written by Pneuma; --force replaces it")
 
 
-def write_file(out: Path, data: bytes) -> None:
+def write_file(out: Path, contents: bytes) -> None:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(out, data)
+        write_whole(out, contents)
     except (FileExistsError, NotADirectoryError):
         raise UserError(f"--out {out}: {out.parent} is not a folder") from None
     except OSError as error:
@@ -270,7 +270,7 @@ def read_formats(formats: Sequence[str] | None, out: Path | None) -> tuple[str, 
     """Return the formats of figures; that of a file which `--out` names."""
     if out is None or not _names_figure(out):
         if out and out.suffix[1:].isalpha() and not out.is_dir():
-            endings = ", ".join(f".{form}" for form in FIGURE_FORMATS)
+            endings = ", ".join(f".{figure_format}" for figure_format in FIGURE_FORMATS)
             raise UserError(
                 f"--out {out}: a figure's file must end in {endings}; a folder's name must have no ending"
             )
@@ -292,15 +292,15 @@ def keep_files(store: Store, out: Path | None, draw: Callable[[Path], Iterable[P
     there no link is followed. If drawing fails, nothing is written.
     """
     with TemporaryDirectory() as temporary:
-        contents = {path.name: path.read_bytes() for path in draw(Path(temporary))}
-    folder, write = (store.root / "figures", store.write) if out is None else (out, write_file)
-    paths = [folder / name for name in contents]
+        contents = {figure_path.name: figure_path.read_bytes() for figure_path in draw(Path(temporary))}
+    folder, write_figure = (store.root / "figures", store.write) if out is None else (out, write_file)
+    paths = [folder / file_name for file_name in contents]
     if out and contents and _names_figure(out):
         if len(paths) > 1:
             raise UserError(f"--out {out}: is one file, but there are {len(paths)} figures; name a folder")
         paths = [out]
-    for path, content in zip(paths, contents.values(), strict=True):
-        write(path, content)
+    for figure_path, content in zip(paths, contents.values(), strict=True):
+        write_figure(figure_path, content)
     return paths
 
 
@@ -311,5 +311,5 @@ def nothing_yet(store: Store) -> str:
     return f"no study was run or published in {store.root} yet: run `pneuma study run activation` first"
 
 
-def wrote(files: Iterable[Path]) -> list[str]:
-    return [f"wrote {path}" for path in files]
+def wrote(written_files: Iterable[Path]) -> list[str]:
+    return [f"wrote {written_file}" for written_file in written_files]

@@ -32,10 +32,10 @@ def report(
     from pneuma.store.index import RunIndex
 
     contents = gather_report(RunIndex(store), names or [], aside)
-    page = report_page(**contents, write=write_hint)
-    write_file(out, page)
-    document = {"file": out, "bytes": len(page)}
+    html_page = report_page(**contents, write=write_hint)
+    write_file(out, html_page)
+    document = {"file": out, "bytes": len(html_page)}
     for name in ("studies", "claims"):
         document[name] = len(contents[name])
     amounts = f"studies: {document['studies']}, claims: {document['claims']}"
-    return Result(document, [f"wrote {out}: {len(page) / 1e6:.1f} MB; {amounts}"])
+    return Result(document, [f"wrote {out}: {len(html_page) / 1e6:.1f} MB; {amounts}"])

@@ -46,52 +46,52 @@ def list_(
     if study is not None:
         from pneuma.analysis.ranking import ranked_runs
 
-        name, ranked = ranked_runs(opt.RunFilter(world=world, results=results).open(study), sort or "")
+        outcome, ranked = ranked_runs(opt.RunFilter(world=world, results=results).open(study), sort or "")
         rows = []
         for run in ranked.to_dict("records"):
             rows.append((run["run_id"], run["condition"], f"seed {run['seed']}", f"{run['value']:.4g}"))
-        return Result({"outcome": name, "runs": ranked}, [Table(("run", "condition", "", name), rows)])
+        return Result({"outcome": outcome, "runs": ranked}, [Table(("run", "condition", "", outcome), rows)])
     if sort is not None:
         raise UserError("--sort requires --study")
     from pneuma.store.index import RunIndex
 
     index = RunIndex(Store(results))
-    labels, own_runs = _labels(index), index.frame[index.frame["where"] == ""]
+    labels_by_run, own_runs = _labels(index), index.frame[index.frame["where"] == ""]
     own_runs = own_runs.rename(columns={"end": "step"})[["run_id", "status", "step", "seed"]]
-    runs = [{**run, "studies": labels.get(run["run_id"], [])} for run in rows_of(own_runs)]
-    lines = []
-    for run in runs:
+    run_rows = [{**run, "studies": labels_by_run.get(run["run_id"], [])} for run in rows_of(own_runs)]
+    table_rows = []
+    for run in run_rows:
         studies = ", ".join(f"{label['study']}/{_condition(label)}" for label in run["studies"])
-        amount = f"{run['step']:>12,} steps", f"seed {run['seed']}"
-        lines.append((run["run_id"], run["status"], *amount, studies or "of no study"))
-    table = Table([""] * 5, lines) if lines else f"No run is stored in {results} yet."
-    return Result({"runs": runs}, [table])
+        amounts = f"{run['step']:>12,} steps", f"seed {run['seed']}"
+        table_rows.append((run["run_id"], run["status"], *amounts, studies or "of no study"))
+    table = Table([""] * 5, table_rows) if table_rows else f"No run is stored in {results} yet."
+    return Result({"runs": run_rows}, [table])
 
 
 def _labels(index: RunIndex) -> dict[str, list[dict[str, Any]]]:
     """Return the studies, worlds and conditions of each run in the results folder, by its id."""
     from pneuma.analysis.runs import studies_here
 
-    labels: dict[str, list[dict[str, Any]]] = {}
-    for data in studies_here(index):
-        about: dict[str, Any] = {"study": data.study.name}
-        if data.study.path:
-            about["world"] = data.study.world
-        if data.study.settings:
-            about["settings"] = dict(data.study.settings)
-        for run in data.runs[["run_id", "condition", "seed"]].to_dict("records"):
-            label = {**about, "condition": run["condition"], "seed": run["seed"]}
-            labels.setdefault(run["run_id"], []).append(label)
-    return labels
+    labels_by_run: dict[str, list[dict[str, Any]]] = {}
+    for study_data in studies_here(index):
+        study_label: dict[str, Any] = {"study": study_data.study.name}
+        if study_data.study.path:
+            study_label["world"] = study_data.study.world
+        if study_data.study.settings:
+            study_label["settings"] = dict(study_data.study.settings)
+        for run in study_data.runs[["run_id", "condition", "seed"]].to_dict("records"):
+            run_label = {**study_label, "condition": run["condition"], "seed": run["seed"]}
+            labels_by_run.setdefault(run["run_id"], []).append(run_label)
+    return labels_by_run
 
 
-def _condition(label: Mapping[str, Any]) -> str:
+def _condition(run_label: Mapping[str, Any]) -> str:
     """Return a condition with the fields that were changed, unless its name has them."""
-    condition, changed = str(label["condition"]), {}
-    for key, value in label.get("settings", {}).items():
-        if f"{key}=" not in condition:
-            changed[key] = value
-    return f"{condition} with {shown_settings(changed)}" if changed else condition
+    condition, changed_fields = str(run_label["condition"]), {}
+    for field_name, field_value in run_label.get("settings", {}).items():
+        if f"{field_name}=" not in condition:
+            changed_fields[field_name] = field_value
+    return f"{condition} with {shown_settings(changed_fields)}" if changed_fields else condition
 
 
 @app.command(short_help="Show how a stored run was produced.")
@@ -107,23 +107,23 @@ def show(
     run_id = find_run(store, name)
     status, settings = store.status(run_id), stored_settings(store, run_id)
     default_fields = default_settings(settings)
-    defaults = {}
-    for key, value in settings.items():
-        if value != default_fields.get(key):
-            defaults[key] = default_fields.get(key)
+    changed_defaults = {}
+    for field_name, field_value in settings.items():
+        if field_value != default_fields.get(field_name):
+            changed_defaults[field_name] = default_fields.get(field_name)
     document = {
         "run_id": run_id,
         "status": status.name,
         "step": status.step,
         "studies": _labels(RunIndex(store)).get(run_id, []),
         "settings": settings,
-        "defaults": defaults,
+        "defaults": changed_defaults,
         "provenance": store.read_document(run_id, "provenance.json"),
         "files": run_files(store, run_id),
     }
     detail = f" ({status.detail})" if status.detail else ""
-    head = f"run {run_id}: {status.name}{detail}, {status.step:,} steps trained"
-    return Result(document, [head] + list(_show(document, all_)))
+    headline = f"run {run_id}: {status.name}{detail}, {status.step:,} steps trained"
+    return Result(document, [headline] + list(_show(document, all_)))
 
 
 def _show(run: Mapping[str, Any], all_fields: bool) -> Iterator[str | Table]:
@@ -131,19 +131,19 @@ def _show(run: Mapping[str, Any], all_fields: bool) -> Iterator[str | Table]:
         yield f"study {study['study']}, condition {_condition(study)}, seed {study['seed']}"
     yield ""
     yield "Fields" if all_fields else "Fields that are not at their defaults (--all shows the others)"
-    for key, value in run["settings"].items():
+    for key, row_value in run["settings"].items():
         if key in run["defaults"]:
-            yield f"  {key} = {shown_value(value)}   (default {shown_value(run['defaults'][key])})"
+            yield f"  {key} = {shown_value(row_value)}   (default {shown_value(run['defaults'][key])})"
         elif all_fields:
-            yield f"  {key} = {shown_value(value)}"
+            yield f"  {key} = {shown_value(row_value)}"
     yield ""
     yield "Provenance" if run["provenance"] else "Provenance: none, or damaged; it is written at a run's end"
-    for key, value in run["provenance"].items():
-        if isinstance(value, dict):
-            value = ", ".join(f"{name} {version}" for name, version in value.items())
-        if key == "attempts" and isinstance(value, list):
-            value = f"{len(value)} (--json shows the machine of each)"
-        yield f"  {key:<12} {shown_value(value)}"
+    for key, row_value in run["provenance"].items():
+        if isinstance(row_value, dict):
+            row_value = ", ".join(f"{name} {version}" for name, version in row_value.items())
+        if key == "attempts" and isinstance(row_value, list):
+            row_value = f"{len(row_value)} (--json shows the machine of each)"
+        yield f"  {key:<12} {shown_value(row_value)}"
     yield ""
     yield "Files"
     rows = [(f"  {file['name']}", f"{file['bytes']:>12,} bytes", file["state"]) for file in run["files"]]
@@ -165,25 +165,25 @@ def export(
     check_file(out, (".zip",), force)
     store = Store(results)
     run_id = find_run(store, name)
-    status, fields = store.status(run_id), trusted_settings(store, run_id, trust)
+    status, run_fields = store.status(run_id), trusted_settings(store, run_id, trust)
     try:
-        data = _exported(store, run_id, fields)
+        exported = _exported(store, run_id, run_fields)
     except UserError as error:
         raise UserError(f"run {run_id}: {error}") from None
-    write_file(out, data)
-    text = f"wrote {out}: {len(data):,} bytes, the policy of run {run_id} after {status.step:,} steps"
-    return Result({"run_id": run_id, "file": out, "bytes": len(data)}, [text])
+    write_file(out, exported)
+    text = f"wrote {out}: {len(exported):,} bytes, the policy of run {run_id} after {status.step:,} steps"
+    return Result({"run_id": run_id, "file": out, "bytes": len(exported)}, [text])
 
 
-def _exported(store: Store, run_id: str, fields: Mapping[str, Any]) -> bytes:
+def _exported(store: Store, run_id: str, run_fields: Mapping[str, Any]) -> bytes:
     from pneuma.engines import export as exports
     from pneuma.engines.policy import LEARNER_FILE, POLICY_FILE, read_sound_policy
 
     if LEARNER_FILE in store.checksums(run_id):
         return store.read_file(run_id, LEARNER_FILE)
-    if POLICY_FILE not in store.checksums(run_id) or not fields:
+    if POLICY_FILE not in store.checksums(run_id) or not run_fields:
         raise UserError(f"is {store.status(run_id).name}: it has no policy to export")
-    settings, policy = stored_run(fields), read_sound_policy(store.read_file(run_id, POLICY_FILE))
+    settings, policy = stored_run(run_fields), read_sound_policy(store.read_file(run_id, POLICY_FILE))
     if policy.players > 1:
         raise UserError(
             f"has a policy for each of {policy.players} players: a file for other programs holds one"

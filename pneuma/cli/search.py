@@ -48,15 +48,15 @@ class Location:
     def store(self) -> Store:
         return Store(self.results)
 
-    def command(self, verb: str, name: str) -> str:
+    def command(self, verb: str, search_name: str) -> str:
         """Return a command about the same search."""
-        world = [] if self.world is None else ["--world", self.world]
-        return command("search", verb, name, *world, *spec.results_words(self.results))
+        world_words = [] if self.world is None else ["--world", self.world]
+        return command("search", verb, search_name, *world_words, *spec.results_words(self.results))
 
-    def read(self, name: str) -> Record:
+    def read(self, search_name: str) -> Record:
         from pneuma.search.log import read_record
 
-        return read_record(self.store, name, self.world)
+        return read_record(self.store, search_name, self.world)
 
 
 SearchName = Annotated[str, opt.argument("NAME", "A search's name, or the path of a search file (….toml).")]
@@ -78,22 +78,22 @@ def show(name: SearchName, world: opt.World = None) -> Result:
     from pneuma.search.spec import load_search
 
     search = load_search(name, world)  # which checks it
-    file = read_toml(search.path)
-    document = {"search": search.name, "world": search.world, **file.data, "run": search.run}
-    return Result(document, [str(search.path)] + file.text.splitlines(), search.full_title)
+    search_file = read_toml(search.path)
+    document = {"search": search.name, "world": search.world, **search_file.data, "run": search.run}
+    return Result(document, [str(search.path)] + search_file.text.splitlines(), search.full_title)
 
 
 @app.command()
 def status(name: SearchName, location: Location) -> Result:
     """Show the progress of a search, and its best trials."""
-    record = location.read(name)
+    search_record = location.read(name)
     from pneuma.answers.search import list_trials
 
-    result = answer_result(list_trials(record))
-    lines = [f"Look closer with: {location.command('plot', name)}"]
-    if isinstance(record.best, int):
-        lines.append(f"Confirm the best one with: {location.command('promote', name)}")
-    return replace(result, shown=[*result.shown, *lines])
+    result = answer_result(list_trials(search_record))
+    next_commands = [f"Look closer with: {location.command('plot', name)}"]
+    if isinstance(search_record.best, int):
+        next_commands.append(f"Confirm the best one with: {location.command('promote', name)}")
+    return replace(result, shown=[*result.shown, *next_commands])
 
 
 @app.command(short_help="Draw a search.")
@@ -105,10 +105,10 @@ def plot(
     from pneuma.figures.search import draw_search
 
     record = location.read(name)
-    files = keep_files(location.store, out, lambda folder: draw_search(record, folder, file_formats))
-    if not files:
+    written_files = keep_files(location.store, out, lambda folder: draw_search(record, folder, file_formats))
+    if not written_files:
         say("Note: nothing is drawn before a trial is complete.")
-    return Result({"figures": files}, wrote(files))
+    return Result({"figures": written_files}, wrote(written_files))
 
 
 # --- run ------------------------------------------------------------------------------------------
@@ -135,48 +135,48 @@ def run(
     search = load_search(name, location.world)
     if preset not in search.presets:
         raise unknown_name(f"preset of search {search.name}", preset, search.presets)
-    amount = {"trials": trials, "seeds": seeds, "steps": steps}
-    overrides = {key: value for key, value in amount.items() if value is not None}
-    budget = search.presets[preset].model_copy(update=overrides)
-    config = place.config()
-    report = partial(say, quiet=quiet)
-    say_once = cache(report)  # notes of a generation are those of the others
+    set_options = {"trials": trials, "seeds": seeds, "steps": steps}
+    overrides = {option_name: value for option_name, value in set_options.items() if value is not None}
+    search_budget = search.presets[preset].model_copy(update=overrides)
+    executor_config = place.config()
+    say_unless_quiet = partial(say, quiet=quiet)
+    say_once = cache(say_unless_quiet)  # notes of a generation are those of the others
 
     def train(planned: Plan, until: Mapping[str, int]) -> Sequence[CellResult]:
-        paused = replace(config, until=until)
+        paused_config = replace(executor_config, until=until)
         return api.train_plan(
-            planned, location.store, paused, retry_failed=retry_failed, quiet=quiet, say=say_once
+            planned, location.store, paused_config, retry_failed=retry_failed, quiet=quiet, say=say_once
         )
 
     document: dict[str, Any] = {}
-    code = reported = 0
+    exit_code = reported_count = 0
     try:
-        for record in run_search(search, budget, location.store, train, report):
-            answer = list_trials(record)
-            for line in _news(answer, reported):
-                report(line)
-            document, reported = answer.document, len(answer.table)
+        for search_record in run_search(search, search_budget, location.store, train, say_unless_quiet):
+            trials_answer = list_trials(search_record)
+            for news_line in _news(trials_answer, reported_count):
+                say_unless_quiet(news_line)
+            document, reported_count = trials_answer.document, len(trials_answer.table)
     except Unfinished as error:
         say(f"Stopped: {error}. To try crashed runs again, add --retry-failed.")
-        code = 1
+        exit_code = 1
     except KeyboardInterrupt:
         say("Stopped. The same command goes on where the search was stopped.")
-        code = STOPPED
-    lines: list[str] = []
-    if not code and not quiet:
-        lines = [f"See its trials with: {location.command('status', name)}"]
-        lines.append(f"Draw it with: {location.command('plot', name)}")
-    return Result(document, lines, code=code)
+        exit_code = STOPPED
+    next_commands: list[str] = []
+    if not exit_code and not quiet:
+        next_commands = [f"See its trials with: {location.command('status', name)}"]
+        next_commands.append(f"Draw it with: {location.command('plot', name)}")
+    return Result(document, next_commands, code=exit_code)
 
 
-def _news(answer: Answer, reported: int) -> Iterator[str]:
+def _news(trials_answer: Answer, reported_count: int) -> Iterator[str]:
     """Yield a line for each trial that has ended since, then how far the search is."""
-    trials = answer.cells[0]
-    for trial in trials[reported:].to_dict("records"):
-        text = f"trial {trial['trial']}: {trial['state']}, {trial['value']}; {trial['parameters']}"
-        yield f"{text}; {trial['note']}" if trial["note"] else text
-    if len(trials) > reported or not len(trials):
-        yield f"{answer.notes[0]}. {answer.legend[0]}"
+    trial_frame = trials_answer.cells[0]
+    for trial in trial_frame[reported_count:].to_dict("records"):
+        trial_text = f"trial {trial['trial']}: {trial['state']}, {trial['value']}; {trial['parameters']}"
+        yield f"{trial_text}; {trial['note']}" if trial["note"] else trial_text
+    if len(trial_frame) > reported_count or not len(trial_frame):
+        yield f"{trials_answer.notes[0]}. {trials_answer.legend[0]}"
 
 
 # --- promote --------------------------------------------------------------------------------------
@@ -200,23 +200,23 @@ def promote(
     from pneuma.search.promote import BASE, TUNED, find_trial, promotion_study, write_study
     from pneuma.study.plan import Query
 
-    store, record = location.store, location.read(name)
-    promoted = find_trial(record, trial)
-    text = promotion_study(record, promoted, seeds, steps)
-    document = {"search": record.search.name, "trial": promoted.number, "params": promoted.params}
+    store, search_record = location.store, location.read(name)
+    promoted = find_trial(search_record, trial)
+    study_text = promotion_study(search_record, promoted, seeds, steps)
+    document = {"search": search_record.search.name, "trial": promoted.number, "params": promoted.params}
     results = spec.results_words(store.root)
     if out is not None:
         check_file(out, (".toml",))
         if out.exists():
             raise UserError(f"--out {out}: already exists; name another, or remove it first")
-        write_file(out, text.encode())
+        write_file(out, study_text.encode())
         train_with = f"Train it with: {command('study', 'run', out, *results)}"
         return Result({"study": out, **document}, notes=[f"wrote {out}", train_with])
-    path = write_study(store, record, text)
-    say(f"wrote {path}", quiet=quiet)
-    planned = api.plan_study(Query(str(path)), store, say)
+    study_path = write_study(store, search_record, study_text)
+    say(f"wrote {study_path}", quiet=quiet)
+    planned = api.plan_study(Query(str(study_path)), store, say)
     trained = train_study(planned, store, opt.Place(workers).config(), retry_failed=True, quiet=quiet)
     notes = list(trained.notes)
     if not trained.code:
-        notes.append(f"Compare them with: {command('study', 'compare', path, TUNED, BASE, *results)}")
-    return replace(trained, document={**trained.document, "study": path, **document}, notes=notes)
+        notes.append(f"Compare them with: {command('study', 'compare', study_path, TUNED, BASE, *results)}")
+    return replace(trained, document={**trained.document, "study": study_path, **document}, notes=notes)

@@ -53,11 +53,11 @@ def new(
         raise UserError(f"{path}: already exists; choose another name")
     if source not in shipped.list_studies():
         raise unknown_name("shipped study", source, shipped.list_studies())
-    text = (folder / f"{source}.toml").read_text(encoding="utf-8")
-    text = re.sub(r'^about = """(?s:.*?)"""\n|^(section|figure) = .*\n|\A(#.*\n)+', "", text, flags=re.M)
-    text = re.sub(r"^title = .*$", f'title = "{name}"', text, flags=re.M)
-    write_file(path, f"# From the study {source}. docs/studies.md lists what can be set.\n{text}".encode())
-    for module in re.findall(r'"(\w+):\w+"', text):  # a study's own files are beside it
+    toml = (folder / f"{source}.toml").read_text(encoding="utf-8")
+    toml = re.sub(r'^about = """(?s:.*?)"""\n|^(section|figure) = .*\n|\A(#.*\n)+', "", toml, flags=re.M)
+    toml = re.sub(r"^title = .*$", f'title = "{name}"', toml, flags=re.M)
+    write_file(path, f"# From the study {source}. docs/studies.md lists what can be set.\n{toml}".encode())
+    for module in re.findall(r'"(\w+):\w+"', toml):  # a study's own files are beside it
         source_file = folder / f"{module}.py"
         if source_file.is_file():
             create_whole(path.with_name(source_file.name), source_file.read_bytes())
@@ -93,25 +93,25 @@ def _amounts(study: spec.Study, preset: str) -> dict[str, dict[str, Any]]:
 
 
 def _show(
-    study: spec.Study, fields: Mapping[str, Mapping[str, Any]], is_in_own_worlds: bool
+    study: spec.Study, fields_by_condition: Mapping[str, Mapping[str, Any]], is_in_own_worlds: bool
 ) -> Iterator[str | Table]:
     from pneuma.answers.settings import compare_settings
 
-    differing, shared = compare_settings(fields)
+    differing, shared_fields = compare_settings(fields_by_condition)
     yield study.title + (f" (thesis section {study.section})" if study.section else "")
     if study.path:
         yield study.about
     yield ""
-    if len(fields) > 1:
+    if len(fields_by_condition) > 1:
         if len(differing.columns) > 1:
             yield frame_table(differing)
         else:
             yield "The conditions do not differ."
         yield f"Compared with: {study.baseline}"
         yield ""
-    yield "All conditions share:" if len(fields) > 1 else "The one condition has:"
-    for key, value in shared.items():
-        yield f"  {key} = {value}"
+    yield "All conditions share:" if len(fields_by_condition) > 1 else "The one condition has:"
+    for field_name, value_text in shared_fields.items():
+        yield f"  {field_name} = {value_text}"
     if study.path is None:
         return
     yield ""
@@ -119,16 +119,16 @@ def _show(
         yield f"Runs in: {', '.join(study.worlds)} (here {study.world})"
         yield ""
     yield "Presets:"
-    rows: list[tuple[str, str, str]] = []
+    preset_rows: list[tuple[str, str, str]] = []
     for preset in study.presets:
         names_by_amount: dict[str, list[str]] = {}
         for condition, amount in _amounts(study, preset).items():
-            text = f"seeds {shown_seeds(amount['seeds'])}, {amount['steps']:,} steps"
-            names_by_amount.setdefault(text, []).append(condition)
-        for text, names in names_by_amount.items():
-            is_every = len(names) == len(study.conditions)
-            rows.append((f"  {preset}", text, "" if is_every else ", ".join(names)))
-    yield Table([""] * 3, rows)
+            amount_text = f"seeds {shown_seeds(amount['seeds'])}, {amount['steps']:,} steps"
+            names_by_amount.setdefault(amount_text, []).append(condition)
+        for amount_text, conditions in names_by_amount.items():
+            is_every = len(conditions) == len(study.conditions)
+            preset_rows.append((f"  {preset}", amount_text, "" if is_every else ", ".join(conditions)))
+    yield Table([""] * 3, preset_rows)
 
 
 # --- status ----------------------------------------------------------------------------------------
@@ -149,10 +149,10 @@ def status(
 
     if name is None:
         return replace(answer_result(studies_status(selection.index, selection.world)), numbers=None)
-    data = find_study(selection.index, selection.query(name))
-    say(data.coverage)
+    study_data = find_study(selection.index, selection.query(name))
+    say(study_data.coverage)
     for problem in selection.index.problems:
         say(f"Note: {problem}.")
-    if runs or data.plan is None:
-        return answer_result(runs_status(data))
-    return answer_result(study_status(selection.index, data))
+    if runs or study_data.plan is None:
+        return answer_result(runs_status(study_data))
+    return answer_result(study_status(selection.index, study_data))

@@ -28,11 +28,11 @@ def summary(
     """
     if cells and format not in PAPER_FORMATS:
         raise UserError(f"--cells requires --format {' or '.join(PAPER_FORMATS)}")
-    data = selection.open(name)
+    study_data = selection.open(name)
     from pneuma.answers.summary import summarize
 
     paper_cells = (cells or "sd") if format in PAPER_FORMATS else ""
-    return answer_result(summarize(data, outcome or (), paper_cells))
+    return answer_result(summarize(study_data, outcome or (), paper_cells))
 
 
 def compare(
@@ -59,8 +59,8 @@ def compare(
             selection.open(name), outcomes=outcome or (), other_data=second.open(with_)
         )
     elif a and b and not with_:
-        data = selection.open(comparison.narrowed(selection.query(name), a, b))
-        answer = comparison.compare(data, a, b, outcome or ())
+        study_data = selection.open(comparison.narrowed(selection.query(name), a, b))
+        answer = comparison.compare(study_data, a, b, outcome or ())
     else:
         raise UserError("name two conditions, A and B, or another study by --with STUDY")
     return answer_result(answer)
@@ -68,7 +68,7 @@ def compare(
 
 def collapse(name: opt.Study, selection: opt.RunFilter) -> Result:
     """Show which runs collapsed, when and by which signs, and how often in each condition."""
-    data = selection.open(name)
+    study_data = selection.open(name)
     from pneuma.answers.collapse import find_collapses
 
-    return answer_result(find_collapses(data))
+    return answer_result(find_collapses(study_data))

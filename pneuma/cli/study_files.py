@@ -118,36 +118,36 @@ def plot(
     from pneuma.figures.style import Look
 
     look = Look(drawing.width, drawing.height, drawing.title, drawing.style, drawing.plain)
-    beside = None
+    beside_data = None
     if drawing.beside:
         if len(drawing.beside) > 1:
             raise UserError("--beside takes one study: import the logs of several under one --name")
-        beside = opt.RunFilter(results=selection.results, world=selection.world).open(drawing.beside[0])
+        beside_data = opt.RunFilter(results=selection.results, world=selection.world).open(drawing.beside[0])
     if names:
-        pages = [_draw(selection.open(name), drawing, beside) for name in names]
+        pages = [_draw(selection.open(name), drawing, beside_data) for name in names]
     else:
-        pages = _draw_all(selection, drawing, beside)
+        pages = _draw_all(selection, drawing, beside_data)
 
     def save(folder: Path) -> Iterator[Path]:
         for page in pages:
             yield from save_page(page, folder, formats, look)
 
-    files = keep_files(store, out, save)
+    figure_files = keep_files(store, out, save)
     answers = [page.answer.document for page in pages if page.answer]
-    return Result({"figures": files, "answers": answers}, wrote(files))
+    return Result({"figures": figure_files, "answers": answers}, wrote(figure_files))
 
 
-def _draw_all(selection: opt.RunFilter, drawing: Drawing, beside: StudyData | None) -> list[Page]:
+def _draw_all(selection: opt.RunFilter, drawing: Drawing, beside_data: StudyData | None) -> list[Page]:
     """Return the figures of the studies that were run here and can be drawn."""
     from pneuma.analysis.runs import studies_here
 
     pages: list[Page] = []
     problems: list[UserError] = []
-    for data in studies_here(selection.index, selection.world):
-        if len(data.finished):
+    for study_data in studies_here(selection.index, selection.world):
+        if len(study_data.finished):
             try:
-                opened = replace(selection, world=data.world or None).open(data.study.file)
-                pages.append(_draw(opened, drawing, beside))
+                opened_data = replace(selection, world=study_data.world or None).open(study_data.study.file)
+                pages.append(_draw(opened_data, drawing, beside_data))
             except UserError as error:
                 problems.append(error)
     if not pages:
@@ -157,7 +157,7 @@ def _draw_all(selection: opt.RunFilter, drawing: Drawing, beside: StudyData | No
     return pages
 
 
-def _draw(data: StudyData, drawing: Drawing, beside: StudyData | None) -> Page:
+def _draw(study_data: StudyData, drawing: Drawing, beside_data: StudyData | None) -> Page:
     """Return the figure of a study."""
     from pneuma.analysis.environments import columns_of
     from pneuma.answers.curves import find_curves
@@ -169,36 +169,36 @@ def _draw(data: StudyData, drawing: Drawing, beside: StudyData | None) -> Page:
     from pneuma.figures.summary import summary_page
     from pneuma.figures.words import fits_panel
 
-    columns, figure = columns_of(data), drawing.figure
-    if figure is None:
-        fits = all(map(fits_panel, columns.values())) and not data.study.outcomes
-        figure = CURVES if drawing.is_of_curves or fits else SUMMARY
-    if figure == PROFILE:
-        return shares.profile_page(profile_scores(data))
-    if figure == ONE_ACTION:
+    columns, figure_kind = columns_of(study_data), drawing.figure
+    if figure_kind is None:
+        fit_panels = all(map(fits_panel, columns.values())) and not study_data.study.outcomes
+        figure_kind = CURVES if drawing.is_of_curves or fit_panels else SUMMARY
+    if figure_kind == PROFILE:
+        return shares.profile_page(profile_scores(study_data))
+    if figure_kind == ONE_ACTION:
         from pneuma.answers.one_action import find_one_action  # SciPy's statistics take half a second
 
-        return shares.one_action_page(find_one_action(data))
-    if figure == SUMMARY:
+        return shares.one_action_page(find_one_action(study_data))
+    if figure_kind == SUMMARY:
         page = summary_page(show_outcomes(columns))
     else:
-        quantities = _quantities(data, drawing)
-        page = curves_page(find_curves(columns, quantities, beside, **drawing.curve_options))
+        quantities = _quantities(study_data, drawing)
+        page = curves_page(find_curves(columns, quantities, beside_data, **drawing.curve_options))
     if len(columns) > 1:  # under the names that contain the environment
-        page = replace(page, runs=lines_of_runs(*filter(None, [data, beside])))
+        page = replace(page, runs=lines_of_runs(*filter(None, [study_data, beside_data])))
     return page
 
 
-def _quantities(data: StudyData, drawing: Drawing) -> list[str]:
+def _quantities(study_data: StudyData, drawing: Drawing) -> list[str]:
     """Return the quantities to draw, with `all` and `actions` expanded."""
     from pneuma.analysis.curves import curve_names
 
-    recorded = curve_names(data)
-    actions = [name for name in ACTION_QUANTITIES if name in recorded]
-    groups = {EVERY_QUANTITY: recorded, ACTIONS: actions or [ACTIONS]}
+    recorded = curve_names(study_data)
+    actions = [quantity for quantity in ACTION_QUANTITIES if quantity in recorded]
+    quantities_by_name = {EVERY_QUANTITY: recorded, ACTIONS: actions or [ACTIONS]}
     quantities: list[str] = []
-    for name in drawing.quantity or ():
-        quantities += groups.get(name, [name])
+    for quantity in drawing.quantity or ():
+        quantities += quantities_by_name.get(quantity, [quantity])
     return quantities
 
 
@@ -222,16 +222,16 @@ def table(
     from pneuma.presets import BASES
     from pneuma.values import short
 
-    for name in names or ():
-        if name not in THESIS_TABLES:
-            raise unknown_name("table", name, THESIS_TABLES)
-    rows = []
-    for words, field in THESIS_ROWS.items():
-        row = {"Hyperparameter": words}
-        for name in names or THESIS_TABLES:
-            row[name.replace("table-6-", "Table 6.")] = short(BASES[name][field])
-        rows.append(row)
-    return rows_result("rows", rows)
+    for table_name in names or ():
+        if table_name not in THESIS_TABLES:
+            raise unknown_name("table", table_name, THESIS_TABLES)
+    table_rows = []
+    for row_label, field_name in THESIS_ROWS.items():
+        table_row = {"Hyperparameter": row_label}
+        for table_name in names or THESIS_TABLES:
+            table_row[table_name.replace("table-6-", "Table 6.")] = short(BASES[table_name][field_name])
+        table_rows.append(table_row)
+    return rows_result("rows", table_rows)
 
 
 # --- export ---------------------------------------------------------------------------------------
@@ -255,32 +255,32 @@ def export(
     is_printed = str(out) == "-"
     if not is_printed:
         check_file(out, EXPORT_SUFFIXES)
-    data = selection.open(name)
+    study_data = selection.open(name)
     from pneuma.analysis.export import encode_frame
     from pneuma.answers.export import export_records
 
-    answer = export_records(data, table, selection.store, window, band or EDGED_BANDS[0])
+    answer = export_records(study_data, table, selection.store, window, band or EDGED_BANDS[0])
     if is_printed:
         return Result({}, file=encode_frame(answer.table, "csv"))
     write_file(out, encode_frame(answer.table, EXPORT_SUFFIXES[out.suffix.lower()]))
-    text = f"wrote {out}: {counted(len(answer.table), 'row')}"
-    return Result({"file": out, **answer.about}, [text])
+    wrote_line = f"wrote {out}: {counted(len(answer.table), 'row')}"
+    return Result({"file": out, **answer.about}, [wrote_line])
 
 
 # --- publish --------------------------------------------------------------------------------------
 
 
-def _read_curves(text: str) -> tuple[str, ...]:
+def _read_curves(curves_text: str) -> tuple[str, ...]:
     """Return the named quantities, with `actions` expanded."""
-    if text == "none":
+    if curves_text == "none":
         return ()
     allowed = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES, ACTIONS)
     quantities: list[str] = []
-    for env_data in text.split(","):
-        name = env_data.strip()
-        if name not in allowed:
-            raise UserError(f"--curves {name}: {unknown_name('value', name, allowed)}")
-        quantities += ACTION_QUANTITIES if name == ACTIONS else [name]
+    for env_data in curves_text.split(","):
+        quantity = env_data.strip()
+        if quantity not in allowed:
+            raise UserError(f"--curves {quantity}: {unknown_name('value', quantity, allowed)}")
+        quantities += ACTION_QUANTITIES if quantity == ACTIONS else [quantity]
     return tuple(quantities)
 
 
@@ -295,13 +295,13 @@ def publish(
 
     Rows already in the table are kept. The same runs give the same bytes.
     """
-    data = selection.open(name)
+    study_data = selection.open(name)
     from pneuma.analysis.export import publish_runs
 
     kept_curves = PUBLISHED_CURVES if curves is None else curves
-    path, new, staying, size = publish_runs(selection.store, data, kept_curves)
-    text = f"wrote {path}: {counted(new, 'run')} from here"
+    path, new, staying, size = publish_runs(selection.store, study_data, kept_curves)
+    wrote_line = f"wrote {path}: {counted(new, 'run')} from here"
     if staying:
-        text += f", {staying} as they were published before"
-    document = {"study": data.study.name, "file": path, "bytes": size, "runs": new, "staying": staying}
-    return Result(document, [f"{text}; {size / 1000:.0f} kB"])
+        wrote_line += f", {staying} as they were published before"
+    document = {"study": study_data.study.name, "file": path, "bytes": size, "runs": new, "staying": staying}
+    return Result(document, [f"{wrote_line}; {size / 1000:.0f} kB"])

@@ -46,8 +46,8 @@ def plan_(
     from pneuma.answers import planned
 
     if detect is not None:
-        data = None if sd else selection.open(name)
-        answer = planned.seeds_to_detect(data, detect, outcome or "", sd)
+        study_data = None if sd else selection.open(name)
+        answer = planned.seeds_to_detect(study_data, detect, outcome or "", sd)
         return replace(answer_result(answer), numbers=None)
     if outcome or sd:
         raise UserError(f"{'--outcome' if outcome else '--sd'} requires --detect")
@@ -81,9 +81,9 @@ def run(
 
         refuse_changed(selection.index, spec.load_study(name, selection.world))
     planned = _plan(selection, name, unpublished)
-    logs = _log_folders(planned, tensorboard) if tensorboard else {}
-    config = replace(place.config(), checkpoint_seconds=checkpoint_seconds, logs=logs)
-    return train(planned, selection.store, config, retry_failed, quiet)
+    log_folders = _log_folders(planned, tensorboard) if tensorboard else {}
+    executor_config = replace(place.config(), checkpoint_seconds=checkpoint_seconds, logs=log_folders)
+    return train(planned, selection.store, executor_config, retry_failed, quiet)
 
 
 def train(
@@ -101,18 +101,18 @@ def train(
     aside = partial(say, quiet=quiet)
     try:
         results = api.train_plan(planned, store, config, retry_failed=retry_failed, quiet=quiet, say=aside)
-        code = int(not all(result.status.finished for result in results))
+        exit_code = int(not all(cell_result.status.finished for cell_result in results))
         notes += _failures(results, store)
         if not quiet:
             notes += _outcome(planned, results, store)
     except KeyboardInterrupt:
         say("Stopped. The same command goes on where every run was stopped.")
-        results, code = execute.cell_results(planned, store, unfinished), STOPPED
-    rows = []
-    for result in results:
-        identity = {key: getattr(result.cell, key) for key in ("run_id", "condition", "seed")}
-        rows.append({**identity, "status": result.status.name, "trained": result.trained})
-    return Result({"study": planned.study.name, "runs": rows}, notes=notes, code=code)
+        results, exit_code = execute.cell_results(planned, store, unfinished), STOPPED
+    run_rows = []
+    for cell_result in results:
+        identity = {key: getattr(cell_result.cell, key) for key in ("run_id", "condition", "seed")}
+        run_rows.append({**identity, "status": cell_result.status.name, "trained": cell_result.trained})
+    return Result({"study": planned.study.name, "runs": run_rows}, notes=notes, code=exit_code)
 
 
 def _check_logs(folders: Iterable[str]) -> None:
@@ -140,11 +140,11 @@ def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
     return {cell.run_id: str(study_folder / f"{slugs[cell.condition]}_{cell.seed}") for cell in planned.cells}
 
 
-def _plan(selection: opt.RunFilter, name: str, unpublished: bool) -> plan.Plan:
+def _plan(selection: opt.RunFilter, study_name: str, unpublished: bool) -> plan.Plan:
     """Plan a study; with `unpublished`, skip published runs."""
     from pneuma import api
 
-    planned = api.plan_study(selection.query(name), selection.store, say)
+    planned = api.plan_study(selection.query(study_name), selection.store, say)
     if not unpublished:
         return planned
     from pneuma.store.index import RunIndex
@@ -156,25 +156,25 @@ def _plan(selection: opt.RunFilter, name: str, unpublished: bool) -> plan.Plan:
     return replace(planned, published=published)
 
 
-def _failures(results: Sequence[execute.CellResult], store: Store) -> Iterator[str]:
+def _failures(cell_results: Sequence[execute.CellResult], store: Store) -> Iterator[str]:
     """Yield which runs did not end as they should, and where to look."""
-    for result in results:
-        label, status = f"{result.cell.condition} seed {result.cell.seed}", result.status
+    for cell_result in cell_results:
+        cell_label, status = f"{cell_result.cell.condition} seed {cell_result.cell.seed}", cell_result.status
         if status.name == "diverged":
-            yield f"{label} diverged at step {status.step:,}; its records count"
+            yield f"{cell_label} diverged at step {status.step:,}; its records count"
         elif not status.finished:
-            trace = store.run_folder(result.cell.run_id) / "error.txt"
-            reason = result.reason or f"at step {status.step:,}"
-            if trace.is_file():
-                reason = f"{result.reason} ({trace})"
-            yield f"{label} {status.name}: {reason}"
+            error_file = store.run_folder(cell_result.cell.run_id) / "error.txt"
+            reason = cell_result.reason or f"at step {status.step:,}"
+            if error_file.is_file():
+                reason = f"{cell_result.reason} ({error_file})"
+            yield f"{cell_label} {status.name}: {reason}"
 
 
-def _outcome(planned: plan.Plan, results: Sequence[execute.CellResult], store: Store) -> Iterator[str]:
+def _outcome(planned: plan.Plan, cell_results: Sequence[execute.CellResult], store: Store) -> Iterator[str]:
     """Count what was trained, and yield the command that draws it."""
-    trained = sum(result.trained for result in results)
-    states = tallied(result.status.name for result in results) or "nothing to train"
-    yield f"{planned.study.name}: {states}; {trained} trained now, {len(results) - trained} were stored."
-    if results and all(result.status.finished for result in results):
-        words = spec.asked_words(planned.study) + spec.results_words(store.root)
-        yield f"Draw it with: {command('study', 'plot', *words)}"
+    trained = sum(cell_result.trained for cell_result in cell_results)
+    states = tallied(cell_result.status.name for cell_result in cell_results) or "nothing to train"
+    yield f"{planned.study.name}: {states}; {trained} trained now, {len(cell_results) - trained} were stored."
+    if cell_results and all(cell_result.status.finished for cell_result in cell_results):
+        study_words = spec.asked_words(planned.study) + spec.results_words(store.root)
+        yield f"Draw it with: {command('study', 'plot', *study_words)}"

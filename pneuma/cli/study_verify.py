@@ -37,9 +37,9 @@ def verify(
     from pneuma.store.index import RunIndex
 
     answer = verify(RunIndex(Store(results)), file, claims or (), world)
-    lines = _show(answer, in_detail=bool(claims))
+    claim_lines = _show(answer, in_detail=bool(claims))
     table, numbers = answer.cells[0], answer.table
-    return Result(answer.document, lines, notes=answer.notes, table=table, numbers=numbers)
+    return Result(answer.document, claim_lines, notes=answer.notes, table=table, numbers=numbers)
 
 
 def _show(answer: VerdictsAnswer, in_detail: bool) -> Iterator[str | Table]:
@@ -48,20 +48,20 @@ def _show(answer: VerdictsAnswer, in_detail: bool) -> Iterator[str | Table]:
 
     table, counts = answer.cells
     worlds = words.worlds_of(answer.verdicts)
-    for (name, by_world), (section, heading) in zip(
+    for (claim_name, by_world), (section, heading) in zip(
         answer.verdicts.items(), table.iloc[:, :2].to_numpy(), strict=True
     ):
-        yield f"{name} (section {section})" if section else name
-        for text in heading.removeprefix(f"{name}\n").split("\n"):
-            yield from _indented(text, "  ")
+        yield f"{claim_name} (section {section})" if section else claim_name
+        for claim_text in heading.removeprefix(f"{claim_name}\n").split("\n"):
+            yield from _indented(claim_text, "  ")
         for world, verdict in by_world.items():
-            head = f"{worlds[world]:16}{words.word(verdict)}"
-            for text in [*words.lines(verdict), words.registration(verdict)]:
-                yield f"    {head:32}{text}".rstrip()
-                head = ""
+            verdict_head = f"{worlds[world]:16}{words.word(verdict)}"
+            for claim_text in [*words.lines(verdict), words.registration(verdict)]:
+                yield f"    {verdict_head:32}{claim_text}".rstrip()
+                verdict_head = ""
             details = words.details(verdict) if in_detail else words.remedy(verdict)
-            for text in details:
-                yield from _indented(text, "      ")
+            for claim_text in details:
+                yield from _indented(claim_text, "      ")
         yield ""
     yield frame_table(counts)
     yield ""
