@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -17,6 +16,7 @@ from pneuma.study.shipped import claims_history_file
 from pneuma.study.spec import load_study
 from tools.claims_history import has_history, written
 
+from ..checkout import commit_all
 from ..cli.calls import described, printed
 from .claim_files import CLAIMS, HIGH, LOW, save_runs, write_files
 
@@ -31,11 +31,7 @@ def commit(folder: Path, rules: int = RULES) -> str:
     """Commit all files of a folder, and a judge with some rules; return the commit."""
     (folder / "pneuma").mkdir(exist_ok=True)
     (folder / "pneuma" / "judge.py").write_text(f"RULES = {rules}\n")
-    for words in (["init"], ["add", "."], ["commit", "-m", "list"]):
-        own = ["-c", "user.name=a", "-c", "user.email=a@b"]
-        subprocess.run(["git", "-C", str(folder), *own, *words], check=True, capture_output=True)
-    words = ["git", "-C", str(folder), "rev-parse", "HEAD"]
-    return subprocess.check_output(words, text=True).strip()
+    return commit_all(folder)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -13,6 +12,7 @@ from pneuma.store.provenance import uncommitted
 from pneuma.training.executors import local
 from pneuma.training.executors.base import Job
 
+from ..checkout import commit_all
 from .calls import call, described, refused
 
 
@@ -96,16 +96,10 @@ def test_counts_and_seeds_are_read_as_they_look(here: Path) -> None:
 
 
 def test_only_changes_of_code_and_studies_keep_claims_from_being_trained(tmp_path: Path) -> None:
-    def git(*words: str) -> None:
-        own = ["-c", "user.name=a", "-c", "user.email=a@b"]
-        subprocess.run(["git", "-C", str(tmp_path), *own, *words], check=True, capture_output=True)
-
     (tmp_path / "pneuma").mkdir()
     (tmp_path / "pneuma" / "code.py").write_text("1")
     assert uncommitted(tmp_path) == []  # an installed copy has no tree
-    git("init")
-    git("add", ".")
-    git("commit", "-m", "first")
+    commit_all(tmp_path)
     (tmp_path / "notes.md").write_text("mine")
     assert uncommitted(tmp_path) == []
     (tmp_path / "studies").mkdir()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import time
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -20,6 +19,7 @@ from pneuma.store.store import Store
 from pneuma.study.identity import run_id
 from pneuma.training.progress import START_SECONDS, expected_seconds, stored_paces
 
+from ..checkout import commit_all
 from ..hand_made import save_run
 
 RUN = make_run({"steps": 2560, "horizon": 256})
@@ -53,10 +53,7 @@ def test_a_study_is_told_with_its_commit_and_a_run_with_the_packages_of_its_modu
     study.parent.mkdir()
     study.touch()
     assert project(study) == {"study": "mine.toml"}
-    identity = ["-c", "user.name=me", "-c", "user.email=me"]
-    for words in (["init", "-q"], ["add", "."], [*identity, "commit", "-qm", "all"]):
-        subprocess.run(["git", *words], cwd=tmp_path, check=True)
-    head = subprocess.check_output(["git", "rev-parse", "HEAD"], cwd=tmp_path, text=True).strip()
+    head = commit_all(tmp_path)
     assert project(study)["commit"] == head
     module = study.with_name("own.py")
     module.touch()
