@@ -65,6 +65,9 @@ margin = 0.04
 worlds = ["text"]
 """
 
+BETTER = CLAIMS[CLAIMS.index("[claims.better]") :]
+"""The claim without the defaults, for lists of several."""
+
 LOW = [0.20, 0.21, 0.22, 0.23, 0.24, 0.25, 0.26, 0.27]
 HIGH = [share + 0.5 for share in LOW]
 NEAR = [share + 0.001 for share in LOW]

@@ -138,11 +138,15 @@ def test_a_band_has_its_edges_and_none_for_too_few_runs(
 # --- Evaluations, and the table of curves --------------------------------------------------------
 
 
+def _evaluated(store: Store, shares: Mapping[tuple[str, int], Any]) -> list[Curve]:
+    """Return the curves of runs that were evaluated at some steps: (step, share killed) of each."""
+    return study_curves(_study(store, dict.fromkeys(shares, {}), shares), ["share_killed"])["share_killed"]
+
+
 def test_evaluation_curves_stand_at_the_evaluations_own_steps(store: Store) -> None:
     shares = {("b", 0): [(64, 0.25), (128, 0.5)], ("a", 0): [(64, 0.0), (128, 1.0)]}
     shares["b", 1] = [(64, 0.75)]  # and then it diverged
-    data = _study(store, dict.fromkeys(shares, {}), shares)
-    first, second = study_curves(data, ["share_killed"])["share_killed"]
+    first, second = _evaluated(store, shares)
     assert (first.condition, second.condition) == ("b", "a")
     np.testing.assert_array_equal(first.runs.T, [[0.25, 0.5], [0.75, NAN]])
     assert first.frame()[["x", "mean", "runs"]].to_numpy().tolist() == [[64, 0.5, 2], [128, 0.5, 1]]
@@ -150,17 +154,14 @@ def test_evaluation_curves_stand_at_the_evaluations_own_steps(store: Store) -> N
 
 
 def test_of_several_evaluations_at_one_step_the_last_counts(store: Store) -> None:
-    shares = {("a", 0): [(64, 0.25), (64, 0.75), (128, 0.5), (128, 1.0)]}
-    data = _study(store, dict.fromkeys(shares, {}), shares)
-    (curve,) = study_curves(data, ["share_killed"])["share_killed"]
+    (curve,) = _evaluated(store, {("a", 0): [(64, 0.25), (64, 0.75), (128, 0.5), (128, 1.0)]})
     assert curve.runs[0].to_dict() == {64: 0.75, 128: 1.0}
 
 
 def test_runs_that_were_evaluated_at_unlike_steps_share_those_of_the_fewest(store: Store) -> None:
     """Between its evaluations the other is on a straight line, and before and after them it has no value."""
     shares = {("a", 0): [(20, 0.2), (120, 0.6)], ("a", 1): [(50, 0.0), (100, 0.5), (150, 1.0)]}
-    data = _study(store, dict.fromkeys(shares, {}), shares)
-    (curve,) = study_curves(data, ["share_killed"])["share_killed"]
+    (curve,) = _evaluated(store, shares)
     assert curve.runs.index.tolist() == [20, 120]
     np.testing.assert_allclose(curve.runs.T, [[0.2, 0.6], [NAN, 0.7]], atol=1e-12)
 
@@ -204,21 +205,20 @@ def _at(curve: np.ndarray, *steps: int) -> list[float]:
     return [float(curve[step - 1]) for step in steps]
 
 
-def test_updates_are_averaged_over_the_last_twentieth() -> None:
-    curve = update_curve(np.array([4.0, 8.0, 12.0]), np.array([1.0, 2.0, 6.0]), GRID, 200)
-    np.testing.assert_equal(_at(curve, 3, 4, 8, 12, 14, 18), [NAN, 1, 1.5, 3, 4, 6])  # (4, 14] has two
-
-
-def test_an_update_stands_for_all_until_the_next() -> None:
-    curve = update_curve(np.array([50.0, 100.0]), np.array([1.0, 3.0]), GRID, 150)
-    np.testing.assert_equal(_at(curve, 49, 50, 99, 100, 150, 151), [NAN, 1, 1, 3, 3, NAN])
-
-
-def test_an_update_that_is_not_finite_counts_as_none() -> None:
-    """The explained variance of constant returns is NaN, and a diverged run's last loss may be."""
-    step, values = np.array([10.0, 15.0, 20.0, 60.0]), np.array([1.0, NAN, 5.0, np.inf])
-    curve = update_curve(step, values, GRID, 200)
-    np.testing.assert_equal(_at(curve, 15, 19, 20, 60, 200), [1, 1, 5, 5, 5])  # 20: (10, 20] has 20 alone
+@pytest.mark.parametrize(
+    ("updates", "end", "points"),
+    [
+        # they are averaged over the last twentieth: (4, 14] has two
+        ({4: 1, 8: 2, 12: 6}, 200, {3: NAN, 4: 1, 8: 1.5, 12: 3, 14: 4, 18: 6}),
+        # one stands for all until the next
+        ({50: 1, 100: 3}, 150, {49: NAN, 50: 1, 99: 1, 100: 3, 150: 3, 151: NAN}),
+        # one that is not finite, as a diverged run's last loss may be, counts as none: (10, 20] has 20 alone
+        ({10: 1, 15: NAN, 20: 5, 60: np.inf}, 200, {15: 1, 19: 1, 20: 5, 60: 5, 200: 5}),
+    ],
+)
+def test_updates_make_a_curve(updates: dict[int, float], end: int, points: dict[int, float]) -> None:
+    curve = update_curve(np.array([*updates], float), np.array([*updates.values()], float), GRID, end)
+    np.testing.assert_equal(_at(curve, *points), [*points.values()])
 
 
 def test_a_peak_is_of_the_updates_since_the_point_before_up_to_its_own_step() -> None:

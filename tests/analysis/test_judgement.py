@@ -15,6 +15,7 @@ from pneuma.analysis.claims.words import lines
 from pneuma.store.store import Store
 
 from .claim_files import (
+    BETTER,
     CLAIMS,
     HIGH,
     LOW,
@@ -121,8 +122,7 @@ def test_the_worlds_are_judged_side_by_side_each_as_a_family_of_its_own(store: S
     assert [one.verdict for one in (here, nowhere, there)] == [SUPPORTED, UNTESTABLE, REFUTED]
     assert (there.claim.row, there.claim.quote, len(there.run_ids)) == ("better", "a quote", 10)
     assert there.contrasts[0].contrast.effect == pytest.approx(np.mean(LOW[3:]) - np.mean(HIGH[3:]))
-    other = CLAIMS[CLAIMS.index("[claims.better]") :].replace("better", "other")
-    claims = load_claims(write_files(tmp_path, text + other))
+    claims = load_claims(write_files(tmp_path, text + BETTER.replace("better", "other")))
     assert [claims.family_size(world, "mine.toml") for world in ("text", "arena", "godot")] == [2, 1, 1]
 
 
@@ -141,7 +141,7 @@ def test_seeds_that_the_claim_did_not_fix_are_not_read(store: Store, tmp_path: P
     assert judge_one(store, tmp_path) == before
 
 
-MORE = CLAIMS[CLAIMS.index("[claims.better]") :].replace('a = "high"', 'a = "middle"')
+MORE = BETTER.replace('a = "high"', 'a = "middle"')
 """A claim without runs."""
 
 

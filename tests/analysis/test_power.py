@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from pneuma.analysis.intervals import difference_interval, incidence_difference_interval
 from pneuma.analysis.power import power_of_shares, seeds_for_means, seeds_for_shares
@@ -37,17 +38,11 @@ def test_shares_are_summed_over_every_outcome() -> None:
     for a in range(seeds + 1):
         for b in range(seeds + 1):
             ends = incidence_difference_interval(a, seeds, b, seeds)
-            chance = _chance(a, seeds, 0.9) * _chance(b, seeds, 0.1)
+            chance = stats.binom.pmf(a, seeds, 0.9) * stats.binom.pmf(b, seeds, 0.1)
             found += chance * (ends.low > 0 or ends.high < 0)
     assert power_of_shares(0.9, 0.1, seeds) == pytest.approx(found)
     fewest = seeds_for_shares(0.9, 0.1)
     assert fewest and power_of_shares(0.9, 0.1, fewest) >= 0.8 > power_of_shares(0.9, 0.1, fewest - 1)
-
-
-def _chance(count: int, runs: int, share: float) -> float:
-    from math import comb
-
-    return comb(runs, count) * share**count * (1 - share) ** (runs - count)
 
 
 def test_no_number_of_seeds_finds_nothing() -> None:
