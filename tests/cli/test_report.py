@@ -18,33 +18,34 @@ from pneuma.store.store import Store
 from pneuma.study import spec
 from pneuma.study.plan import Query, make_plan
 
+from ..web_page import Page
 from .calls import described, save_finished
 
-Read = Callable[[bytes], Any]
+Make = Callable[..., Page]
 BUDGET = 1024
 
 
 @pytest.fixture
-def make(store: Store, tmp_path: Path, read_page: Read) -> Callable[..., Any]:
+def make(store: Store, tmp_path: Path) -> Make:
     """A function that makes the report of some studies and takes it apart."""
 
-    def make_page(*names: str) -> Any:
+    def make_page(*names: str) -> Page:
         out = tmp_path / "report.html"
         told = described("report", *names, "--out", out, "--results", store.root, "--quiet", "--json")
         page = out.read_bytes()
         assert (told["schema"], told["file"], told["bytes"]) == (1, str(out), len(page))
-        return read_page(page)
+        return Page(page)
 
     return make_page
 
 
-def _words(page: Any) -> str:
-    return str(page.all("body")[0].text)
+def _words(page: Page) -> str:
+    return page.all("body")[0].text
 
 
 @pytest.mark.usefixtures("unshipped")
 def test_without_any_run_studies_say_how_to_get_them_and_verdicts_are_those_of_study_verify(
-    store: Store, make: Callable[..., Any]
+    store: Store, make: Make
 ) -> None:
     store.root.mkdir()
     page = make("activation", "own-game")
@@ -65,9 +66,7 @@ def test_without_any_run_studies_say_how_to_get_them_and_verdicts_are_those_of_s
 
 
 @pytest.mark.usefixtures("unshipped")
-def test_a_study_with_runs_has_figures_conditions_runs_and_provenance(
-    store: Store, make: Callable[..., Any]
-) -> None:
+def test_a_study_with_runs_has_figures_conditions_runs_and_provenance(store: Store, make: Make) -> None:
     plan = make_plan(
         spec.load_study("activation"), Query(conditions=("tanh", "relu"), seeds=(0, 1), steps=BUDGET)
     )
@@ -90,15 +89,13 @@ def test_a_study_with_runs_has_figures_conditions_runs_and_provenance(
 
 
 @pytest.mark.slow
-def test_under_a_verdict_are_its_preregistered_runs_whatever_was_run_last(
-    store: Store, make: Callable[..., Any]
-) -> None:
+def test_under_a_verdict_are_its_preregistered_runs_whatever_was_run_last(store: Store, make: Make) -> None:
     """Once the comparison above which the page prints "holds" was gone after a run on the side."""
 
     def verdicts() -> str:
         claim, *_ = [row for row in make("activation").all("tr") if "id" in row.attributes]
         assert claim.attributes["id"] == "claim-tanh-better"
-        return str(claim.text)
+        return claim.text
 
     store.root.mkdir()
     before = verdicts()

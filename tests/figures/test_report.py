@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 from unittest import mock
@@ -14,9 +13,8 @@ from pneuma.errors import Hint
 from pneuma.figures import report
 from pneuma.figures.report import report_page
 
+from ..web_page import Page
 from .hand_made_verdicts import claim, comparison, judged
-
-Read = Callable[[bytes], Any]
 
 PICTURE = "data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' width='700' height='300'/%3E"
 HOSTILE = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)> {{ 7*7 }} </style></title>"
@@ -55,18 +53,18 @@ def _page(name: str = "tanh") -> bytes:
 
 
 @pytest.fixture
-def page(read_page: Read) -> Any:
-    return read_page(_page())
+def page() -> Page:
+    return Page(_page())
 
 
-def test_every_link_leads_to_one_place_of_the_page(page: Any) -> None:
+def test_every_link_leads_to_one_place_of_the_page(page: Page) -> None:
     links = {each.attributes["href"].removeprefix("#") for each in page.all("a")}
     assert len(page.anchors) == len(set(page.anchors))
     assert links <= set(page.anchors)
     assert f"run-{'0' * 16}" in links and f"run-{'f' * 16}" not in page.anchors
 
 
-def test_verdicts_are_counted_and_shown_world_by_world(page: Any) -> None:
+def test_verdicts_are_counted_and_shown_world_by_world(page: Page) -> None:
     counts = [each.text for each in page.all("td", "number")]
     assert counts[:12] == ["1", "0", "1", "0", "0", "0", "0", "0", "0", "0", "0", "1"]
     words = " ".join(page.all("main")[0].text.split())
@@ -76,7 +74,7 @@ def test_verdicts_are_counted_and_shown_world_by_world(page: Any) -> None:
     assert "tanh against relu, n = 10 and 10" in words
 
 
-def test_the_page_asks_for_nothing_outside_of_itself(page: Any) -> None:
+def test_the_page_asks_for_nothing_outside_of_itself(page: Page) -> None:
     for each in page.elements:
         for key in ("src", "href", "action", "data", "poster"):
             assert each.attributes.get(key, "#").startswith(("#", "data:image/")), each
@@ -86,8 +84,8 @@ def test_the_page_asks_for_nothing_outside_of_itself(page: Any) -> None:
     assert policy.attributes["content"].startswith("default-src 'none'; img-src data:;")
 
 
-def test_a_hostile_name_is_shown_wherever_it_stands_and_does_nothing(page: Any, read_page: Read) -> None:
-    hostile = read_page(_page(HOSTILE))
+def test_a_hostile_name_is_shown_wherever_it_stands_and_does_nothing(page: Page) -> None:
+    hostile = Page(_page(HOSTILE))
     assert [each.tag for each in hostile.elements] == [each.tag for each in page.elements]
     assert [set(each.attributes) for each in hostile.elements] == [
         set(each.attributes) for each in page.elements

@@ -22,18 +22,12 @@ def _points(axes: Axes, marker: str) -> list[float]:
     return [float(x) for line in lines for x in np.asarray(line.get_xdata(), float)]
 
 
-@pytest.fixture
-def five(tmp_path: Path) -> HandMade:
-    """Of five runs each: tanh ends with 0.2, 0.3, 0.3, 0.5 and 0.7 killed, relu with 0.1 to 0.3."""
+def test_every_run_is_a_dot_beside_the_means(tmp_path: Path, drawn: list[Figure]) -> None:
     study = HandMade(tmp_path)
     for seed, (tanh, relu) in enumerate([(0.2, 0.1), (0.3, 0.1), (0.3, 0.2), (0.5, 0.3), (0.7, 0.3)]):
         study.add("relu", seed, evaluations=(0.0, relu))
         study.add("tanh", seed, evaluations=(0.0, tanh))
-    return study
-
-
-def test_every_run_is_a_dot_beside_the_means(five: HandMade, tmp_path: Path, drawn: list[Figure]) -> None:
-    save_page(summary_page(show_outcomes({"": five.data})), tmp_path, ("svg",))
+    save_page(summary_page(show_outcomes({"": study.data})), tmp_path, ("svg",))
     (runs,) = drawn[0].axes
     assert _points(runs, "o") == pytest.approx([0.1, 0.1, 0.2, 0.3, 0.3, 0.2, 0.3, 0.3, 0.5, 0.7])
     assert _points(runs, "D") == pytest.approx([0.2, 0.4])
