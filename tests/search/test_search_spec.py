@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,8 +10,6 @@ from pneuma.errors import UserError
 from pneuma.presets import WORLDS
 from pneuma.search.space import Parameter
 from pneuma.search.spec import Search, load_search
-
-Load = Callable[[str], Search]
 
 GOOD = """
 title = "A search"
@@ -53,20 +50,15 @@ steps = 512
 """
 
 
-@pytest.fixture
-def write(tmp_path: Path) -> Load:
-    """Return a function that writes a search file and loads it."""
-
-    def load(text: str) -> Search:
-        path = tmp_path / "mine.toml"
-        path.write_text(text)
-        return load_search(str(path), "text")
-
-    return load
+def load(folder: Path, text: str) -> Search:
+    """Write a search file and load it, in the text's world."""
+    path = folder / "mine.toml"
+    path.write_text(text)
+    return load_search(str(path), "text")
 
 
-def test_a_search_is_read_whole(write: Load) -> None:
-    search = write(GOOD)
+def test_a_search_is_read_whole(tmp_path: Path) -> None:
+    search = load(tmp_path, GOOD)
     assert search.presets["quick"].seeds == (1000, 1001)
     assert [*search.space] == ["learning_rate", "epochs", "optimizer", "momentum", "actor"]
     assert [search.params_of(start) for start in search.start] == [
@@ -78,13 +70,13 @@ def test_a_search_is_read_whole(write: Load) -> None:
     }  # fmt: skip
 
 
-def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
+def test_a_parameter_is_asked_for_only_where_it_counts(tmp_path: Path) -> None:
     for optimizer in ("adam", "sgd"):
 
         def suggest(parameter: Parameter, chosen: str = optimizer) -> object:
             return chosen if parameter.name == "optimizer" else parameter.extremes[0]
 
-        assert ("momentum" in write(GOOD).suggest(suggest)) == (optimizer == "sgd")
+        assert ("momentum" in load(tmp_path, GOOD).suggest(suggest)) == (optimizer == "sgd")
 
 
 @pytest.mark.parametrize(
@@ -119,16 +111,16 @@ def test_a_parameter_is_asked_for_only_where_it_counts(write: Load) -> None:
         ("[space.epochs]\nlow = 1\n", "[space.noise]\nlow = 1\n", "noise does nothing"),
     ],
 )  # fmt: skip
-def test_mistakes_are_refused_by_name(write: Load, old: str, new: str, told: str) -> None:
+def test_mistakes_are_refused_by_name(tmp_path: Path, old: str, new: str, told: str) -> None:
     assert GOOD.count(old) >= 1
     with pytest.raises(UserError) as caught:
-        write(GOOD.replace(old, new, 1))
+        load(tmp_path, GOOD.replace(old, new, 1))
     assert told in str(caught.value)
     assert "mine.toml" in str(caught.value)
 
 
-def test_a_search_in_the_published_codes_world(write: Load, tmp_path: Path) -> None:
-    write(GOOD)
+def test_a_search_in_the_published_codes_world(tmp_path: Path) -> None:
+    load(tmp_path, GOOD)
     there = load_search(str(tmp_path / "mine.toml"), "godot")
     assert (there.name, there.label, there.full_title) == ("mine", "mine-godot", "A search (godot)")
     assert there.fields({}) == {  # the search sets the actor itself
@@ -144,9 +136,9 @@ def test_the_first_trials_have_what_the_world_and_its_observation_say() -> None:
 
 
 def test_a_search_is_found_by_its_path_a_shipped_name_or_its_name_here_and_is_in_the_arena(
-    write: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write(GOOD)
+    load(tmp_path, GOOD)
     with pytest.raises(UserError, match="unknown search 'mine'; known are"):
         load_search("mine")
     monkeypatch.chdir(tmp_path)
