@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.api import _store, evaluate, load_policy, run_study
+from pneuma.api import evaluate, load_policy, run_study
 from pneuma.config import make_run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, VALUE_COLUMNS
@@ -23,7 +23,7 @@ from pneuma.store.store import Store
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 
-from .cli.calls import save_finished, save_policy
+from .cli.calls import policy_of, save_finished, save_policy
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -100,12 +100,6 @@ for cell in json.loads(pathlib.Path("cells.json").read_text()):
 """
 
 
-def _store_run(folder: Path, settings: dict[str, Any]) -> None:
-    """Store a run 0123… with these settings and a policy of zeros."""
-    actor, critic = ((np.zeros((60, count), np.float32), np.zeros(count, np.float32)) for count in (5, 1))
-    save_policy(Store(folder), make_run(settings), Policy("tanh", (actor,), (critic,)), "0123456789abcdef")
-
-
 @pytest.mark.parametrize(
     ("settings", "named", "env_id"),
     [
@@ -120,11 +114,12 @@ def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(
     tmp_path: Path, settings: dict[str, Any], named: str, env_id: str
 ) -> None:
     """With the settings of its environment, which are another environment's own arguments."""
-    _store_run(tmp_path, settings)
+    stored = policy_of()
+    save_policy(Store(tmp_path), make_run(settings), stored, "0123456789abcdef")
     with pytest.raises(UserError, match=named):
         load_policy("0123", tmp_path)
     policy, env, own = load_policy("0123", tmp_path, trust=True)
-    assert isinstance(policy, Policy) and policy.best(np.zeros((1, 60), np.float32)).tolist() == [0]
+    assert isinstance(policy, Policy) and policy.to_bytes() == stored.to_bytes()
     assert env == env_id and own.items() >= settings.get("env_kwargs", settings).items()
 
 
@@ -152,9 +147,11 @@ def test_a_preset_is_opened_with_its_exceptions(tmp_path: Path) -> None:
     assert data.runs[["condition", "steps"]].to_numpy().tolist() == [["usual", 2048], ["big", 128]]
 
 
-def test_an_empty_variable_names_no_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_empty_variable_names_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    save_policy(Store(tmp_path / "results"), make_run({}), policy_of(), "0123456789abcdef")
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PNEUMA_RESULTS", "")
-    assert _store(None).root == Path("results")
+    assert load_policy("0123")[1] == "pneuma/Pneuma-v0"
 
 
 def test_a_function_is_evaluated_as_the_policy_that_it_asks_is() -> None:
