@@ -57,38 +57,38 @@ def curves_page(answer: CurvesAnswer, basename: str = "") -> Page:
     """
     columns = answer.columns
     studies = [column.data for column in columns.values()]
-    data, looks = studies[0], looks_of(studies)
+    first_data, looks = studies[0], looks_of(studies)
     labels = [look["label"] for look in looks.values() if look["label"]]
     if len(labels) > MOST_IN_A_PANEL:
-        problem = f"study {data.study.name}: has too many conditions for one panel: pick"
-        choice = [Hint("conditions"), ", or ", Hint("figure", "summary")]
-        raise UserError(f"{problem} {MOST_IN_A_PANEL} at most by ", *choice)
-    rows: list[list[Panel | None]] = []
-    for name in answer.quantities:
-        row: list[Panel | None] = []
+        problem = f"study {first_data.study.name}: has too many conditions for one panel: pick"
+        remedies = [Hint("conditions"), ", or ", Hint("figure", "summary")]
+        raise UserError(f"{problem} {MOST_IN_A_PANEL} at most by ", *remedies)
+    panel_rows: list[list[Panel | None]] = []
+    for quantity_name in answer.quantities:
+        panel_row: list[Panel | None] = []
         for title, column in columns.items():
-            panel = _panel(answer, column, name, looks) if name in column.curves else None
+            panel = _panel(answer, column, quantity_name, looks) if quantity_name in column.curves else None
             if panel and len(columns) > 1:
-                panel = replace(panel, title=title, y=QUANTITIES[name].title)
-            row.append(panel)
-        rows.append(row)
+                panel = replace(panel, title=title, y=QUANTITIES[quantity_name].title)
+            panel_row.append(panel)
+        panel_rows.append(panel_row)
     entries: dict[str, Any] = {}
     for column in columns.values():
         entries |= _legend(column, answer.options.bands)
     beside = dict.fromkeys(column.beside for column in columns.values() if column.beside)
     notes = list(answer.notes)
-    basename = basename or data.basename(*_differences(answer))
-    headline, inches, across = headline_of(data), PANEL_INCHES, 3
+    basename = basename or first_data.basename(*_differences(answer))
+    headline, inches, across = headline_of(first_data), PANEL_INCHES, 3
     if len(columns) > 1:
-        headline, across = ": ".join(filter(None, [data.study.title, after_thesis(basename)])), 4
+        headline, across = ": ".join(filter(None, [first_data.study.title, after_thesis(basename)])), 4
         if any("," in label.rpartition("(")[2] for label in labels):
             notes.append("In brackets: runs in each column.")
     else:
-        rows = [[panel for row in rows for panel in row]]
+        panel_rows = [[panel for panel_row in panel_rows for panel in panel_row]]
         if len(answer.quantities) == 1:
             inches *= 1.2
     runs = lines_of_runs(*studies, *beside)
-    return Page(basename, rows, inches, headline, runs, entries, notes, across, answer)
+    return Page(basename, panel_rows, inches, headline, runs, entries, notes, across, answer)
 
 
 def plot_curves(answer: CurvesAnswer, axes: Axes | None = None) -> Axes:
@@ -106,10 +106,10 @@ def plot_curves(answer: CurvesAnswer, axes: Axes | None = None) -> Axes:
 
 def _differences(answer: CurvesAnswer) -> list[str]:
     """Return how a figure differs from the study's default one, for the name of its files."""
-    options, names = answer.options, answer.quantities
+    options, quantities = answer.options, answer.quantities
     suffixes: list[str] = []
     if not answer.is_default:
-        suffixes += names if len(names) < MOST_IN_A_NAME else [f"{len(names)}-quantities"]
+        suffixes += quantities if len(quantities) < MOST_IN_A_NAME else [f"{len(quantities)}-quantities"]
     if options.bands[0] != DEFAULT_BAND:
         suffixes.append(options.bands[0])
     if options.log:
@@ -127,29 +127,29 @@ def _differences(answer: CurvesAnswer) -> list[str]:
 # --- Panels -----------------------------------------------------------------------------------------
 
 
-def _panel(answer: CurvesAnswer, column: Column, name: str, looks: Looks) -> Panel:
-    quantity, data = QUANTITIES[name], column.data
-    title, label, kind = quantity.title, quantity.label, quantity.kind
-    if data.averaged_over:  # in the log
-        label = label.replace(" of an episode", f", {answer.options.averaging(data)}")
-    if name.startswith("action_") and is_foreign(data):
-        title = f"Share of action {name.removeprefix('action_')}"
-    if column.curves[name][0].log:
-        kind = POWERS
-    elif kind == POWERS:
-        kind = VALUES
-    draw = partial(_draw, answer, column, name, looks)
-    return Panel(draw, title, X_LABELS[answer.options.x], label, y_kind=kind)
+def _panel(answer: CurvesAnswer, column: Column, quantity_name: str, looks: Looks) -> Panel:
+    quantity, study_data = QUANTITIES[quantity_name], column.data
+    title, axis_label, axis_kind = quantity.title, quantity.label, quantity.kind
+    if study_data.averaged_over:  # in the log
+        axis_label = axis_label.replace(" of an episode", f", {answer.options.averaging(study_data)}")
+    if quantity_name.startswith("action_") and is_foreign(study_data):
+        title = f"Share of action {quantity_name.removeprefix('action_')}"
+    if column.curves[quantity_name][0].log:
+        axis_kind = POWERS
+    elif axis_kind == POWERS:
+        axis_kind = VALUES
+    draw = partial(_draw, answer, column, quantity_name, looks)
+    return Panel(draw, title, X_LABELS[answer.options.x], axis_label, y_kind=axis_kind)
 
 
-def _draw(answer: CurvesAnswer, column: Column, name: str, looks: Looks, axes: Axes) -> None:
+def _draw(answer: CurvesAnswer, column: Column, quantity_name: str, looks: Looks, axes: Axes) -> None:
     """Draw bands, single runs and means of a quantity, the study beside, and the random player."""
-    options, data, curves = answer.options, column.data, column.curves[name]
-    beside_curves = column.beside_curves.get(name, [])
-    kind, bounds = QUANTITIES[name].kind, QUANTITIES[name].bounds
-    if name in ("return", EVALUATED):
-        bounds = RETURN_BOUNDS.get(" ".join(data.environments), bounds)
-    lines = sum(curve.run_count for curve in curves)
+    options, study_data, curves = answer.options, column.data, column.curves[quantity_name]
+    beside_curves = column.beside_curves.get(quantity_name, [])
+    axis_kind, bounds = QUANTITIES[quantity_name].kind, QUANTITIES[quantity_name].bounds
+    if quantity_name in ("return", EVALUATED):
+        bounds = RETURN_BOUNDS.get(" ".join(study_data.environments), bounds)
+    run_count = sum(curve.run_count for curve in curves)
     for curve in curves:
         look = looks[curve.condition]
         for band in options.bands:
@@ -159,59 +159,59 @@ def _draw(answer: CurvesAnswer, column: Column, name: str, looks: Looks, axes: A
                 frame, opacity = edges.assign(x=frame["x"]), DARK
             grid.draw_band(axes, frame, bounds, color=look["color"], alpha=opacity)
         if _shows_runs(curve, options.bands[0]):
-            width, opacity = 0.3 * mpl.rcParams["lines.linewidth"], 0.4 * min(1.0, MANY_RUNS / lines)
-            axes.plot(curve.runs, color=look["color"], linewidth=width, alpha=opacity, zorder=1.4)
+            line_width, opacity = 0.3 * mpl.rcParams["lines.linewidth"], 0.4 * min(1.0, MANY_RUNS / run_count)
+            axes.plot(curve.runs, color=look["color"], linewidth=line_width, alpha=opacity, zorder=1.4)
         _draw_mean(axes, curve, look)
     if column.beside:
         _draw_beside(axes, beside_curves, column, looks)
     low, high = reach([*curves, *beside_curves])
-    if kind == SHARES:
+    if axis_kind == SHARES:
         low = 0.0
-    reference = column.reference[column.reference["quantity"] == name]
+    reference = column.reference[column.reference["quantity"] == quantity_name]
     levels = reference["value"][reference["x"].isna()]
-    grid.draw_random_player(axes.axhline, set(levels), (low, high), kind)
-    end = max(float(curve.runs.index.max()) for curve in (*curves, *beside_curves))
+    grid.draw_random_player(axes.axhline, set(levels), (low, high), axis_kind)
+    last_step = max(float(curve.runs.index.max()) for curve in (*curves, *beside_curves))
     if options.x == STEPS:
-        end = max(end, data.budget)
+        last_step = max(last_step, study_data.budget)
     returns = reference.dropna(subset="x")
     if len(returns):
         axes.plot(returns["x"], returns["value"], label=grid.RANDOM_PLAYER, **grid.RANDOM_LOOK)
-    axes.set_xlim(0, end)
-    if kind == SHARES and not options.log:
-        top = min(max(axes.get_ylim()[1], 0.01), 1 + grid.BELOW_ZERO)
-        axes.set_ylim(-grid.BELOW_ZERO * top, top)
+    axes.set_xlim(0, last_step)
+    if axis_kind == SHARES and not options.log:
+        upper_limit = min(max(axes.get_ylim()[1], 0.01), 1 + grid.BELOW_ZERO)
+        axes.set_ylim(-grid.BELOW_ZERO * upper_limit, upper_limit)
 
 
 def _draw_mean(axes: Axes, curve: Curve, look: Mapping[str, Any]) -> None:
     """Draw the mean of runs, faint where some have no value, and a cross where a run diverged."""
-    frame, width = curve.frame(), mpl.rcParams["lines.linewidth"]
+    frame, line_width = curve.frame(), mpl.rcParams["lines.linewidth"]
     spacing = max(len(frame) // MARKED_POINTS, 1)
-    first = MARKERS.index(look["marker"]) * spacing // len(MARKERS) % spacing  # no two meet
+    first_marker = MARKERS.index(look["marker"]) * spacing // len(MARKERS) % spacing  # no two meet
     (line,) = axes.plot(
-        frame["x"], frame["mean"].where(frame["runs"] == curve.run_count), markersize=2.2 * width,
-        clip_on=False, markevery=(first, spacing), zorder=2.2, **look,
+        frame["x"], frame["mean"].where(frame["runs"] == curve.run_count), markersize=2.2 * line_width,
+        clip_on=False, markevery=(first_marker, spacing), zorder=2.2, **look,
     )  # fmt: skip
     line.set_in_layout(False)  # it may reach over the edge, and may be empty
     axes.plot(frame["x"], frame["mean"], color=look["color"], alpha=0.35, zorder=1.5)
     for step, value in curve.stops:
-        axes.plot(step, value, "x", color=look["color"], markersize=4 * width)
+        axes.plot(step, value, "x", color=look["color"], markersize=4 * line_width)
 
 
 def _draw_beside(axes: Axes, curves: Sequence[Curve], column: Column, looks: Looks) -> None:
     """Draw the runs of another study: in the colours of conditions that have their names, or else in grey."""
     assert column.beside
-    data = column.beside
-    title = data.full_title
-    if data.study.name == column.data.study.name and data.plan:
-        title = f"preset {data.plan.preset}"  # what tells runs of one study apart
-    unlike = sum(curve.run_count for curve in curves if curve.condition not in looks)
-    opacity = min(1.0, MANY_RUNS / len(data.runs))
+    beside_data = column.beside
+    title = beside_data.full_title
+    if beside_data.study.name == column.data.study.name and beside_data.plan:
+        title = f"preset {beside_data.plan.preset}"  # what tells runs of one study apart
+    grey_count = sum(curve.run_count for curve in curves if curve.condition not in looks)
+    opacity = min(1.0, MANY_RUNS / len(beside_data.runs))
     for curve in curves:
-        colour, label, fading = BESIDE_COLOUR, f"{title} ({unlike})", 1.0
+        colour, label, fading = BESIDE_COLOUR, f"{title} ({grey_count})", 1.0
         if curve.condition in looks:
-            name = data.study.labels.get(curve.condition, curve.condition)
+            label_text = beside_data.study.labels.get(curve.condition, curve.condition)
             colour, fading = looks[curve.condition]["color"], 0.6
-            label = f"{name}, {title} ({curve.run_count})"
+            label = f"{label_text}, {title} ({curve.run_count})"
         axes.plot(
             curve.runs, label=label, color=colour, alpha=fading * opacity, linewidth=0.7,
             linestyle=(0, (3, 1)), zorder=1.3,
@@ -220,10 +220,10 @@ def _draw_beside(axes: Axes, curves: Sequence[Curve], column: Column, looks: Loo
 
 def _shows_runs(curve: Curve, band: str) -> bool:
     """Return whether every run is drawn: if the band says so, runs are few, or it rarely covers the mean."""
-    count = curve.run_count
+    run_count = curve.run_count
     if band in (NO_BAND, RUNS):
         return band == RUNS
-    return 1 < count < LEAST_RUNS or count < BANDS[band].enough_runs
+    return 1 < run_count < LEAST_RUNS or run_count < BANDS[band].enough_runs
 
 
 def _legend(column: Column, bands: Sequence[str]) -> dict[str, Any]:

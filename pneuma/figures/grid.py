@@ -124,21 +124,21 @@ def _draw(page: Page, look: Look) -> Figure:
     figure = Figure(layout="constrained")
     panels = _arrange(page, look.width)
     across = len(panels[0])
-    grid: Any = figure.subplots(len(panels), across, squeeze=False)
+    axes_grid: Any = figure.subplots(len(panels), across, squeeze=False)
     width = look.width / across - AXIS_INCHES
     if panels[0][0] and panels[0][0].rows:
         longest = min(max(map(len, panels[0][0].rows)), LONGEST_LABEL)
         width = (look.width - longest * text_points() / 160) / across
-    labels = {panel.x for row in panels for panel in row if panel}
-    shared = labels.pop() if across > 1 and len(labels) == 1 else ""
+    x_labels = {panel.x for row in panels for panel in row if panel}
+    shared_label = x_labels.pop() if across > 1 and len(x_labels) == 1 else ""
 
     def at(row: int, column: int) -> Panel | None:
         if min(row, column) < 0 or row >= len(panels):
             return None
         return panels[row][column]
 
-    for row, column in np.ndindex(grid.shape):
-        panel, axes = panels[row][column], grid[row, column]
+    for row, column in np.ndindex(axes_grid.shape):
+        panel, axes = panels[row][column], axes_grid[row, column]
         if panel is None:
             axes.remove()
             continue
@@ -149,36 +149,36 @@ def _draw(page: Page, look: Look) -> Figure:
             panel = replace(panel, rows=[""] * len(panel.rows))
         if above and above.title == panel.title:
             panel = replace(panel, title="")
-        if shared or (below and below.x == panel.x):
+        if shared_label or (below and below.x == panel.x):
             panel = replace(panel, x="")
         fill(axes, panel, width, (page.inches - 0.5) / max(len(panel.rows or ()), 1))
-    return _put_texts(figure, page, look, shared)
+    return _put_texts(figure, page, look, shared_label)
 
 
 def _arrange(page: Page, width: float) -> list[list[Panel | None]]:
     """Return the panels with as many columns as fit a width, and the next ones below them."""
     columns = [list(column) for column in zip(*page.grid, strict=True)]
-    blocks = math.ceil(len(columns) / max(1, int(page.across * width / WIDTH)))
-    across = math.ceil(len(columns) / blocks)
+    block_count = math.ceil(len(columns) / max(1, int(page.across * width / WIDTH)))
+    across = math.ceil(len(columns) / block_count)
     rows: list[list[Panel | None]] = []
-    for first in range(0, len(columns), across):
-        block = columns[first : first + across]
+    for first_column in range(0, len(columns), across):
+        block = columns[first_column : first_column + across]
         for row in range(len(page.grid)):
             panels = [column[row] for column in block]
             rows.append(panels + [None] * (across - len(panels)))
     return rows
 
 
-def fill(axes: Axes, panel: Panel, width: float, pitch: float = ROW_INCHES) -> None:
+def fill(axes: Axes, panel: Panel, width: float, row_inches: float = ROW_INCHES) -> None:
     """Draw a panel into axes, of a width in inches and a height of rows."""
     panel.draw(axes)
     _format_axis(axes.xaxis, panel.x_kind, 3 if width < NARROW else 5)
     if panel.rows is None:
         _format_axis(axes.yaxis, panel.y_kind, 6)
     else:
-        label_rows(axes, panel.rows, pitch)
-    points = FontProperties(size=mpl.rcParams["axes.titlesize"]).get_size_in_points()
-    title = textwrap.fill(panel.title, characters(1.2 * points, width))  # bold letters are wider
+        label_rows(axes, panel.rows, row_inches)
+    title_points = FontProperties(size=mpl.rcParams["axes.titlesize"]).get_size_in_points()
+    title = textwrap.fill(panel.title, characters(1.2 * title_points, width))  # bold letters are wider
     axes.set(title=title, xlabel=panel.x, ylabel=panel.y)
 
 
@@ -219,52 +219,52 @@ def _put_texts(figure: Figure, page: Page, look: Look, x_label: str) -> Figure:
         headline = caption = ""
     if look.title is not None:
         headline = look.title
-    points, edge = text_points(), 0.07 / look.width
-    line = points * LINE_INCHES
-    wide = characters(points, look.width)
-    heading = textwrap.wrap(headline, characters(1.2 * points, look.width))
+    type_points, left_edge = text_points(), 0.07 / look.width
+    line_inches = type_points * LINE_INCHES
+    line_letters = characters(type_points, look.width)
+    heading = textwrap.wrap(headline, characters(1.2 * type_points, look.width))
     labels: dict[str, Any] = {}
     for label, artist in _legend_entries(figure, page.entries).items():
-        labels[textwrap.fill(label, wide - 8)] = artist
+        labels[textwrap.fill(label, line_letters - 8)] = artist
     longest = max(map(len, labels), default=0)
-    columns = max(1, min(len(labels), wide // (longest + 8)))  # a handle is as wide as 8 letters
-    rows = math.ceil(len(labels) / columns)
+    columns = max(1, min(len(labels), line_letters // (longest + 8)))  # a handle is as wide as 8 letters
+    legend_rows = math.ceil(len(labels) / columns)
     if columns == 1:
-        rows += sum(label.count("\n") for label in labels)
-    notes = textwrap.wrap(
-        caption, characters(CAPTION * points, look.width), max_lines=CAPTION_LINES, placeholder=" …"
+        legend_rows += sum(label.count("\n") for label in labels)
+    caption_lines = textwrap.wrap(
+        caption, characters(CAPTION * type_points, look.width), max_lines=CAPTION_LINES, placeholder=" …"
     )
-    above = line * (1.2 * len(heading) + rows) + 0.1
-    below = line * (CAPTION * len(notes) + bool(x_label)) + 0.08
+    inches_above = line_inches * (1.2 * len(heading) + legend_rows) + 0.1
+    inches_below = line_inches * (CAPTION * len(caption_lines) + bool(x_label)) + 0.08
     rows_of_panels = figure.axes[0].get_gridspec().nrows  # type: ignore[union-attr]
-    height = look.height or above + page.inches * rows_of_panels + below
-    least_height = above + below + LEAST_PANEL_HEIGHT * rows_of_panels
+    height = look.height or inches_above + page.inches * rows_of_panels + inches_below
+    least_height = inches_above + inches_below + LEAST_PANEL_HEIGHT * rows_of_panels
     if height < least_height:
         advice = [] if look.plain else ["; ", Hint("plain"), " leaves out headline and caption"]
-        panels = counted(len(figure.axes), "panel")
-        amount = f": at least {math.ceil(10 * least_height) / 10:.1f} inches for {panels}"
-        raise UserError(Hint("height", f"{height:g}"), amount, *advice)
+        panel_text = counted(len(figure.axes), "panel")
+        least_amount = f": at least {math.ceil(10 * least_height) / 10:.1f} inches for {panel_text}"
+        raise UserError(Hint("height", f"{height:g}"), least_amount, *advice)
     figure.set_size_inches(look.width, height)
     engine: Any = figure.get_layout_engine()
-    engine.set(rect=(0, below / height, 1, 1 - (above + below) / height))
+    engine.set(rect=(0, inches_below / height, 1, 1 - (inches_above + inches_below) / height))
     figure.text(
         0.5,
-        (below - line) / height,
+        (inches_below - line_inches) / height,
         x_label,
         va="bottom",
         ha="center",
         gid=style.X_LABEL,
         fontsize=mpl.rcParams["axes.labelsize"],
     )
-    figure.text(edge, 1 - 0.05 / height, "\n".join(heading), fontsize=1.2 * points, va="top")
+    figure.text(left_edge, 1 - 0.05 / height, "\n".join(heading), fontsize=1.2 * type_points, va="top")
     if labels:
         figure.legend(
             labels.values(), labels.keys(), loc="upper left", ncols=columns, alignment="left",
-            bbox_to_anchor=(edge, 1 - (1.2 * line * len(heading) + 0.05) / height),
+            bbox_to_anchor=(left_edge, 1 - (1.2 * line_inches * len(heading) + 0.05) / height),
             labelspacing=0.3, borderpad=0, borderaxespad=0,
         )  # fmt: skip
     figure.text(
-        edge, 0.05 / height, "\n".join(notes), fontsize=CAPTION * points, color="#444444",
+        left_edge, 0.05 / height, "\n".join(caption_lines), fontsize=CAPTION * type_points, color="#444444",
         linespacing=1.35, va="bottom",
     )  # fmt: skip
     return figure
@@ -277,10 +277,10 @@ def _legend_entries(figure: Figure, page_entries: Mapping[str, Any]) -> dict[str
         for artist, label in zip(*axes.get_legend_handles_labels(), strict=True):
             entries[label] = artist
     entries.update(page_entries)
-    levels = [label for label in entries if label.startswith(RANDOM_PLAYER)]
-    for label in levels:
+    level_labels = [label for label in entries if label.startswith(RANDOM_PLAYER)]
+    for label in level_labels:
         artist = entries.pop(label)
-        if len(levels) > 1:  # panels have several levels
+        if len(level_labels) > 1:  # panels have several levels
             label = RANDOM_PLAYER
         entries[label] = artist
     return entries
@@ -305,8 +305,8 @@ def draw_random_player(
     for level in {*levels}:
         label = RANDOM_PLAYER
         if len({*levels}) == 1:
-            words = per_cent(level) if unit == SHARES else number(level)
-            label += f" ({words})"
+            level_text = per_cent(level) if unit == SHARES else number(level)
+            label += f" ({level_text})"
         if max(level - high, low - level) <= FAR * (high - low) or low == high:
             draw_line(level, label=label, **RANDOM_LOOK)
 
@@ -334,9 +334,9 @@ def label_rows(axes: Axes, labels: Sequence[str], inches: float) -> None:
     wrapped: list[str] = []
     for label in labels:
         wrapped.append(textwrap.fill(clean(label), LONGEST_LABEL))
-    lines = max((label.count("\n") + 1 for label in wrapped), default=1)
-    points = FontProperties(size=mpl.rcParams["ytick.labelsize"]).get_size_in_points()
-    axes.set_yticks(range(len(labels)), wrapped, fontsize=min(points, 0.85 * 72 * inches / lines))
+    most_lines = max((label.count("\n") + 1 for label in wrapped), default=1)
+    type_points = FontProperties(size=mpl.rcParams["ytick.labelsize"]).get_size_in_points()
+    axes.set_yticks(range(len(labels)), wrapped, fontsize=min(type_points, 0.85 * 72 * inches / most_lines))
     axes.set_ylim(len(labels) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0)
     axes.grid(axis="y", visible=False)

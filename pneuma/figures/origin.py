@@ -19,34 +19,34 @@ MOST_IDS = 8
 """With more ids of a condition than this, their number and checksum are written."""
 
 
-def origin_text(shown: str, runs: Iterable[str] = ()) -> str:
+def origin_text(subject: str, run_lines: Iterable[str] = ()) -> str:
     """Return the text: what is shown, and a line for the runs of each condition.
 
     It contains no version, so that a picture's bytes change only with what is drawn.
     """
-    return "\n".join([f"Pneuma: {plain(shown)}", *runs])
+    return "\n".join([f"Pneuma: {plain(subject)}", *run_lines])
 
 
 def lines_of_runs(*studies: StudyData) -> list[str]:
     """Return a line for the finished runs of each condition, with the ids of their configurations."""
-    lines: list[str] = []
-    for data in studies:
-        for condition in data.conditions:
-            runs = data.runs[data.runs["condition"] == condition]
+    run_lines: list[str] = []
+    for study_data in studies:
+        for condition in study_data.conditions:
+            runs = study_data.runs[study_data.runs["condition"] == condition]
             if len(runs):
                 seeds = runs["seed"].tolist()
-                lines.append(line_of_runs(data.study.name, condition, runs["config_id"], seeds))
-    return lines
+                run_lines.append(line_of_runs(study_data.study.name, condition, runs["config_id"], seeds))
+    return run_lines
 
 
-def line_of_runs(study: str, condition: str, ids: Iterable[str], seeds: Sequence[int]) -> str:
+def line_of_runs(study_name: str, condition: str, run_ids: Iterable[str], seeds: Sequence[int]) -> str:
     """Return a line for runs, with many ids as one checksum and seeds as ranges."""
-    names = sorted(set(ids))
-    ids_text = ", ".join(names)
-    if len(names) > MOST_IDS:
-        ids_text = f"{len(names)} with SHA-256 {checksum(' '.join(names).encode())[:16]}"
-    parts = [study, condition]
+    sorted_ids = sorted(set(run_ids))
+    ids_text = ", ".join(sorted_ids)
+    if len(sorted_ids) > MOST_IDS:
+        ids_text = f"{len(sorted_ids)} with SHA-256 {checksum(' '.join(sorted_ids).encode())[:16]}"
+    phrases = [study_name, condition]
     if seeds:
-        parts.append(f"seeds {shown_seeds(seeds)}")
-    parts.append(f"ids {ids_text}")
-    return plain(", ".join(filter(None, parts)))
+        phrases.append(f"seeds {shown_seeds(seeds)}")
+    phrases.append(f"ids {ids_text}")
+    return plain(", ".join(filter(None, phrases)))

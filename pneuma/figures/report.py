@@ -45,36 +45,36 @@ Verdicts = Mapping[str, Mapping[str, Verdict]]
 """The verdicts on each claim, by its name and world."""
 
 
-def gather_report(index: RunIndex, names: Sequence[str], say: Say) -> dict[str, Any]:
+def gather_report(index: RunIndex, study_names: Sequence[str], say: Say) -> dict[str, Any]:
     """Return the contents of `report_page` for some studies, or for all that are shipped or were run here.
 
     If none of them is one of the thesis's, the page has their titles and judges no claims.
     """
-    shipped, selection = list_studies(), list(names)
-    if not names:
-        for data in studies_here(index):
-            if not data.study.settings:
-                selection.append(data.study.own_path or data.study.name)
-        if not selection or set(selection) & set(shipped):
-            selection = [*shipped, *selection]
-        selection = list(dict.fromkeys([*selection, *index.listings()]))
+    shipped, selected = list_studies(), list(study_names)
+    if not study_names:
+        for study_data in studies_here(index):
+            if not study_data.study.settings:
+                selected.append(study_data.study.own_path or study_data.study.name)
+        if not selected or set(selected) & set(shipped):
+            selected = [*shipped, *selected]
+        selected = list(dict.fromkeys([*selected, *index.listings()]))
     contents: dict[str, Any] = {"claims": {}, "note": "", "unjudged": "", "title": ""}
-    is_of_thesis = bool(set(selection) & set(shipped))
+    is_of_thesis = bool(set(selected) & set(shipped))
     if is_of_thesis:
         try:
-            contents["claims"], contents["note"] = _judged_claims(index, selection)
+            contents["claims"], contents["note"] = _judged_claims(index, selected)
         except UserError as error:  # a damaged published table: the page says so, and shows the rest
             contents["unjudged"] = without_folder(index, str(error))
             say(f"Note: {error}; no claim is judged.")
     sections = []
-    for place, name in enumerate(selection, 1):
-        say(f"{place}/{len(selection)} {name}")
-        study = find_study(index, Query(name)).study
+    for position, study_name in enumerate(selected, 1):
+        say(f"{position}/{len(selected)} {study_name}")
+        study = find_study(index, Query(study_name)).study
         section: dict[str, Any] = {"study": study.name, "parts": []}
-        for key in ("title", "section", "about"):
-            section[key] = getattr(study, key)
+        for field_name in ("title", "section", "about"):
+            section[field_name] = getattr(study, field_name)
         for world in study.worlds if study.path else (None,):
-            section["parts"] += evidence_of(index, name, world)
+            section["parts"] += evidence_of(index, study_name, world)
         sections.append(section)
     sections.sort(key=lambda section: (not section["section"], section["section"], section["study"]))
     if not is_of_thesis:
@@ -82,19 +82,19 @@ def gather_report(index: RunIndex, names: Sequence[str], say: Say) -> dict[str, 
     return {**contents, "studies": sections}
 
 
-def _judged_claims(index: RunIndex, studies: Collection[str]) -> tuple[Verdicts, str]:
+def _judged_claims(index: RunIndex, study_names: Collection[str]) -> tuple[Verdicts, str]:
     """Return the verdicts on claims about some studies, with a sentence on the lists.
 
     Whichever claims are shown, the correction is for the whole family.
     """
     verdicts: list[Verdict] = []
-    notes = []
-    for claims in shipped_claims():
-        verdicts += judge(claims, index, lambda claim, _: claim.study in studies)
-        family = "a study in a world" if claims.head.families == "study" else "a world"
-        chance = f"the chance of any false verdict in {family} is at most {per_cent(claims.head.alpha)}"
-        notes.append(f"{claims.path.name}, SHA-256 {claims.digest}: {chance} (Bonferroni).")
-    return words.verdicts_by_claim(verdicts), " ".join(notes)
+    list_notes = []
+    for claim_list in shipped_claims():
+        verdicts += judge(claim_list, index, lambda claim, _: claim.study in study_names)
+        family = "a study in a world" if claim_list.head.families == "study" else "a world"
+        chance = f"the chance of any false verdict in {family} is at most {per_cent(claim_list.head.alpha)}"
+        list_notes.append(f"{claim_list.path.name}, SHA-256 {claim_list.digest}: {chance} (Bonferroni).")
+    return words.verdicts_by_claim(verdicts), " ".join(list_notes)
 
 
 def report_page(
@@ -125,10 +125,10 @@ def report_page(
     )
     run_places: dict[str, tuple[str, int]] = {}  # the part and row that show a run: the first
     for study in studies:
-        for part in study["parts"]:
-            for row, (run_id, *_) in enumerate(part.runs):
-                run_places.setdefault(run_id, (part.label, row))
-    page = environment.get_template("report.html.j2").render(
+        for evidence in study["parts"]:
+            for position, (run_id, *_) in enumerate(evidence.runs):
+                run_places.setdefault(run_id, (evidence.label, position))
+    html = environment.get_template("report.html.j2").render(
         made_by=MADE_BY,
         claims=claims, studies=studies, note=note, unjudged=unjudged, own_title=title,
         version=__version__, words=words, write=write, picture=_picture,
@@ -136,29 +136,29 @@ def report_page(
         counts=words.count_words(claims), run_places=run_places, anchor=_anchor,
         counted=counted, listed={study["study"] for study in studies}, count_of=Counter,
     )  # fmt: skip
-    return f"{page.strip()}\n".encode()  # without the blank lines that macros leave
+    return f"{html.strip()}\n".encode()  # without the blank lines that macros leave
 
 
-def _picture(data: StudyData, write: Callable[[Hint], str]) -> dict[str, str]:
+def _picture(study_data: StudyData, write: Callable[[Hint], str]) -> dict[str, str]:
     """Draw a study's figure: its curves, or with too many conditions its summary.
 
     It has a data URI, a text alternative, and a caption with the call that draws it.
     """
-    if curve_names(data) and fits_panel(data):
-        page = curves_page(find_curves({"": data}))
-        what = f"Curves over {data.budget:,} environment steps"
+    if curve_names(study_data) and fits_panel(study_data):
+        page = curves_page(find_curves({"": study_data}))
+        subject = f"Curves over {study_data.budget:,} environment steps"
     else:
-        page, what = summary_page(show_outcomes({"": data})), "Results of every run, and means"
+        page, subject = summary_page(show_outcomes({"": study_data})), "Results of every run, and means"
     with TemporaryDirectory() as folder:
         (path,) = save_page(page, Path(folder), ("png",))
         source = f"data:image/png;base64,{b64encode(path.read_bytes()).decode('ascii')}"
-    alternative = f"{data.study.title}: {what}, for {'; '.join(data.conditions)}."
-    return {"source": source, "alt": alternative, "caption": f"{what}: {write(data.call('plot'))}."}
+    alternative = f"{study_data.study.title}: {subject}, for {'; '.join(study_data.conditions)}."
+    return {"source": source, "alt": alternative, "caption": f"{subject}: {write(study_data.call('plot'))}."}
 
 
-def _anchor(kind: str, name: str) -> str:
+def _anchor(prefix: str, name: str) -> str:
     """Return an anchor in the page, unique for each name and without spaces."""
-    return f"{kind}-{quote_link(name, safe='', errors='surrogatepass')}"
+    return f"{prefix}-{quote_link(name, safe='', errors='surrogatepass')}"
 
 
 def _visible(value: Any) -> Any:

@@ -41,14 +41,14 @@ def draw_search(
     if not record.complete:
         return []
     search = record.search
-    ids: list[str] = []
+    run_ids: list[str] = []
     for trial in record.ended:
-        ids += trial.user_attrs.get("run_ids", [])
-    runs = line_of_runs(search.name, "", ids, record.budget.seeds)
-    files: list[Path] = []
+        run_ids += trial.user_attrs.get("run_ids", [])
+    run_line = line_of_runs(search.name, "", run_ids, record.budget.seeds)
+    paths: list[Path] = []
     with style.house_style(), _optuna_in_our_style():
-        for name, (title, draw) in _pictures(record).items():
-            if only and name not in only:
+        for picture_name, (title, draw) in _pictures(record).items():
+            if only and picture_name not in only:
                 continue
             panels = np.ravel(np.array(draw(record)))
             figure = panels[0].figure
@@ -58,25 +58,25 @@ def draw_search(
                 figure.suptitle(textwrap.fill(headline, style.characters(1.2 * style.TYPE_POINTS)))
                 for axes in panels:
                     axes.set_title("")
-                stem, origin = f"search-{search.label}-{name}", origin_text(headline, [runs])
-                files += style.save_figure(figure, folder, stem, formats, origin)
+                basename, origin = f"search-{search.label}-{picture_name}", origin_text(headline, [run_line])
+                paths += style.save_figure(figure, folder, basename, formats, origin)
             finally:
                 plt.close(figure)
-    return files
+    return paths
 
 
 @contextmanager
 def _optuna_in_our_style() -> Iterator[None]:
     """Let Optuna, which asks for the style `ggplot`, change nothing of the present one."""
     library: Any = matplotlib.style.library
-    before = library["ggplot"]
+    ggplot_style = library["ggplot"]
     plt.rcParams |= {"figure.constrained_layout.use": True, "figure.figsize": (WIDTH, WIDTH / 2)}
     library["ggplot"] = {}
     try:
         with warnings.catch_warnings(action="ignore"):  # of what is experimental, and of low targets
             yield
     finally:
-        library["ggplot"] = before
+        library["ggplot"] = ggplot_style
 
 
 Draw = Callable[[Record], Any]
@@ -84,33 +84,33 @@ Draw = Callable[[Record], Any]
 
 def _pictures(record: Record) -> dict[str, tuple[str, Draw]]:
     """Return the title of each picture by name, and what draws it."""
-    drawn: dict[str, tuple[str, Draw]] = {
+    pictures_by_name: dict[str, tuple[str, Draw]] = {
         "history": ("history", _history),
         "values": ("values of parameters", _slices),
     }
-    parameters = {name for trial in record.complete for name in trial.params}
+    parameters = {parameter for trial in record.complete for parameter in trial.params}
     if len(parameters) > 1 and len(record.complete) >= LEAST_TRIALS:
         title = "which parameters separate the best trials from the others (PED-ANOVA)"
-        drawn["importances"] = title, _importances
+        pictures_by_name["importances"] = title, _importances
     if len(record.search.objectives) == 2:
-        drawn["front"] = "both objectives", _front
-    return drawn
+        pictures_by_name["front"] = "both objectives", _front
+    return pictures_by_name
 
 
 def _target_names(record: Record) -> list[str]:
-    names: list[str] = []
+    target_names: list[str] = []
     for objective in record.search.objectives.values():
         outcome = capital(find_outcome(objective.outcome).words.partition(",")[0])
-        names.append(f"{outcome}, {objective.over_seeds} of seeds")
-    return names
+        target_names.append(f"{outcome}, {objective.over_seeds} of seeds")
+    return target_names
 
 
 def _target(record: Record) -> dict[str, Any]:
     """Return the first of the objectives, as Optuna's pictures take it."""
-    first, *others = _target_names(record)
-    if others:
-        return {"target_name": first, "target": lambda trial: trial.values[0]}
-    return {"target_name": first}
+    first_name, *other_names = _target_names(record)
+    if other_names:
+        return {"target_name": first_name, "target": lambda trial: trial.values[0]}
+    return {"target_name": first_name}
 
 
 def _front(record: Record) -> Axes:
@@ -141,11 +141,11 @@ def _importances(record: Record) -> Axes:
     (objective, *_) = record.search.objectives.values()
     sign = -1 if objective.direction == "maximize" else 1  # it asks what makes a target low
     # Of equally important ones the first comes first: a set's order would change from process to process.
-    names = sorted(set.intersection(*(set(trial.params) for trial in complete)))
+    parameter_names = sorted(set.intersection(*(set(trial.params) for trial in complete)))
     axes: Axes = pictures.plot_param_importances(
         record.study,
         evaluator,
-        params=names,
+        params=parameter_names,
         target=lambda trial: sign * trial.values[0],
         target_name=_target_names(record)[0],
     )
@@ -155,11 +155,11 @@ def _importances(record: Record) -> Axes:
 def _history(record: Record) -> Axes:
     """Draw every trial's value and the best so far, with the trials of the thesis's tables."""
     axes: Axes = pictures.plot_optimization_history(record.study, **_target(record))
-    values = {trial.number: trial.values[0] for trial in record.ended if trial.values}
+    value_by_trial = {trial.number: trial.values[0] for trial in record.ended if trial.values}
     for number, base in _tables(record):
-        if number in values:
+        if number in value_by_trial:
             marker, _ = TABLES[base]
-            axes.plot(number, values[number], marker, color=INK, zorder=4, label=base)
+            axes.plot(number, value_by_trial[number], marker, color=INK, zorder=4, label=base)
     axes.legend()
     return axes
 
@@ -168,32 +168,34 @@ def _slices(record: Record) -> Any:
     """Draw trials over the values of each parameter, in rows, with the values of the thesis's tables."""
     panels: Any = np.ravel(np.array(pictures.plot_slice(record.study, **_target(record))))
     figure = panels[0].figure
-    rows = math.ceil(len(panels) / COLUMNS)
-    figure.set_size_inches(WIDTH, ROW_INCHES * rows + 0.7)
-    grid = figure.add_gridspec(rows, min(COLUMNS, len(panels)))
+    row_count = math.ceil(len(panels) / COLUMNS)
+    figure.set_size_inches(WIDTH, ROW_INCHES * row_count + 0.7)
+    panel_grid = figure.add_gridspec(row_count, min(COLUMNS, len(panels)))
     lines_by_table: dict[str, Any] = {}
-    for index, axes in enumerate(panels):
-        name, has_choices = axes.get_xlabel(), axes.xaxis.have_units()
+    for position, axes in enumerate(panels):
+        parameter, has_choices = axes.get_xlabel(), axes.xaxis.have_units()
         for _, base in _tables(record):
             params = record.search.params_of(base)
-            if name in params:
-                value = repr(params[name]) if has_choices else params[name]
+            if parameter in params:
+                value = repr(params[parameter]) if has_choices else params[parameter]
                 _, line = TABLES[base]
                 lines_by_table[base] = axes.axvline(
                     value, color=INK, linewidth=0.8, linestyle=line, zorder=1.2
                 )
-        row, column = divmod(index, COLUMNS)
-        axes.set_subplotspec(grid[row, column])
+        row, column = divmod(position, COLUMNS)
+        axes.set_subplotspec(panel_grid[row, column])
         axes.tick_params(labelleft=column == 0)
-        axes.set(xlabel=name.replace("_", " "), ylabel="")
+        axes.set(xlabel=parameter.replace("_", " "), ylabel="")
         if has_choices:
-            choices = [text.get_text().strip("'") for text in axes.get_xticklabels()]
+            choices = [tick_label.get_text().strip("'") for tick_label in axes.get_xticklabels()]
             axes.set_xticks(range(len(choices)), choices, rotation=30, ha="right", rotation_mode="anchor")
         elif axes.get_xscale() == "log":
             axes.xaxis.set(major_locator=LogLocator(numticks=5), minor_locator=NullLocator())
             axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     figure.supylabel(_target_names(record)[0])
     if lines_by_table:
-        labels = list(lines_by_table)
-        figure.legend(lines_by_table.values(), labels, loc="outside lower center", ncols=len(labels))
+        table_names = list(lines_by_table)
+        figure.legend(
+            lines_by_table.values(), table_names, loc="outside lower center", ncols=len(table_names)
+        )
     return panels

@@ -22,11 +22,11 @@ OPACITY = 0.2
 
 def profile_page(answer: StudyAnswer) -> Page:
     """Return the figure of performance profiles (Agarwal et al. 2021): the share of runs above each score."""
-    table, looks = answer.table, looks_of(list(by_environment(answer.data).values()))
+    profile_table, looks = answer.table, looks_of(list(by_environment(answer.data).values()))
 
     def draw(axes: Axes) -> None:
-        _draw_lines(axes, table, looks, marker="")
-        axes.set(xlim=(table["x"].min(), table["x"].max()), ylim=(0, 1 + grid.BELOW_ZERO))
+        _draw_lines(axes, profile_table, looks, marker="")
+        axes.set(xlim=(profile_table["x"].min(), profile_table["x"].max()), ylim=(0, 1 + grid.BELOW_ZERO))
 
     panel = Panel(draw, x="Score", y="Share of runs above it", y_kind=SHARES)
     return _page(answer, "profile", "performance profiles", [panel], answer.notes)
@@ -37,8 +37,8 @@ def one_action_page(answer: StudyAnswer) -> Page:
     looks = looks_of([answer.data])
 
     def draw_survival(axes: Axes) -> None:
-        look = {"drawstyle": "steps-post", "markevery": [-1]}
-        _draw_lines(axes, answer.tables["staying"], looks, step="post", **look)
+        step_look = {"drawstyle": "steps-post", "markevery": [-1]}
+        _draw_lines(axes, answer.tables["staying"], looks, step="post", **step_look)
         axes.set(xlim=(0, answer.data.budget), ylim=(-grid.BELOW_ZERO, 1 + grid.BELOW_ZERO))
 
     def draw_times(axes: Axes) -> None:
@@ -55,21 +55,23 @@ def one_action_page(answer: StudyAnswer) -> Page:
 
 def _draw_lines(
     axes: Axes,
-    table: pd.DataFrame,
+    share_table: pd.DataFrame,
     looks: Mapping[str, Mapping[str, Any]],
     step: Any = None,
-    **line: Any,
+    **line_look: Any,
 ) -> None:
     """Draw the share of each condition over x, in a band from low to high."""
-    for condition, frame in table.groupby("condition", sort=False):
-        look = {**looks[str(condition)], **line}
+    for condition, frame in share_table.groupby("condition", sort=False):
+        look = {**looks[str(condition)], **line_look}
         grid.draw_band(axes, frame, (0, 1), color=look["color"], alpha=OPACITY, step=step)
         axes.plot(frame["x"], frame["share"], clip_on=False, **look)
 
 
-def _page(answer: StudyAnswer, name: str, subject: str, panels: list[Panel], caption: Sequence[str]) -> Page:
+def _page(
+    answer: StudyAnswer, suffix: str, subject: str, panels: list[Panel], caption: Sequence[str]
+) -> Page:
     return Page(
-        basename=answer.data.basename(name),
+        basename=answer.data.basename(suffix),
         grid=[panels],
         inches=style.PANEL_INCHES,
         headline=headline_of(answer.data, subject),

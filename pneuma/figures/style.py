@@ -126,20 +126,22 @@ def save_figure(
     Returns:
         The files.
     """
-    for name in formats:
-        if name not in METADATA:
-            raise unknown_name("format", name, METADATA)
+    for file_format in formats:
+        if file_format not in METADATA:
+            raise unknown_name("format", file_format, METADATA)
     folder.mkdir(parents=True, exist_ok=True)
-    for text in figure.findobj(Text):  # labels of ticks are cleaned where they are set
-        text.set_text(clean(text.get_text()))
+    for label in figure.findobj(Text):  # labels of ticks are cleaned where they are set
+        label.set_text(clean(label.get_text()))
     _lay_out(figure)
     paths: list[Path] = []
-    for name in formats:
-        path = folder / f"{basename}.{name}"
-        if name == "png":
+    for file_format in formats:
+        path = folder / f"{basename}.{file_format}"
+        if file_format == "png":
             _save_png(figure, path, origin, colours)
         else:
-            figure.savefig(path, format=name, metadata={**METADATA[name], KEYS[name]: origin})
+            figure.savefig(
+                path, format=file_format, metadata={**METADATA[file_format], KEYS[file_format]: origin}
+            )
         paths.append(path)
     _note_missing_letters(figure)
     return paths
@@ -149,21 +151,21 @@ def _save_png(figure: Figure, path: Path, origin: str, colours: int) -> None:
     """Draw a figure once, and write it; `savefig` would draw it twice."""
     canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
-    image, texts = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB"), PngInfo()
-    texts.add_text(KEYS["png"], origin)
+    image, png_texts = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB"), PngInfo()
+    png_texts.add_text(KEYS["png"], origin)
     if colours:
         image = image.quantize(colours, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    image.save(path, "PNG", dpi=(figure.dpi, figure.dpi), pnginfo=texts)
+    image.save(path, "PNG", dpi=(figure.dpi, figure.dpi), pnginfo=png_texts)
 
 
 def _note_missing_letters(figure: Figure) -> None:
-    letters = {"\n"}.union(*(text.get_text() for text in figure.findobj(Text)))
+    letters = {"\n"}.union(*(label.get_text() for label in figure.findobj(Text)))
     in_font = get_font(findfont(FONT)).get_charmap()
     missing = sorted(letter for letter in letters if letter != "\n" and ord(letter) not in in_font)
     if missing:
-        names = " ".join(missing[:10])
+        glyphs = " ".join(missing[:10])
         print_aside(
-            f"Figures' font lacks {names}, drawn as boxes; rename conditions in the study's [labels]."
+            f"Figures' font lacks {glyphs}, drawn as boxes; rename conditions in the study's [labels]."
         )
 
 
@@ -186,7 +188,7 @@ def _lay_out(figure: Figure) -> None:
     for axes in figure.axes:
         left_edge, bottom, width, height = np.round(axes.get_position().bounds, 5).tolist()
         axes.set_position((left_edge, bottom, width, height))
-    for text in figure.texts:
-        if text.get_gid() == X_LABEL:
+    for label in figure.texts:
+        if label.get_gid() == X_LABEL:
             boxes = [axes.get_position() for axes in figure.axes]
-            text.set_x((min(box.x0 for box in boxes) + max(box.x1 for box in boxes)) / 2)
+            label.set_x((min(box.x0 for box in boxes) + max(box.x1 for box in boxes)) / 2)

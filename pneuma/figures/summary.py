@@ -35,33 +35,36 @@ def summary_page(answer: OutcomesAnswer, basename: str = "") -> Page:
         basename: of the files.
     """
     studies = list(dict.fromkeys(column.data for column in answer.columns.values()))
-    first, looks = studies[0], looks_of(studies)
-    short, factors = short_names(studies)
-    labels = labels_of(studies, short)
-    pitch = min(max(LONGEST_INCHES / len(labels), LEAST_ROW_INCHES), ROW_INCHES)
+    first_data, looks = studies[0], looks_of(studies)
+    names_by_condition, factors = short_names(studies)
+    labels = labels_of(studies, names_by_condition)
+    row_inches = min(max(LONGEST_INCHES / len(labels), LEAST_ROW_INCHES), ROW_INCHES)
     panels: list[Panel] = []
     largest_group = 0
     for title, column in answer.columns.items():
         outcome = column.outcome
         unit = find_outcome(outcome).unit
-        label, kind = capital(unit), SHARES if unit == "share" else VALUES
+        axis_label, axis_kind = capital(unit), SHARES if unit == "share" else VALUES
         if is_return(outcome):
-            label = "Return of an episode"
+            axis_label = "Return of an episode"
         elif outcome.endswith("share-killed"):
-            label = "Share killed"
-        draw = partial(_draw, column, kind, list(labels), looks, pitch)
-        panels.append(Panel(draw, title, label, x_kind=kind, rows=list(labels.values())))
+            axis_label = "Share killed"
+        draw = partial(_draw, column, axis_kind, list(labels), looks, row_inches)
+        panels.append(Panel(draw, title, axis_label, x_kind=axis_kind, rows=list(labels.values())))
         largest_group = max(largest_group, *map(len, map(column.data.of_condition, column.values)))
-    budgets = {steps for data in studies for steps in data.runs["steps"]}
+    budgets = {steps for study_data in studies for steps in study_data.runs["steps"]}
     time_text = f"after {budgets.pop():,} steps" if len(budgets) == 1 else "at the end of training"
+    headline = headline_of(first_data, time_text)
+    if len(studies) > 1:
+        headline = f"{first_data.study.title}: {time_text}"
     notes = list(answer.notes)
     if factors:
         notes.append(f"Rows: {factors}.")
     return Page(
-        basename=basename or first.basename("summary"),
+        basename=basename or first_data.basename("summary"),
         grid=[panels],
-        inches=max(pitch * len(labels) + 0.7, 0.6 * style.PANEL_INCHES),
-        headline=headline_of(first, time_text) if len(studies) == 1 else f"{first.study.title}: {time_text}",
+        inches=max(row_inches * len(labels) + 0.7, 0.6 * style.PANEL_INCHES),
+        headline=headline,
         runs=lines_of_runs(*studies),
         entries=_legend(largest_group),
         caption=notes,
@@ -71,39 +74,39 @@ def summary_page(answer: OutcomesAnswer, basename: str = "") -> Page:
 
 def _draw(
     column: OutcomeColumn,
-    kind: str,
-    rows: Sequence[str],
+    axis_kind: str,
+    row_conditions: Sequence[str],
     looks: Mapping[str, Mapping[str, Any]],
-    pitch: float,
+    row_inches: float,
     axes: Axes,
 ) -> None:
     """Draw each run of a condition as a dot, and its means with intervals, in rows of a height in inches."""
-    size = 0.5 * style.text_points() * pitch / ROW_INCHES
+    size = 0.5 * style.text_points() * row_inches / ROW_INCHES
     all_values = np.concatenate(list(column.values.values()))
     for condition, runs in column.values.items():
-        position, colour = rows.index(condition), looks[condition]["color"]
+        position, colour = row_conditions.index(condition), looks[condition]["color"]
         (dots,) = axes.plot(
             runs, position + _offsets(runs, float(np.ptp([*all_values, 0.0]))), "o", color=colour,
             markersize=0.6 * size, markeredgewidth=0, alpha=0.5, clip_on=False, zorder=2.6,
         )  # fmt: skip
         dots.set_in_layout(False)  # there may be none
-        for row in column.summary[column.summary["condition"] == condition].to_dict("records"):
-            if row["statistic"] == "mean" and len(runs) > 1:
-                grid.draw_interval(axes, position - ABOVE, row, "D", colour, size)
-            elif row["statistic"] == "iqm" and len(runs) >= LEAST_RUNS:
-                grid.draw_interval(axes, position + ABOVE, row, "s", "white", size)
+        for summary_row in column.summary[column.summary["condition"] == condition].to_dict("records"):
+            if summary_row["statistic"] == "mean" and len(runs) > 1:
+                grid.draw_interval(axes, position - ABOVE, summary_row, "D", colour, size)
+            elif summary_row["statistic"] == "iqm" and len(runs) >= LEAST_RUNS:
+                grid.draw_interval(axes, position + ABOVE, summary_row, "s", "white", size)
     if len(all_values):
         levels = column.random_levels.values()
-        grid.draw_random_player(axes.axvline, levels, (all_values.min(), all_values.max()), kind)
+        grid.draw_random_player(axes.axvline, levels, (all_values.min(), all_values.max()), axis_kind)
 
 
-def _offsets(values: np.ndarray, reach: float) -> np.ndarray:
+def _offsets(run_values: np.ndarray, value_range: float) -> np.ndarray:
     """Return the vertical offsets of (runs,) dots, so that similar ones do not overlap."""
-    bins = pd.Series(np.round(values / (DOT_SHARE * reach or 1.0)))
-    members = bins.groupby(bins)
-    count = members.transform("size")
-    steps = np.minimum(0.09, 0.6 / count)
-    return np.asarray(steps * (members.cumcount() - (count - 1) / 2))
+    dot_bins = pd.Series(np.round(run_values / (DOT_SHARE * value_range or 1.0)))
+    members = dot_bins.groupby(dot_bins)
+    bin_sizes = members.transform("size")
+    spacings = np.minimum(0.09, 0.6 / bin_sizes)
+    return np.asarray(spacings * (members.cumcount() - (bin_sizes - 1) / 2))
 
 
 def _legend(largest_group: int) -> dict[str, Any]:

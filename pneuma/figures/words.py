@@ -15,9 +15,9 @@ LINES = ("-", "--", "-.", ":")
 """They distinguish conditions of one colour."""
 
 
-def headline_of(data: StudyData, subject: str = "") -> str:
+def headline_of(study_data: StudyData, subject: str = "") -> str:
     """Return title and what is shown; default: the thesis's figure to which the study's corresponds."""
-    return ": ".join(filter(None, [data.full_title, subject or after_thesis(data.study.figure)]))
+    return ": ".join(filter(None, [study_data.full_title, subject or after_thesis(study_data.study.figure)]))
 
 
 def after_thesis(figure: str) -> str:
@@ -30,7 +30,12 @@ def after_thesis(figure: str) -> str:
 def shown_conditions(studies: Iterable[StudyData]) -> list[str]:
     """Return the conditions that have runs in any of some studies."""
     return list(
-        dict.fromkeys(name for data in studies for name in data.conditions if data.of_condition(name))
+        dict.fromkeys(
+            condition
+            for study_data in studies
+            for condition in study_data.conditions
+            if study_data.of_condition(condition)
+        )
     )
 
 
@@ -38,13 +43,13 @@ def labels_of(studies: Sequence[StudyData], short: Mapping[str, str] | None = No
     """Return the labels of the conditions that have runs, with the number of runs in each of the studies."""
     labels: dict[str, str] = {}
     for condition in shown_conditions(studies):
-        label, counts = (short or {}).get(condition, condition), []
-        for data in studies:
-            label = data.study.labels.get(condition, label)
-            counts.append(len(data.of_condition(condition)))
-        if len(set(counts)) == 1:
-            counts = counts[:1]
-        labels[condition] = f"{label} ({', '.join(map(str, counts))})"
+        label, run_counts = (short or {}).get(condition, condition), []
+        for study_data in studies:
+            label = study_data.study.labels.get(condition, label)
+            run_counts.append(len(study_data.of_condition(condition)))
+        if len(set(run_counts)) == 1:
+            run_counts = run_counts[:1]
+        labels[condition] = f"{label} ({', '.join(map(str, run_counts))})"
     return labels
 
 
@@ -57,19 +62,19 @@ def looks_of(studies: Sequence[StudyData]) -> dict[str, dict[str, Any]]:
     """
     groups: dict[str, str] = {}
     named_colours: dict[str, str] = {}
-    for data in studies:
-        for condition in (*data.study.conditions, *data.conditions):
-            group = groups.setdefault(condition, _group(data.study, condition))
-            colour = data.study.colors.get(condition) or data.study.colors.get(group)
+    for study_data in studies:
+        for condition in (*study_data.study.conditions, *study_data.conditions):
+            group = groups.setdefault(condition, _group(study_data.study, condition))
+            colour = study_data.study.colors.get(condition) or study_data.study.colors.get(group)
             if colour:
                 named_colours.setdefault(condition, colour)
     labels = labels_of(studies)
     if len(set(groups.values())) > MOST_IN_A_PANEL:
         groups = {name: groups[name] for name in labels}
-    free_colours = (f"C{number}" for number in itertools.count())
+    free_colours = (f"C{colour_number}" for colour_number in itertools.count())
     group_colours: dict[str, str] = {}
     looks: dict[str, dict[str, Any]] = {}
-    used: list[str] = []
+    used_colours: list[str] = []
     for condition, group in groups.items():
         colour = named_colours.get(condition) or group_colours.get(group)
         while colour is None or (colour in named_colours.values() and condition not in named_colours):
@@ -79,10 +84,10 @@ def looks_of(studies: Sequence[StudyData]) -> dict[str, dict[str, Any]]:
         looks[condition] = {
             "color": colour,
             "marker": MARKERS[len(looks) % len(MARKERS)],
-            "linestyle": LINES[used.count(colour) % len(LINES)],
+            "linestyle": LINES[used_colours.count(colour) % len(LINES)],
             "label": labels.get(condition),
         }
-        used.append(colour)
+        used_colours.append(colour)
     return looks
 
 
@@ -95,19 +100,23 @@ def _group(study: Study, condition: str) -> str:
 def short_names(studies: Sequence[StudyData]) -> tuple[dict[str, str], str]:
     """Return names of conditions in rows, and what they consist of: of crossed ones the factors' values."""
     levels: dict[str, Mapping[str, str]] = {}
-    for data in studies:
-        levels |= {name: data.study.levels.get(name, {}) for name in data.conditions}
-    factors = {tuple(level) for level in levels.values()}
+    for study_data in studies:
+        levels |= {
+            condition: study_data.study.levels.get(condition, {}) for condition in study_data.conditions
+        }
+    factors = {tuple(condition_levels) for condition_levels in levels.values()}
     if len(factors) > 1 or factors == {()}:
         return {}, ""
-    short = {name: ", ".join(level.values()) for name, level in levels.items()}
-    return short, ", ".join(factors.pop()).replace("_", " ")
+    names_by_condition = {
+        condition: ", ".join(condition_levels.values()) for condition, condition_levels in levels.items()
+    }
+    return names_by_condition, ", ".join(factors.pop()).replace("_", " ")
 
 
-def fits_panel(data: StudyData) -> bool:
-    return data.runs["condition"].nunique() <= MOST_IN_A_PANEL
+def fits_panel(study_data: StudyData) -> bool:
+    return study_data.runs["condition"].nunique() <= MOST_IN_A_PANEL
 
 
-def capital(words: str) -> str:
+def capital(sentence: str) -> str:
     """Return words that begin a sentence; the others stay, as HP."""
-    return words[:1].upper() + words[1:]
+    return sentence[:1].upper() + sentence[1:]
