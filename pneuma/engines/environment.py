@@ -48,5 +48,5 @@ def make_vec_env(run: Run) -> Any:
         return GymnasiumVecEnv(run)
     from pneuma.env.sb3 import PneumaVecEnv
 
-    config = env_config(run)
-    return PneumaVecEnv(run.slots * config.players, slot_seeds(run), run.env, **vars(config))
+    world_config = env_config(run)
+    return PneumaVecEnv(run.slots * world_config.players, slot_seeds(run), run.env, **vars(world_config))

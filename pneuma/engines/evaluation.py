@@ -60,15 +60,15 @@ class OwnAgent:
     def _ask(self, act: Act, observations: np.ndarray) -> np.ndarray:
         """Return a function's actions; refuse anything but one valid action per observation."""
         count = len(observations)
-        answer = act(observations.copy())
+        agent_answer = act(observations.copy())
         try:
-            actions = np.asarray(answer)
+            actions = np.asarray(agent_answer)
         except ValueError:  # lists of unlike lengths
             actions = np.empty(0)
-        fits = actions.shape == (count,) and actions.dtype.kind in "iu"
-        if not fits or not 0 <= actions.min() <= actions.max() < self.actions:
+        is_fitting = actions.shape == (count,) and actions.dtype.kind in "iu"
+        if not is_fitting or not 0 <= actions.min() <= actions.max() < self.actions:
             raise UserError(
-                f"the agent gave {str(answer)[:60]!r}: must be {count} whole numbers from 0 to "
+                f"the agent gave {str(agent_answer)[:60]!r}: must be {count} whole numbers from 0 to "
                 f"{self.actions - 1}, one per observation (Stable-Baselines3's predict: take [0])"
             )
         return actions
@@ -80,8 +80,8 @@ class Evaluation:
         self.episodes = run.evaluation_episodes
         self.argmax_starts = len(Worlds(1, evaluation_config(run)).level.starts)
         self.worlds = Worlds(self.episodes + self.argmax_starts, evaluation_config(run))
-        numbers = np.arange(len(self.worlds)) - self.episodes
-        self._starts = np.maximum(numbers, -1)  # at random, then each place once
+        episode_numbers = np.arange(len(self.worlds)) - self.episodes
+        self._starts = np.maximum(episode_numbers, -1)  # at random, then each place once
         self.random_share = self._play_at_random()
         self.action_values: ActionValues | None = None
         if run.algorithm in VALUE_BASED:
@@ -96,48 +96,48 @@ class Evaluation:
         returns, cleared = self.worlds.tallies["returns"], self.worlds.tallies["cleared"]
         steps_to_clear = np.where(cleared, cleared, self.run.episode_steps)
         kills = self.worlds.players["kills"]
-        share = kills.sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
-        died = self.worlds.worlds["ending"] == rules.KILLED
-        sampled, best = slice(None, self.episodes), slice(self.episodes, None)
-        action_counts = self.worlds.taken[sampled].sum(axis=0)
-        row = {
+        killed_share = kills.sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
+        has_died = self.worlds.worlds["ending"] == rules.KILLED
+        sampled_worlds, best_worlds = slice(None, self.episodes), slice(self.episodes, None)
+        action_counts = self.worlds.taken[sampled_worlds].sum(axis=0)
+        evaluation_row = {
             "step": step,
             "episodes": self.episodes,
-            "share_killed": float(share[sampled].mean()),
-            "score": self._score(share[sampled]),
-            "return": float(returns[sampled].mean()),
-            "length": float(self.worlds.worlds["steps"][sampled].mean()),
-            "died": float(died[sampled].mean()),
+            "share_killed": float(killed_share[sampled_worlds].mean()),
+            "score": self._score(killed_share[sampled_worlds]),
+            "return": float(returns[sampled_worlds].mean()),
+            "length": float(self.worlds.worlds["steps"][sampled_worlds].mean()),
+            "died": float(has_died[sampled_worlds].mean()),
             "argmax_starts": self.argmax_starts,
-            "argmax_share_killed": float(share[best].mean()),
-            "argmax_score": self._score(share[best]),
-            "argmax_return": float(returns[best].mean()),
+            "argmax_share_killed": float(killed_share[best_worlds].mean()),
+            "argmax_score": self._score(killed_share[best_worlds]),
+            "argmax_return": float(returns[best_worlds].mean()),
             "random_share_killed": self.random_share,
-            "steps_to_clear": float(steps_to_clear[sampled].mean()),
-            "hp_lost": float(self.worlds.tallies["hp_lost"][sampled].mean()),
+            "steps_to_clear": float(steps_to_clear[sampled_worlds].mean()),
+            "hp_lost": float(self.worlds.tallies["hp_lost"][sampled_worlds].mean()),
             "commonest_action": float(action_counts.max() / action_counts.sum()),
         }
         if kills.shape[1] > 1:
-            row["kill_evenness"] = evenness(kills[sampled])
+            evaluation_row["kill_evenness"] = evenness(kills[sampled_worlds])
         if self.action_values and isinstance(policy, Policy):
-            row |= self.action_values.measure(policy)
-        return row
+            evaluation_row |= self.action_values.measure(policy)
+        return evaluation_row
 
-    def _score(self, share: np.ndarray) -> float:
+    def _score(self, killed_share: np.ndarray) -> float:
         """Return the score of a share of monsters killed: 0 for the random player's, 1 for all.
 
         NaN if there are no monsters, or the random player kills them all.
         """
         if not self.worlds.monsters.shape[1] or self.random_share == 1:
             return math.nan
-        return float((share.mean() - self.random_share) / (1 - self.random_share))
+        return float((killed_share.mean() - self.random_share) / (1 - self.random_share))
 
     def _play_at_random(self) -> float:
         generator = np.random.default_rng(stream_seed(self.run.seed, "random-player"))
-        player = RandomPlayer(generator)
-        self._play(lambda _: player.act(self.worlds))
-        killed = self.worlds.players["kills"][: self.episodes].sum(axis=1)
-        return float(killed.mean()) / max(self.worlds.monsters.shape[1], 1)
+        random_player = RandomPlayer(generator)
+        self._play(lambda _: random_player.act(self.worlds))
+        kill_counts = self.worlds.players["kills"][: self.episodes].sum(axis=1)
+        return float(kill_counts.mean()) / max(self.worlds.monsters.shape[1], 1)
 
     def _acting(self, policy: Policy | OwnAgent, step: int) -> Choose:
         """Return what chooses actions: sampled ones in the first worlds, else the best."""
@@ -146,25 +146,25 @@ class Evaluation:
         sampled = self.episodes * players
         observations = self.worlds.observations.reshape(-1, features)  # (N * P, features)
         actions = np.zeros(self.worlds.players.shape, np.int64)
-        rows = actions.reshape(-1)
+        flat_actions = actions.reshape(-1)
         if isinstance(policy, Policy) and self._is_compiled(policy):
             actor = network(policy.actor, policy.activation)
 
-            def compute(plays: np.ndarray) -> np.ndarray:
-                choose(actor, observations, generator.random(sampled, np.float32), plays, rows)
+            def compute(is_playing: np.ndarray) -> np.ndarray:
+                choose(actor, observations, generator.random(sampled, np.float32), is_playing, flat_actions)
                 return actions
 
             return compute
 
-        def ask(plays: np.ndarray) -> np.ndarray:
+        def ask(is_playing: np.ndarray) -> np.ndarray:
             """Ask for the actions of a group of rows, always of all rows until the whole group has ended.
 
             With fewer rows a policy's results would differ in the last bits.
             """
-            if plays[:sampled].any():
-                rows[:sampled] = policy.sample(observations[:sampled], generator)
-            if plays[sampled:].any():
-                rows[sampled:] = policy.best(observations[sampled:])
+            if is_playing[:sampled].any():
+                flat_actions[:sampled] = policy.sample(observations[:sampled], generator)
+            if is_playing[sampled:].any():
+                flat_actions[sampled:] = policy.best(observations[sampled:])
             return actions
 
         return ask
@@ -175,18 +175,18 @@ class Evaluation:
             return False
         return sum(weight.size for weight, _ in policy.actor) <= MOST_WEIGHTS
 
-    def _play(self, act: Choose) -> None:
+    def _play(self, choose_actions: Choose) -> None:
         """Play one episode in every world, always the same one, up to its end."""
         self.worlds.seed([stream_seed(self.run.seed, "evaluation", i) for i in range(len(self.worlds))])
         self.worlds.reset(starts=self._starts)
         players = self.worlds.players.shape[1]
-        running = len(self.worlds)
-        plays = np.ones(len(self.worlds) * players, np.bool_)
-        while running:
-            ended = self.worlds.advance(act(plays))
+        running_worlds = len(self.worlds)
+        is_playing = np.ones(len(self.worlds) * players, np.bool_)
+        while running_worlds:
+            ended = self.worlds.advance(choose_actions(is_playing))
             if ended:
-                running -= ended
-                plays = np.repeat(self.worlds.worlds["ending"] == rules.RUNNING, players)
+                running_worlds -= ended
+                is_playing = np.repeat(self.worlds.worlds["ending"] == rules.RUNNING, players)
 
 
 def evenness(kills: np.ndarray) -> float:
@@ -198,8 +198,8 @@ def evenness(kills: np.ndarray) -> float:
     kills = kills[kills.any(axis=1)]
     if not len(kills):
         return math.nan
-    shares = kills / kills.sum(axis=1, keepdims=True)
-    entropy = -(shares * np.log(np.where(shares > 0, shares, 1.0))).sum(axis=1)
+    kill_shares = kills / kills.sum(axis=1, keepdims=True)
+    entropy = -(kill_shares * np.log(np.where(kill_shares > 0, kill_shares, 1.0))).sum(axis=1)
     return float(entropy.mean() / math.log(kills.shape[1]))
 
 
@@ -219,8 +219,8 @@ class ActionValues:
     def __init__(self, run: Run, starts: int) -> None:
         self.run = run
         steps_beyond = _steps_beyond(run)
-        steps = run.episode_steps + (steps_beyond or 0)
-        self.worlds = Worlds(starts, replace(evaluation_config(run), episode_steps=steps))
+        longest_steps = run.episode_steps + (steps_beyond or 0)
+        self.worlds = Worlds(starts, replace(evaluation_config(run), episode_steps=longest_steps))
         self._is_measurable = steps_beyond is not None
 
     def measure(self, policy: Policy) -> dict[str, float]:
@@ -241,12 +241,12 @@ class ActionValues:
         worlds.seed([stream_seed(self.run.seed, "action-values", i) for i in range(len(worlds))])
         worlds.reset(starts=np.arange(len(worlds)))
         estimates, rewards, present = [], [], []
-        running = len(worlds)
-        while running:
-            values = policy.logits(worlds.observations.reshape(-1, worlds.observations.shape[2]))
-            best = values.argmax(axis=1).reshape(worlds.players.shape)
-            running -= worlds.step(best)
-            estimates.append(values.max(axis=1).reshape(worlds.players.shape))
+        running_worlds = len(worlds)
+        while running_worlds:
+            action_values = policy.logits(worlds.observations.reshape(-1, worlds.observations.shape[2]))
+            best_actions = action_values.argmax(axis=1).reshape(worlds.players.shape)
+            running_worlds -= worlds.step(best_actions)
+            estimates.append(action_values.max(axis=1).reshape(worlds.players.shape))
             rewards.append(worlds.events["reward"].copy())
             present.append(worlds.present.copy())
         return np.stack(estimates), np.stack(rewards), np.stack(present)
@@ -254,10 +254,10 @@ class ActionValues:
 
 def discounted(rewards: np.ndarray, gamma: float) -> np.ndarray:
     """Return the discounted sum of rewards from each step on, (steps, …), with nothing after the last."""
-    sums = np.zeros((len(rewards) + 1, *rewards.shape[1:]))
+    discounted_sums = np.zeros((len(rewards) + 1, *rewards.shape[1:]))
     for step in reversed(range(len(rewards))):
-        sums[step] = rewards[step] + gamma * sums[step + 1]
-    return sums[:-1]
+        discounted_sums[step] = rewards[step] + gamma * discounted_sums[step + 1]
+    return discounted_sums[:-1]
 
 
 def _steps_beyond(run: Run) -> int | None:

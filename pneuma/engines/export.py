@@ -57,11 +57,11 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
             for (weight, bias), module in zip(getattr(policy, network), layers, strict=True):
                 module.weight.copy_(torch.from_numpy(weight.T.copy()))  # torch keeps (outputs, inputs)
                 module.bias.copy_(torch.from_numpy(bias.copy()))
-    file = io.BytesIO()
-    model.save(file)
-    with ZipFile(file, "a") as archive:
+    zip_buffer = io.BytesIO()
+    model.save(zip_buffer)
+    with ZipFile(zip_buffer, "a") as archive:
         archive.comment = MADE_BY.encode()
-    return file.getvalue()
+    return zip_buffer.getvalue()
 
 
 def _extractor(scaling: Scaling | None) -> dict[str, Any]:
@@ -90,8 +90,8 @@ def _extractor(scaling: Scaling | None) -> dict[str, Any]:
             return scaled.clamp(-self.clip, self.clip).float()
 
     deviation = np.sqrt(scaling.variance + EPSILON)
-    numbers = {"mean": scaling.mean.tolist(), "deviation": deviation.tolist(), "clip": CLIP}
-    return {"features_extractor_class": Normalized, "features_extractor_kwargs": numbers}
+    extractor_arguments = {"mean": scaling.mean.tolist(), "deviation": deviation.tolist(), "clip": CLIP}
+    return {"features_extractor_class": Normalized, "features_extractor_kwargs": extractor_arguments}
 
 
 def _action_space(policy: Policy) -> spaces.Space[Any]:

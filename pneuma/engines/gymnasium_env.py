@@ -53,8 +53,8 @@ def check_spaces(run: Run) -> None:
             elif isinstance(space, spaces.MultiDiscrete | spaces.MultiBinary):
                 problem = "an action is several choices"
             else:
-                fix = "wrap it to have Discrete, MultiDiscrete, MultiBinary or Box actions"
-                raise UserError(f"{run.env}: actions in {space} are not supported: {fix}")
+                remedy = "wrap it to have Discrete, MultiDiscrete, MultiBinary or Box actions"
+                raise UserError(f"{run.env}: actions in {space} are not supported: {remedy}")
             if run.algorithm in VALUE_BASED:
                 raise UserError(f"{run.env}: {problem}, which {run.algorithm} cannot handle: try ppo")
             if run.engine != "sb3":
@@ -133,8 +133,8 @@ class GymnasiumSlots:
                 terminated[slot], truncated[slot] = is_terminated, not is_terminated
                 self._end(slot, "terminated" if is_terminated else "truncated")
         if self._normalization:
-            ended = terminated | truncated
-            rewards = self._normalization.step(self.raw_observations, rewards, ended, self.terminal)
+            has_ended = terminated | truncated
+            rewards = self._normalization.step(self.raw_observations, rewards, has_ended, self.terminal)
         return rewards, terminated, truncated
 
     def any_action(self) -> Any:
@@ -163,12 +163,12 @@ class GymnasiumSlots:
         difference = self._is_in_space and _difference_from_space(row, self._space)
         if difference:
             self._is_in_space = False  # one warning is enough
-            text = f"{self.run.env}: an observation is not of its declared space: {difference}"
-            warnings.warn(text, RunWarning, stacklevel=2)
+            message = f"{self.run.env}: an observation is not of its declared space: {difference}"
+            warnings.warn(message, RunWarning, stacklevel=2)
 
     def _end(self, slot: int, ending: str) -> None:
         self.terminal[slot] = self.raw_observations[slot]
-        row = episode_row(
+        finished_row = episode_row(
             slot=slot,
             episode=self.episodes[slot].item(),
             step=self.steps * len(self.envs),
@@ -176,7 +176,7 @@ class GymnasiumSlots:
             length=self.lengths[slot].item(),
             ending=ending,
         )
-        self.finished.append(row)
+        self.finished.append(finished_row)
         self.episodes[slot] += 1
         self.returns[slot], self.lengths[slot] = 0.0, 0
         self._reset(slot)
@@ -196,12 +196,12 @@ class GymnasiumSlots:
     def saved_state(self) -> dict[str, np.ndarray]:
         """Return everything that the next step depends on, and what identifies the state: arrays by name."""
         actions = np.frombuffer(bytes(self._action_log), self._log_type)
-        state = {"actions": actions.reshape(self.steps, *self._actions_shape), "seeds": np.array(self._seeds)}
-        for name in ("raw_observations", "returns", "lengths", "episodes"):
-            state[name] = getattr(self, name).copy()
+        saved = {"actions": actions.reshape(self.steps, *self._actions_shape), "seeds": np.array(self._seeds)}
+        for attribute in ("raw_observations", "returns", "lengths", "episodes"):
+            saved[attribute] = getattr(self, attribute).copy()
         if self._normalization:
-            state |= self._normalization.saved_state()
-        return state
+            saved |= self._normalization.saved_state()
+        return saved
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
         """Play all actions again from the first seeds, in new environments, as wrappers may count resets.
@@ -214,36 +214,36 @@ class GymnasiumSlots:
             replayed.step(actions)
         replayed.finished.clear()
         vars(self).update(vars(replayed))
-        for name, array in self.saved_state().items():
-            if not np.array_equal(array, saved[name]):
+        for array_name, array in self.saved_state().items():
+            if not np.array_equal(array, saved[array_name]):
                 raise ValueError(
                     f"{self.run.env} does not come to the same state by the same seed and actions"
                 )
 
 
-def _difference_from_space(row: np.ndarray, space: spaces.Space[Any]) -> str:
+def _difference_from_space(flat_observation: np.ndarray, space: spaces.Space[Any]) -> str:
     """Return how an observation differs from its space, if that is a `Box`; else empty."""
     if not isinstance(space, spaces.Box):
         return ""
-    if not np.can_cast(row.dtype, space.dtype):
-        return f"{row.dtype} in place of {space.dtype}"
+    if not np.can_cast(flat_observation.dtype, space.dtype):
+        return f"{flat_observation.dtype} in place of {space.dtype}"
     low, high = space.low.reshape(-1), space.high.reshape(-1)
-    outside = (row < low) | (row > high)
+    outside = (flat_observation < low) | (flat_observation > high)
     if not outside.any():
         return ""
     index = int(outside.argmax())
-    return f"number {index} is {row[index]:g}, and not from {low[index]:g} to {high[index]:g}"
+    return f"number {index} is {flat_observation[index]:g}, and not from {low[index]:g} to {high[index]:g}"
 
 
 def actions_in(space: spaces.Space[Any], actions: np.ndarray) -> Sequence[Any]:
     """Return a policy's actions, (N,) or (N, dimensions), as an environment's space has them."""
     if isinstance(space, spaces.Discrete):
-        first = int(space.start)
-        return [first + action for action in actions.tolist()]
-    shaped = [np.asarray(action, space.dtype).reshape(space.shape) for action in actions]
+        first_action = int(space.start)
+        return [first_action + action for action in actions.tolist()]
+    shaped_actions = [np.asarray(action, space.dtype).reshape(space.shape) for action in actions]
     if isinstance(space, spaces.MultiDiscrete):
-        return [action + space.start for action in shaped]
-    return shaped
+        return [action + space.start for action in shaped_actions]
+    return shaped_actions
 
 
 def choices_of(space: spaces.Space[Any]) -> np.ndarray:
@@ -255,11 +255,11 @@ def choices_of(space: spaces.Space[Any]) -> np.ndarray:
 
 def flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
     """Return a function that makes an observation a row of numbers."""
-    for part in _parts(space):
-        if not isinstance(part, FLAT_SPACES):
-            fix = "name a wrapper that leaves that out"
-            problem = f"{type(part).__name__} cannot be flattened to numbers"
-            raise UserError(f"{run.env}: observations in {problem}: {fix}")
+    for leaf_space in _parts(space):
+        if not isinstance(leaf_space, FLAT_SPACES):
+            remedy = "name a wrapper that leaves that out"
+            problem = f"{type(leaf_space).__name__} cannot be flattened to numbers"
+            raise UserError(f"{run.env}: observations in {problem}: {remedy}")
     refuse_flat_pictures(run, space)
     if isinstance(space, spaces.Box):
         return lambda observation: np.reshape(observation, -1)
@@ -270,7 +270,7 @@ def _parts(space: spaces.Space[Any]) -> list[spaces.Space[Any]]:
     """Return the spaces within a dictionary or tuple, or the space itself."""
     if isinstance(space, spaces.Dict | spaces.Tuple):
         subspaces = space.spaces.values() if isinstance(space, spaces.Dict) else space.spaces
-        return [part for subspace in subspaces for part in _parts(subspace)]
+        return [leaf_space for subspace in subspaces for leaf_space in _parts(subspace)]
     return [space]
 
 
@@ -278,14 +278,14 @@ def refuse_flat_pictures(run: Run, space: spaces.Space[Any]) -> None:
     """Refuse a run whose policy would flatten pictures: a multilayer perceptron, as is the default."""
     if run.policy and not run.policy.startswith("Mlp"):
         return
-    dimensions = [len(part.shape or ()) for part in _parts(space) if _is_picture(part)]
+    dimensions = [len(leaf_space.shape or ()) for leaf_space in _parts(space) if _is_picture(leaf_space)]
     if not dimensions:
         return
-    policy = "MultiInputPolicy" if isinstance(space, spaces.Dict) else "CnnPolicy"
-    fix = 'wrappers = ["FlattenObservation"]'
+    policy_name = "MultiInputPolicy" if isinstance(space, spaces.Dict) else "CnnPolicy"
+    remedy = 'wrappers = ["FlattenObservation"]'
     if min(dimensions) == 3:  # a picture without channels is none to Stable-Baselines3
-        fix = f'set policy = "{policy}", or {fix}'
-    raise UserError(f"{run.env}: its observations are pictures, which MlpPolicy would flatten: {fix}")
+        remedy = f'set policy = "{policy_name}", or {remedy}'
+    raise UserError(f"{run.env}: its observations are pictures, which MlpPolicy would flatten: {remedy}")
 
 
 def _is_picture(space: spaces.Space[Any]) -> bool:
@@ -310,16 +310,16 @@ def make_env(run: Run, render_mode: str = "") -> gymnasium.Env[Any, Any]:
     except UserError as error:
         raise UserError(f"{error}{_how_to_register(run)}") from None
     for wrapper in run.wrappers:
-        name, brace, rest = wrapper.partition("{")
+        class_name, brace, arguments_text = wrapper.partition("{")
         with blamed(f"wrappers = {wrapper}"):
-            env = load_class(name)(env, **json.loads(brace + rest or "{}"))
+            env = load_class(class_name)(env, **json.loads(brace + arguments_text or "{}"))
     return env
 
 
-def load_class(name: str) -> Any:
+def load_class(class_path: str) -> Any:
     """Return what module:Class names."""
-    module, _, class_name = name.rpartition(":")
-    return getattr(_load(module), class_name)
+    module_name, _, class_name = class_path.rpartition(":")
+    return getattr(_load(module_name), class_name)
 
 
 def _how_to_register(run: Run) -> str:
@@ -341,12 +341,12 @@ def blamed(source: str) -> Iterator[None]:
     except UserError:
         raise
     except (Exception, SystemExit) as error:
-        text = type(error).__name__
+        cause = type(error).__name__
         if str(error).strip():
-            text += f": {str(error).strip().splitlines()[0]}"
-        raise OwnCodeError(f"{source}: {text}") from error
+            cause += f": {str(error).strip().splitlines()[0]}"
+        raise OwnCodeError(f"{source}: {cause}") from error
 
 
-def _load(name: str) -> Any:
-    with blamed(f"module {name} cannot be imported"):
-        return load_module(name)
+def _load(module_name: str) -> Any:
+    with blamed(f"module {module_name} cannot be imported"):
+        return load_module(module_name)

@@ -41,8 +41,8 @@ class Evaluation:
     def _make_slots(self, count: int) -> GymnasiumSlots:
         return GymnasiumSlots(self.run, [stream_seed(self.run.seed, "evaluation", i) for i in range(count)])
 
-    def _play_at_random(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        slots = self._make_slots(count)
+    def _play_at_random(self, slot_count: int) -> tuple[np.ndarray, np.ndarray]:
+        slots = self._make_slots(slot_count)
         slots.action_space.seed(stream_seed(self.run.seed, "random-player") % 2**31)
         returns, lengths, _ = _play(slots, lambda rows, _: np.array([slots.any_action() for _ in rows]))
         return returns, lengths
@@ -52,13 +52,13 @@ class Evaluation:
         generator = np.random.default_rng(stream_seed(self.run.seed, "evaluation-actions", step))
         episodes = self.episodes
 
-        def act(rows: np.ndarray, observations: np.ndarray) -> np.ndarray:
-            sampled = int((rows < episodes).sum())
+        def act(playing: np.ndarray, observations: np.ndarray) -> np.ndarray:
+            sampled_count = int((playing < episodes).sum())
             actions = []
-            if sampled:
-                actions.append(policy.sample(observations[:sampled], generator))
-            if sampled < len(rows):
-                actions.append(policy.best(observations[sampled:]))
+            if sampled_count:
+                actions.append(policy.sample(observations[:sampled_count], generator))
+            if sampled_count < len(playing):
+                actions.append(policy.best(observations[sampled_count:]))
             return np.concatenate(actions)
 
         returns, lengths, successes = _play(self._make_slots(episodes + self.best_episodes), act)
@@ -67,32 +67,32 @@ class Evaluation:
             step=step,
             returns=returns[:episodes],
             lengths=lengths[:episodes],
-            best=returns[episodes:],
-            values={"success": success, **self.random},
+            best_returns=returns[episodes:],
+            extra_columns={"success": success, **self.random},
         )
 
 
 def _play(
-    slots: GymnasiumSlots, act: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    slots: GymnasiumSlots, choose_actions: Callable[[np.ndarray, np.ndarray], np.ndarray]
 ) -> tuple[np.ndarray, ...]:
     """Play one episode in each slot; return returns, lengths and, if reported, successes: (N,) each."""
     returns, successes = np.zeros((2, len(slots.envs)))
-    rows = np.arange(len(slots.envs))
-    while len(rows):
+    playing = np.arange(len(slots.envs))
+    while len(playing):
         running = []
-        actions = actions_in(slots.action_space, act(rows, slots.observations[rows]))
-        for row, action in zip(rows.tolist(), actions, strict=True):
-            reward, terminated, truncated, info = slots.step_one(row, action)
-            returns[row] += reward
+        actions = actions_in(slots.action_space, choose_actions(playing, slots.observations[playing]))
+        for slot, action in zip(playing.tolist(), actions, strict=True):
+            reward, terminated, truncated, info = slots.step_one(slot, action)
+            returns[slot] += reward
             if terminated or truncated:
                 with blamed(f"{slots.run.env}: info['is_success']"):
                     success = info.get("is_success")
-                    successes[row] = NAN if success is None else float(success)
+                    successes[slot] = NAN if success is None else float(success)
             else:
-                running.append(row)
+                running.append(slot)
         if slots.lengths[running].max(initial=0) >= LONGEST_EPISODE:
             problem = f"{slots.run.env}: an episode does not end in {LONGEST_EPISODE:,} steps"
             raise OwnCodeError(f"{problem}: set env_kwargs = {{ max_episode_steps = N }}")
-        rows = np.array(running, np.int64)
+        playing = np.array(running, np.int64)
     slots.close()
     return returns, slots.lengths, successes

@@ -34,14 +34,14 @@ def episode_frames(run: Run, policy: Policy | LearnedPolicy | None, seed: int) -
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # PyGame looks for a screen, and prints what it lacks
     with closing(make_env(run, "rgb_array")) as env, blamed(f"{run.env} when it is drawn"):
         env.action_space.seed(seed)
-        act = _acting(run, policy, env, seed)
+        choose_action = _acting(run, policy, env, seed)
         observation, _ = env.reset(seed=seed)
         yield _frame(run, env)
-        ended = False
-        while not ended:
-            observation, _, terminated, truncated, _ = env.step(act(observation))
+        has_ended = False
+        while not has_ended:
+            observation, _, terminated, truncated, _ = env.step(choose_action(observation))
             yield _frame(run, env)
-            ended = terminated or truncated
+            has_ended = terminated or truncated
 
 
 def _frame(run: Run, env: gymnasium.Env[Any, Any]) -> np.ndarray:
@@ -59,8 +59,8 @@ def _acting(run: Run, policy: Policy | LearnedPolicy | None, env: gymnasium.Env[
         flatten, generator = flattening(run, env.observation_space), np.random.default_rng(seed)
 
         def sample(observation: Any) -> Any:
-            row = np.asarray(flatten(observation), np.float32)
-            return actions_in(env.action_space, policy.sample(row[None], generator))[0]
+            flat_observation = np.asarray(flatten(observation), np.float32)
+            return actions_in(env.action_space, policy.sample(flat_observation[None], generator))[0]
 
         return sample
     torch.manual_seed(seed)

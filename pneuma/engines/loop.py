@@ -116,8 +116,8 @@ class ResumableTrainer(Trainer):
 
 def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
     """Train a run, from its start or from a checkpoint; CheckpointError for one that does not fit."""
-    module, class_name = (OPEN_TRAINER if is_open(run) else TRAINERS[run.engine]).split(":")
-    trainer_class = getattr(import_module(module), class_name)
+    module_name, class_name = (OPEN_TRAINER if is_open(run) else TRAINERS[run.engine]).split(":")
+    trainer_class = getattr(import_module(module_name), class_name)
     _seed_shared_generators(run)  # after an import, which may draw
     trainer: Trainer = trainer_class(run)
     records = Records()
@@ -132,8 +132,8 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
     evaluated_updates = evaluation_updates(run)
     evaluation_seconds = 0.0
     for update in range(step // run.steps_per_update + 1, run.updates + 1):
-        before, step = step, update * run.steps_per_update
-        if not trainer.update(before, step, records):
+        previous_step, step = step, update * run.steps_per_update
+        if not trainer.update(previous_step, step, records):
             return Result("diverged", step, records, None)
         if update in evaluated_updates:
             started = time.perf_counter()
@@ -167,8 +167,8 @@ def evaluation_updates(run: Run) -> set[int]:
 
     They are evenly spread and include the last update. A run of fewer updates than evaluations has fewer.
     """
-    count = _evaluation_count(run)
-    return {-(-run.updates * k // count) for k in range(1, count + 1)}
+    evaluation_count = _evaluation_count(run)
+    return {-(-run.updates * k // evaluation_count) for k in range(1, evaluation_count + 1)}
 
 
 def evaluation_episodes(run: Run) -> int:
@@ -186,12 +186,12 @@ def _evaluation_count(run: Run) -> int:
     """
     if not _is_short(run):
         return EVALUATIONS
-    every = EVALUATE_EVERY_ELSEWHERE
+    steps_between = EVALUATE_EVERY_ELSEWHERE
     if not is_gymnasium_id(run.env):
-        every = EVALUATE_EVERY
+        steps_between = EVALUATE_EVERY
         if run.steps < LEAST_STEPS:
             return EVALUATIONS // 2
-    return min(1 + run.steps // every, EVALUATIONS)
+    return min(1 + run.steps // steps_between, EVALUATIONS)
 
 
 def _most_steps(run: Run) -> float:
@@ -212,7 +212,7 @@ def evaluation_steps(run: Run) -> dict[int, int]:
 
     A run of fewer than `EVALUATIONS` updates lacks some numbers; the last one has them all.
     """
-    steps = {}
+    steps_by_number = {}
     for update in sorted(evaluation_updates(run)):
-        steps[EVALUATIONS * update // run.updates] = update * run.steps_per_update
-    return steps
+        steps_by_number[EVALUATIONS * update // run.updates] = update * run.steps_per_update
+    return steps_by_number

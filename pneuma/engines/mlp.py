@@ -37,11 +37,11 @@ def flat(layers: Layers) -> np.ndarray:
     """
     flat_layers = []
     for weight, bias in layers:
-        joined = np.concatenate([bias[..., None, :], weight], axis=-2)
-        joined = joined.reshape(-1, *joined.shape[-2:])  # (policies, 1 + inputs, outputs)
-        joined = np.pad(joined, ((0, 0), (0, 0), (0, -joined.shape[2] % COLUMNS)))
-        blocks = joined.reshape(*joined.shape[:2], -1, COLUMNS).swapaxes(1, 2)
-        flat_layers.append(blocks.reshape(len(joined), -1))
+        joined_layer = np.concatenate([bias[..., None, :], weight], axis=-2)
+        joined_layer = joined_layer.reshape(-1, *joined_layer.shape[-2:])  # (policies, 1 + inputs, outputs)
+        joined_layer = np.pad(joined_layer, ((0, 0), (0, 0), (0, -joined_layer.shape[2] % COLUMNS)))
+        column_blocks = joined_layer.reshape(*joined_layer.shape[:2], -1, COLUMNS).swapaxes(1, 2)
+        flat_layers.append(column_blocks.reshape(len(joined_layer), -1))
     return np.concatenate(flat_layers, axis=1)
 
 
@@ -54,30 +54,30 @@ def network(layers: Layers, activation: str) -> Network:
 
 
 @kernel
-def room(widths: Any, count: int) -> Any:
-    """Return space for `forward` with `count` rows: zeros, whole tiles."""
+def room(widths: Any, row_count: int) -> Any:
+    """Return space for `forward` with `row_count` rows: zeros, whole tiles."""
     widest = 0
     for width in widths:
         widest = max(widest, width)
-    return np.zeros((2, -(-count // ROWS) * ROWS, -(-widest // COLUMNS) * COLUMNS), np.float32)
+    return np.zeros((2, -(-row_count // ROWS) * ROWS, -(-widest // COLUMNS) * COLUMNS), np.float32)
 
 
 @kernel
-def forward(weights: Any, widths: Any, activation: int, count: int, scratch: Any) -> Any:
-    """Return a network's outputs for `count` rows of `scratch[0]`, (count at least, outputs at least).
+def forward(weights: Any, widths: Any, activation: int, row_count: int, scratch: Any) -> Any:
+    """Return a network's outputs for `row_count` rows of `scratch[0]`, (rows at least, outputs at least).
 
     Weights are those of `flat`, of one policy, and widths those of `pneuma.engines.policy.sizes`. `scratch`,
     of `room`, is overwritten and contains the outputs. `activation` is the code of the hidden layers' one.
     """
-    at = 0
+    weights_start = 0
     for layer in range(len(widths) - 1):
         inputs, outputs = scratch[layer % 2], scratch[(layer + 1) % 2]
         for column in range(0, widths[layer + 1], COLUMNS):
-            for row in range(0, count, ROWS):
-                _multiply(inputs, weights, outputs, widths[layer], at, row, column)
-            at += (widths[layer] + 1) * COLUMNS
+            for row in range(0, row_count, ROWS):
+                _multiply(inputs, weights, outputs, widths[layer], weights_start, row, column)
+            weights_start += (widths[layer] + 1) * COLUMNS
         if layer < len(widths) - 2:
-            for row in range(count):
+            for row in range(row_count):
                 activate(activation, outputs[row, : widths[layer + 1]])
     return scratch[(len(widths) - 1) % 2]
 
@@ -140,8 +140,8 @@ def _multiply(
 # --- Activations ---------------------------------------------------------------------------------
 
 
-def _numbers(*values: float) -> tuple[np.float32, ...]:
-    return tuple(np.float32(value) for value in values)
+def _numbers(*numbers: float) -> tuple[np.float32, ...]:
+    return tuple(np.float32(number) for number in numbers)
 
 
 # Coefficients and the way of reducing arguments are those of Moshier's Cephes library (tanhf.c, expf.c).
@@ -182,18 +182,18 @@ def tanh(x: Any) -> Any:
     square = x * x
     small = x + x * (square * ((((_T4 * square + _T3) * square + _T2) * square + _T1) * square + _T0))
     size = abs(x)
-    cut = _LARGE if size > _LARGE else size
-    large = _ONE - _TWO / (exp(cut + cut) + _ONE)
+    bounded = _LARGE if size > _LARGE else size
+    large = _ONE - _TWO / (exp(bounded + bounded) + _ONE)
     return small if size < _SMALL else -large if x < _ZERO else large
 
 
 @inlined
 def exp(x: Any) -> Any:
     """Return the exponential, of float32 up to 88, within a unit in the last place; 0 below 1.2e-38."""
-    cut = _LEAST if x < _LEAST else x
-    rounded = cut * _LOG2_E + _ROUND
+    bounded = _LEAST if x < _LEAST else x
+    rounded = bounded * _LOG2_E + _ROUND
     twos = rounded - _ROUND
-    r = cut - twos * _LN2_HIGH - twos * _LN2_LOW
+    r = bounded - twos * _LN2_HIGH - twos * _LN2_LOW
     near_one = (((((_E5 * r + _E4) * r + _E3) * r + _E2) * r + _E1) * r + _E0) * (r * r) + r + _ONE
     bits = (np.float32(rounded).view(np.int32) << np.int32(23)) + np.int32(127 << 23)  # of 2 to the `twos`
     return _ZERO if x < _LEAST else near_one * np.int32(bits).view(np.float32)
@@ -206,11 +206,11 @@ def exp(x: Any) -> Any:
 def sample(outputs: Any, row: int, actions: int, draw: Any) -> int:
     """Draw an action from the softmax of a row's logits, by a number in [0, 1); they are overwritten."""
     highest = outputs[row, most_probable(outputs, row, actions)]
-    total = _ZERO
+    weight_sum = _ZERO
     for j in range(actions):
         outputs[row, j] = exp(outputs[row, j] - highest)
-        total += outputs[row, j]
-    remainder = draw * total
+        weight_sum += outputs[row, j]
+    remainder = draw * weight_sum
     for j in range(actions - 1):
         remainder -= outputs[row, j]
         if remainder < 0:
@@ -220,15 +220,15 @@ def sample(outputs: Any, row: int, actions: int, draw: Any) -> int:
 
 @inlined
 def most_probable(outputs: Any, row: int, actions: int) -> int:
-    best = 0
+    best_action = 0
     for j in range(1, actions):
-        if outputs[row, j] > outputs[row, best]:
-            best = j
-    return best
+        if outputs[row, j] > outputs[row, best_action]:
+            best_action = j
+    return best_action
 
 
 @kernel
-def choose(network: Any, observations: Any, draws: Any, plays: Any, actions: Any) -> None:
+def choose(network: Any, observations: Any, draws: Any, is_playing: Any, actions: Any) -> None:
     """Choose an action in every row that plays: a sampled one in the first rows, else the most probable.
 
     Row i of the observations, (rows, features), is of policy i % policies of the network's weights. `draws`
@@ -237,19 +237,19 @@ def choose(network: Any, observations: Any, draws: Any, plays: Any, actions: Any
     """
     weights, widths, activation = network
     policies, action_count = len(weights), widths[-1]
-    rows = np.empty(len(plays), np.int64)
-    scratch = room(widths, len(plays))
+    playing_rows = np.empty(len(is_playing), np.int64)
+    scratch = room(widths, len(is_playing))
     for policy in range(policies):
-        count = 0
-        for row in range(policy, len(plays), policies):
-            if plays[row]:
-                rows[count] = row
+        playing_count = 0
+        for row in range(policy, len(is_playing), policies):
+            if is_playing[row]:
+                playing_rows[playing_count] = row
                 for i in range(widths[0]):
-                    scratch[0, count, i] = observations[row, i]
-                count += 1
-        outputs = forward(weights[policy], widths, activation, count, scratch)
-        for k in range(count):
-            row = rows[k]
+                    scratch[0, playing_count, i] = observations[row, i]
+                playing_count += 1
+        outputs = forward(weights[policy], widths, activation, playing_count, scratch)
+        for k in range(playing_count):
+            row = playing_rows[k]
             if row < len(draws):
                 actions[row] = sample(outputs, k, action_count, draws[row])
             else:

@@ -30,8 +30,8 @@ class Scaling:
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """Normalise observations: (N, features) -> (N, features) float32."""
-        scaled = (observations - self.mean) / np.sqrt(self.variance + EPSILON)
-        return np.clip(scaled, -CLIP, CLIP).astype(np.float32)
+        scaled_observations = (observations - self.mean) / np.sqrt(self.variance + EPSILON)
+        return np.clip(scaled_observations, -CLIP, CLIP).astype(np.float32)
 
 
 class Normalization:
@@ -84,8 +84,8 @@ class Normalization:
 
     def saved_state(self) -> dict[str, np.ndarray]:
         """Return the statistics: arrays by name."""
-        arrays = {"discounted": self._returns.copy()}
+        state_arrays = {"discounted": self._returns.copy()}
         for quantity, moments in (("observed", self._observed), ("returned", self._returned)):
-            for name, attribute in MOMENTS.items():
-                arrays[f"{quantity}_{name}"] = np.array(getattr(moments, attribute))
-        return arrays
+            for statistic, attribute in MOMENTS.items():
+                state_arrays[f"{quantity}_{statistic}"] = np.array(getattr(moments, attribute))
+        return state_arrays

@@ -109,10 +109,10 @@ class Policy:
 
     def __repr__(self) -> str:
         """Return the policy in a line: its networks' sizes, not their numbers."""
-        text = f"Policy({self.activation}, actor {sizes(self.actor).tolist()}"
+        description = f"Policy({self.activation}, actor {sizes(self.actor).tolist()}"
         if self.critic:
-            text += f", critic {sizes(self.critic).tolist()}"
-        return f"{text})"
+            description += f", critic {sizes(self.critic).tolist()}"
+        return f"{description})"
 
     @property
     def features(self) -> int:
@@ -175,11 +175,11 @@ class Policy:
         A model of Stable-Baselines3 does the same, so that its `evaluate_policy` can play a policy. The
         types are those of its `PolicyPredictor`. Sampled actions follow `numpy.random.seed`.
         """
-        array = np.asarray(observation)
-        rows = array.reshape(-1, self.features)
+        observation_array = np.asarray(observation)
+        flat_observations = observation_array.reshape(-1, self.features)
         generator = np.random.default_rng(np.random.randint(2**31))
-        actions = self.best(rows) if deterministic else self.sample(rows, generator)
-        if array.ndim == 1:
+        actions = self.best(flat_observations) if deterministic else self.sample(flat_observations, generator)
+        if observation_array.ndim == 1:
             return actions[0], state
         return actions, state
 
@@ -214,17 +214,17 @@ class Policy:
             for i, (weight, bias) in enumerate(layers):
                 arrays[f"{network}.{i}.weight"] = np.ascontiguousarray(weight)
                 arrays[f"{network}.{i}.bias"] = np.ascontiguousarray(bias)
-        for name in ("deviation", "bounds", "choices"):
-            array = getattr(self, name)
+        for array_name in ("deviation", "bounds", "choices"):
+            array = getattr(self, array_name)
             if array is not None:
-                arrays[name] = np.ascontiguousarray(array)
+                arrays[array_name] = np.ascontiguousarray(array)
         if self.scaling is not None:
             arrays["observations.mean"] = self.scaling.mean
             arrays["observations.variance"] = self.scaling.variance
-        about: dict[str, object] = {"schema": 1, "activation": self.activation}
+        metadata: dict[str, object] = {"schema": 1, "activation": self.activation}
         if self.exploration is not None:
-            about["exploration"] = self.exploration
-        return save(arrays, metadata={"pneuma": json.dumps(about)})
+            metadata["exploration"] = self.exploration
+        return save(arrays, metadata={"pneuma": json.dumps(metadata)})
 
 
 def _draw(logits: np.ndarray, generator: np.random.Generator) -> np.ndarray:
@@ -234,9 +234,9 @@ def _draw(logits: np.ndarray, generator: np.random.Generator) -> np.ndarray:
 
 
 def _entropy(logits: np.ndarray) -> float:
-    logs = logits - logits.max(axis=1, keepdims=True)
-    logs -= np.log(np.exp(logs).sum(axis=1, keepdims=True))
-    return float(-(np.exp(logs) * logs).sum(axis=1).mean())
+    log_probabilities = logits - logits.max(axis=1, keepdims=True)
+    log_probabilities -= np.log(np.exp(log_probabilities).sum(axis=1, keepdims=True))
+    return float(-(np.exp(log_probabilities) * log_probabilities).sum(axis=1).mean())
 
 
 def overflows(policy: Policy, observations: np.ndarray) -> bool:
@@ -246,10 +246,10 @@ def overflows(policy: Policy, observations: np.ndarray) -> bool:
     return bool(np.isfinite(observations).all() and not np.isfinite(logits).all())
 
 
-def read_sound_policy(data: bytes) -> Policy:
+def read_sound_policy(encoded_policy: bytes) -> Policy:
     """Read a policy, which may be untrusted, from the bytes of `Policy.to_bytes`."""
     try:
-        policy = _read_policy(data)
+        policy = _read_policy(encoded_policy)
         is_sound = _is_sound(policy)
     except Exception:  # safetensors, JSON and shapes raise different errors
         is_sound = False
@@ -258,18 +258,18 @@ def read_sound_policy(data: bytes) -> Policy:
     return policy
 
 
-def _read_policy(data: bytes) -> Policy:
-    header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-    about = json.loads(header["__metadata__"]["pneuma"])
-    arrays = load(data)
+def _read_policy(encoded_policy: bytes) -> Policy:
+    header = json.loads(encoded_policy[8 : 8 + int.from_bytes(encoded_policy[:8], "little")])
+    metadata = json.loads(header["__metadata__"]["pneuma"])
+    arrays = load(encoded_policy)
     scaling = None
     if "observations.mean" in arrays:
         scaling = Scaling(arrays["observations.mean"], arrays["observations.variance"])
     return Policy(
-        activation=about["activation"],
+        activation=metadata["activation"],
         actor=_layers_in(arrays, "actor"),
         critic=_layers_in(arrays, "critic"),
-        exploration=about.get("exploration"),
+        exploration=metadata.get("exploration"),
         deviation=arrays.get("deviation"),
         bounds=arrays.get("bounds"),
         choices=arrays.get("choices"),
@@ -280,8 +280,8 @@ def _read_policy(data: bytes) -> Policy:
 def _layers_in(arrays: Mapping[str, np.ndarray], network: str) -> Layers:
     layers: list[tuple[np.ndarray, np.ndarray]] = []
     while f"{network}.{len(layers)}.weight" in arrays:
-        name = f"{network}.{len(layers)}"
-        layers.append((arrays[f"{name}.weight"], arrays[f"{name}.bias"]))
+        layer_name = f"{network}.{len(layers)}"
+        layers.append((arrays[f"{layer_name}.weight"], arrays[f"{layer_name}.bias"]))
     return tuple(layers)
 
 
@@ -306,8 +306,8 @@ def drawing(policy: Policy, worlds: Worlds, generator: np.random.Generator) -> C
     check_fits(policy, worlds)
 
     def act(worlds: Worlds) -> np.ndarray:
-        rows = worlds.observations.reshape(-1, worlds.observations.shape[2])
-        return policy.sample(rows, generator).reshape(worlds.players.shape)
+        flat_observations = worlds.observations.reshape(-1, worlds.observations.shape[2])
+        return policy.sample(flat_observations, generator).reshape(worlds.players.shape)
 
     return act
 
@@ -337,9 +337,9 @@ def forward(layers: Layers, activation: str, observations: np.ndarray) -> list[n
 
     Where each player has a policy, row i is of player i % players.
     """
-    players, rows = _players(layers), len(observations)
-    if rows % players:
-        raise UserError(f"{rows} observations are not allowed: give one for each of {players} players")
+    players, row_count = _players(layers), len(observations)
+    if row_count % players:
+        raise UserError(f"{row_count} observations are not allowed: give one for each of {players} players")
     x = observations.reshape(-1, players, observations.shape[-1]).swapaxes(
         0, 1
     )  # (players, worlds, features)
@@ -348,7 +348,7 @@ def forward(layers: Layers, activation: str, observations: np.ndarray) -> list[n
         x = x @ weight + bias[..., None, :]
         if i < len(layers) - 1:
             x = NUMPY_ACTIVATIONS[activation].apply(x)
-        outputs.append(x.swapaxes(0, 1).reshape(rows, -1))
+        outputs.append(x.swapaxes(0, 1).reshape(row_count, -1))
     return outputs
 
 
@@ -359,8 +359,8 @@ def _players(layers: Layers) -> int:
 
 def dead_share(policy: Policy, observations: np.ndarray) -> float:
     """Return the share of hidden units, of actor and critic, that are dead: see `Activation`."""
-    hidden = []
+    hidden_outputs = []
     for network in (policy.actor, policy.critic):
-        hidden += forward(network, policy.activation, observations)[:-1]
-    units = np.concatenate(hidden, axis=1)  # (N, units)
+        hidden_outputs += forward(network, policy.activation, observations)[:-1]
+    units = np.concatenate(hidden_outputs, axis=1)  # (N, units)
     return float(NUMPY_ACTIVATIONS[policy.activation].is_dead(units).all(axis=0).mean())

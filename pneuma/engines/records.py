@@ -53,16 +53,16 @@ def episode_row(
     }  # fmt: skip
 
 
-def metrics_row(step: int, values: Row) -> dict[str, Any]:
-    return {**dict.fromkeys(METRIC_COLUMNS, NAN), "step": step, **values}
+def metrics_row(step: int, metrics: Row) -> dict[str, Any]:
+    return {**dict.fromkeys(METRIC_COLUMNS, NAN), "step": step, **metrics}
 
 
 def evaluation_row(
-    step: int, returns: Numbers, lengths: Numbers, best: Numbers, values: Row
+    step: int, returns: Numbers, lengths: Numbers, best_returns: Numbers, extra_columns: Row
 ) -> dict[str, Any]:
     """Return the evaluation of a policy where there are no monsters.
 
-    It is of returns and lengths of episodes, and of returns of episodes with the `best` actions.
+    It is of returns and lengths of episodes, and of returns of episodes with the best actions.
     """
     return {
         **dict.fromkeys(EVALUATION_COLUMNS, NAN),
@@ -70,24 +70,24 @@ def evaluation_row(
         "episodes": len(returns),
         "return": float(np.mean(returns)),
         "length": float(np.mean(lengths)),
-        "argmax_starts": len(best),
-        "argmax_return": float(np.mean(best)),
-        **values,
+        "argmax_starts": len(best_returns),
+        "argmax_return": float(np.mean(best_returns)),
+        **extra_columns,
     }
 
 
-def action_shares(run: Run, actions: np.ndarray, count: int) -> dict[str, float]:
+def action_shares(run: Run, actions: np.ndarray, action_count: int) -> dict[str, float]:
     """Return the share of each action, as columns of the metrics.
 
     In other environments with more actions than columns, these are the most frequent ones. There are none for
     continuous actions.
     """
-    columns = len(ACTION_NAMES)
+    column_count = len(ACTION_NAMES)
     if actions.dtype.kind not in "iu":
         return {}
-    shares = np.bincount(actions.ravel(), minlength=max(count, columns)) / actions.size
-    if is_gymnasium_id(run.env) and len(shares) > columns:
-        shares = np.sort(shares)[::-1][:columns]
+    shares = np.bincount(actions.ravel(), minlength=max(action_count, column_count)) / actions.size
+    if is_gymnasium_id(run.env) and len(shares) > column_count:
+        shares = np.sort(shares)[::-1][:column_count]
     return {f"action_{i}": float(share) for i, share in enumerate(shares)}
 
 
@@ -127,8 +127,8 @@ class Checkpoint:
 
     def part(self, prefix: str) -> dict[str, np.ndarray]:
         """Return the arrays whose names begin with a prefix, by the rest of their names."""
-        arrays = {}
-        for name, array in self.arrays.items():
-            if name.startswith(prefix):
-                arrays[name.removeprefix(prefix)] = array
-        return arrays
+        matching_arrays = {}
+        for array_name, array in self.arrays.items():
+            if array_name.startswith(prefix):
+                matching_arrays[array_name.removeprefix(prefix)] = array
+        return matching_arrays

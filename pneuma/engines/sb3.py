@@ -61,7 +61,7 @@ class Sb3Trainer(ResumableTrainer):
         model, run = self._model, self.run
         self._visited.forget()
         metrics: dict[str, float] = {}
-        with GradientNorms(model, run) as norms:
+        with GradientNorms(model, run) as gradient_norms:
             try:
                 with np.errstate(over="ignore", invalid="ignore"):  # values may overflow here
                     metrics |= self._learn()
@@ -70,7 +70,7 @@ class Sb3Trainer(ResumableTrainer):
                     raise
         if len(self._visited.actions) == run.horizon:
             metrics |= self._visited_metrics()
-        records.metrics.append(metrics_row(after, metrics | norms.means()))
+        records.metrics.append(metrics_row(after, metrics | gradient_norms.means()))
         records.episodes.extend(self._visited.take_rows())
         if not is_finite(records.metrics[-1], model):
             return False
@@ -150,10 +150,10 @@ class GradientNorms:
     def __init__(self, model: Learner, run: Run) -> None:
         self._parameters = []
         is_actor = []
-        for name, parameter in model.policy.named_parameters():
-            if "q_net_target" not in name:
+        for parameter_name, parameter in model.policy.named_parameters():
+            if "q_net_target" not in parameter_name:
                 self._parameters.append(parameter)
-                is_actor.append(any(layer in name for layer in ACTOR_PARAMETERS))
+                is_actor.append(any(layer in parameter_name for layer in ACTOR_PARAMETERS))
         self._is_actor = torch.tensor(is_actor)
         self._norms: list[torch.Tensor] = []
         self._limit = run.gradient_limit if run.clip == "separate" else None
@@ -180,12 +180,12 @@ class GradientNorms:
     def _clip_parts(self, *_: Any) -> None:
         if self._limit is None:
             return
-        actor: list[nn.Parameter] = []
-        critic: list[nn.Parameter] = []
+        actor_parameters: list[nn.Parameter] = []
+        critic_parameters: list[nn.Parameter] = []
         for parameter, is_actor in zip(self._parameters, self._is_actor, strict=True):
-            (actor if is_actor else critic).append(parameter)
-        nn.utils.clip_grad_norm_(actor, self._limit)
-        nn.utils.clip_grad_norm_(critic, self._limit)
+            (actor_parameters if is_actor else critic_parameters).append(parameter)
+        nn.utils.clip_grad_norm_(actor_parameters, self._limit)
+        nn.utils.clip_grad_norm_(critic_parameters, self._limit)
 
     def means(self) -> dict[str, float]:
         """Return the mean norms over the update's minibatches.
@@ -195,11 +195,11 @@ class GradientNorms:
         if not self._norms:
             return {}
         squares = torch.stack(self._norms).double() ** 2  # (minibatches, parameters)
-        actor, critic = squares[:, self._is_actor].sum(1), squares[:, ~self._is_actor].sum(1)
-        norms = {"grad_norm": actor + critic}
+        actor_squares, critic_squares = squares[:, self._is_actor].sum(1), squares[:, ~self._is_actor].sum(1)
+        squares_by_norm = {"grad_norm": actor_squares + critic_squares}
         if self._is_actor.any():
-            norms |= {"grad_norm_actor": actor, "grad_norm_critic": critic}
-        return {name: float(square.sqrt().mean()) for name, square in norms.items()}
+            squares_by_norm |= {"grad_norm_actor": actor_squares, "grad_norm_critic": critic_squares}
+        return {name: float(square.sqrt().mean()) for name, square in squares_by_norm.items()}
 
 
 # --- Networks --------------------------------------------------------------------------------------
@@ -208,16 +208,16 @@ class GradientNorms:
 def extract_policy(model: Any, run: Run) -> Policy:
     """Copy the learner's networks into a `Policy`; a network of action values is its actor."""
     networks: dict[str, Layers] = {"actor": (), "critic": ()}
-    for name, modules in linear_layers(model).items():
+    for network, modules in linear_layers(model).items():
         for layer in modules:
             weight, bias = layer.weight.detach().numpy(), layer.bias.detach().numpy()
-            networks[name] += ((weight.T.copy(), bias.copy()),)  # torch keeps (outputs, inputs)
+            networks[network] += ((weight.T.copy(), bias.copy()),)  # torch keeps (outputs, inputs)
     of_actions: dict[str, Any] = {}
     if isinstance(model, DQN):
         of_actions = {"exploration": run.exploration}
     elif hasattr(model.policy, "log_std"):
-        space = model.env.slots.action_space  # not the learner's, which is flat and of float32
-        bounds = np.stack([space.low, space.high])
+        action_space = model.env.slots.action_space  # not the learner's, which is flat and of float32
+        bounds = np.stack([action_space.low, action_space.high])
         of_actions = {"deviation": np.exp(model.policy.log_std.detach().numpy()), "bounds": bounds}
     elif isinstance(model.action_space, spaces.MultiDiscrete):
         of_actions = {"choices": choices_of(model.env.slots.action_space)}
@@ -230,10 +230,10 @@ def is_finite(metrics: Mapping[str, float], model: Learner) -> bool:
     The explained variance is left out, because it is undefined if all returns are equal, and so are losses
     that the learner does not have, or not before its first gradient.
     """
-    watched = ["policy_loss", "value_loss", "entropy", "grad_norm"]
+    watched_metrics = ["policy_loss", "value_loss", "entropy", "grad_norm"]
     if isinstance(model, DQN):
-        watched = ["value_loss", "grad_norm"] if model._n_updates else []
+        watched_metrics = ["value_loss", "grad_norm"] if model._n_updates else []
     if isinstance(model, TRPO):
-        watched.remove("grad_norm")
-    values = [metrics[name] for name in watched]
-    return bool(np.isfinite(values).all()) and has_finite_weights(model)
+        watched_metrics.remove("grad_norm")
+    watched_values = [metrics[metric] for metric in watched_metrics]
+    return bool(np.isfinite(watched_values).all()) and has_finite_weights(model)

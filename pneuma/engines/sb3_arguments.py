@@ -28,55 +28,59 @@ CLASSES_OF = (torch.nn, torch.optim, torch_layers, buffers, rmsprop_tf_like, sta
 NOISE = ("NormalActionNoise", "OrnsteinUhlenbeckActionNoise")
 
 
-def read_arguments(table: Mapping[str, Any], action_space: spaces.Space[Any]) -> dict[str, Any]:
+def read_arguments(argument_table: Mapping[str, Any], action_space: spaces.Space[Any]) -> dict[str, Any]:
     """Return a learner's arguments, from a table of `algorithm_kwargs`."""
-    return {name: _read(name, value, action_space) for name, value in table.items()}
+    return {name: _read(name, argument, action_space) for name, argument in argument_table.items()}
 
 
-def _read(name: str, value: Any, action_space: spaces.Space[Any]) -> Any:
-    if isinstance(value, str):
-        return _read_text(name, value, action_space)
-    if name == "action_noise" and isinstance(value, Mapping):
-        return _action_noise(value, action_space)
-    if isinstance(value, Mapping):
-        return read_arguments(value, action_space)
-    if name in TUPLES and isinstance(value, list):
-        return tuple(value)
-    return value
+def _read(argument_name: str, argument: Any, action_space: spaces.Space[Any]) -> Any:
+    if isinstance(argument, str):
+        return _read_text(argument_name, argument, action_space)
+    if argument_name == "action_noise" and isinstance(argument, Mapping):
+        return _action_noise(argument, action_space)
+    if isinstance(argument, Mapping):
+        return read_arguments(argument, action_space)
+    if argument_name in TUPLES and isinstance(argument, list):
+        return tuple(argument)
+    return argument
 
 
-def _read_text(name: str, text: str, action_space: spaces.Space[Any]) -> Any:
-    if name == "activation_fn" or name.endswith("_class"):
-        return _find_class(name, text)
-    first = annealed_from(text)
-    if first is not None:
-        return LinearSchedule(first, 0.0, 1.0)
-    if not text.startswith("dict("):
-        return text
+def _read_text(argument_name: str, argument_text: str, action_space: spaces.Space[Any]) -> Any:
+    if argument_name == "activation_fn" or argument_name.endswith("_class"):
+        return _find_class(argument_name, argument_text)
+    first_value = annealed_from(argument_text)
+    if first_value is not None:
+        return LinearSchedule(first_value, 0.0, 1.0)
+    if not argument_text.startswith("dict("):
+        return argument_text
     try:
-        table = read_arguments_text(text)
+        argument_table = read_arguments_text(argument_text)
     except WRONG_TEXT:
-        raise UserError(f"algorithm_kwargs: {name} = {text!r} is not allowed: a table or dict(…)") from None
-    return read_arguments(table, action_space)
+        raise UserError(
+            f"algorithm_kwargs: {argument_name} = {argument_text!r} is not allowed: a table or dict(…)"
+        ) from None
+    return read_arguments(argument_table, action_space)
 
 
-def _find_class(name: str, text: str) -> type:
-    class_name = text.rpartition(".")[2]
+def _find_class(argument_name: str, class_text: str) -> type:
+    class_name = class_text.rpartition(".")[2]
     for module in CLASSES_OF:
         candidate = getattr(module, class_name, None)
         if isinstance(candidate, type):
             return candidate
-    raise UserError(f"algorithm_kwargs: {name} = {text!r}: is not a class of torch or Stable-Baselines3")
+    raise UserError(
+        f"algorithm_kwargs: {argument_name} = {class_text!r}: is not a class of torch or Stable-Baselines3"
+    )
 
 
-def _action_noise(table: Mapping[str, Any], action_space: spaces.Space[Any]) -> noise.ActionNoise:
+def _action_noise(noise_table: Mapping[str, Any], action_space: spaces.Space[Any]) -> noise.ActionNoise:
     """Return action noise; its mean (0 if left out) and deviation are one number, or one a dimension."""
-    if table.get("name") not in NOISE:
+    if noise_table.get("name") not in NOISE:
         allowed = f"a table with the name {' or '.join(NOISE)}, and sigma"
-        raise UserError(f"algorithm_kwargs: action_noise = {dict(table)} is not allowed: {allowed}")
-    arguments: dict[str, Any] = {"mean": 0.0, **table}
+        raise UserError(f"algorithm_kwargs: action_noise = {dict(noise_table)} is not allowed: {allowed}")
+    arguments: dict[str, Any] = {"mean": 0.0, **noise_table}
     noise_class = getattr(noise, arguments.pop("name"))
-    for key in arguments.keys() & {"mean", "sigma"}:
-        arguments[key] = np.full(action_space.shape or (), arguments[key], float)
+    for argument in arguments.keys() & {"mean", "sigma"}:
+        arguments[argument] = np.full(action_space.shape or (), arguments[argument], float)
     action_noise: noise.ActionNoise = noise_class(**arguments)
     return action_noise

@@ -57,9 +57,9 @@ def make_model(run: Run, env: VecEnv, extractor: Mapping[str, Any] | None = None
 def learner_arguments(run: Run, slots: int) -> dict[str, Any]:
     """Return the arguments of a learner of `LEARNERS` that follow from a run's fields."""
     arguments: dict[str, Any] = {}
-    for argument, name in arguments_of(run):
-        arguments[argument] = getattr(run, name)
-        if name in ANNEALED and getattr(run, f"{name}_schedule") == "linear":
+    for argument, field_name in arguments_of(run):
+        arguments[argument] = getattr(run, field_name)
+        if field_name in ANNEALED and getattr(run, f"{field_name}_schedule") == "linear":
             arguments[argument] = LinearSchedule(arguments[argument], 0.0, 1.0)
     net_arch: Any = list(run.actor)
     if issubclass(LEARNERS[run.algorithm], DQN):
@@ -73,9 +73,9 @@ def learner_arguments(run: Run, slots: int) -> dict[str, Any]:
     # Stable-Baselines3 uses epsilon 1e-5 only if no optimizer arguments are given, otherwise torch's 1e-8
     optimizer = OPTIMIZERS[run.optimizer]
     optimizer_arguments = {"weight_decay": run.weight_decay}
-    for name in optimizer.defaults:
-        (argument,) = FIELDS[name].arguments or (name,)
-        optimizer_arguments[argument] = getattr(run, name)
+    for field_name in optimizer.defaults:
+        (argument,) = FIELDS[field_name].arguments or (field_name,)
+        optimizer_arguments[argument] = getattr(run, field_name)
     arguments["policy_kwargs"] = {
         "net_arch": net_arch,
         "activation_fn": getattr(nn, ACTIVATIONS[run.activation]),
@@ -90,10 +90,10 @@ def linear_layers(model: Any) -> dict[str, list[nn.Linear]]:
     policy = model.policy
     if isinstance(model, DQN):
         return {"actor": _linear(policy.q_net.q_net)}
-    hidden = policy.mlp_extractor
+    hidden_networks = policy.mlp_extractor
     return {
-        "actor": [*_linear(hidden.policy_net), policy.action_net],
-        "critic": [*_linear(hidden.value_net), policy.value_net],
+        "actor": [*_linear(hidden_networks.policy_net), policy.action_net],
+        "critic": [*_linear(hidden_networks.value_net), policy.value_net],
     }
 
 
@@ -113,17 +113,17 @@ class DoubleDQN(DQN):
 
     def train(self, gradient_steps: int, batch_size: int = 100) -> None:
         """Take gradient steps as DQN does, with the next values that `rate` returns."""
-        target = self.q_net_target
+        target_network = self.q_net_target
 
         def rate(observations: torch.Tensor) -> torch.Tensor:
             actions = self.q_net(observations).argmax(dim=1, keepdim=True)
-            return target(observations).gather(1, actions)  # (N, 1), of which DQN takes the greatest
+            return target_network(observations).gather(1, actions)  # (N, 1), of which DQN takes the greatest
 
         self.q_net_target = rate  # type: ignore[assignment]
         try:
             super().train(gradient_steps, batch_size)
         finally:
-            self.q_net_target = target
+            self.q_net_target = target_network
 
 
 class WithoutBaseline(RolloutBuffer):
@@ -143,15 +143,15 @@ LEARNERS: dict[str, type[Learner]] = {
 def arguments_of(run: Run) -> Iterator[tuple[str, str]]:
     """Yield the arguments of a run's learner that are fields which its algorithm reads, with the fields."""
     learner_class = LEARNERS[run.algorithm]
-    fields: dict[str, str] = {}
-    for name, about in FIELDS.items():
-        if run.algorithm in about.read_by:
-            fields |= dict.fromkeys(about.arguments or (name,), name)
+    fields_by_argument: dict[str, str] = {}
+    for field_name, declaration in FIELDS.items():
+        if run.algorithm in declaration.read_by:
+            fields_by_argument |= dict.fromkeys(declaration.arguments or (field_name,), field_name)
     if not issubclass(learner_class, DQN):  # whose `n_steps` are those of its returns
-        fields["n_steps"] = "horizon"
+        fields_by_argument["n_steps"] = "horizon"
     for argument in signature(learner_class).parameters:
-        if argument in fields:
-            yield argument, fields[argument]
+        if argument in fields_by_argument:
+            yield argument, fields_by_argument[argument]
 
 
 # --- Training -------------------------------------------------------------------------------------
@@ -198,16 +198,16 @@ class Episodes(BaseCallback):
                     ending="truncated" if info.get("TimeLimit.truncated") else "terminated",
                 )
                 if self._has_monsters:
-                    row |= {name: info[name] for name in ("kills", "hp", "ending")}
+                    row |= {column: info[column] for column in ("kills", "hp", "ending")}
                 self._rows.append(row)
                 self.counts[slot] += 1
         return True
 
     def take_rows(self) -> list[Row]:
         """Return and forget the episodes that have ended."""
-        rows = self._rows
+        finished_rows = self._rows
         self._rows = []
-        return rows
+        return finished_rows
 
 
 LOGGED: dict[str, tuple[tuple[int, str], ...]] = {
@@ -225,12 +225,12 @@ LOGGED: dict[str, tuple[tuple[int, str], ...]] = {
 
 def logged_losses(model: Any) -> dict[str, float]:
     """Return the metrics that a learner logged when it last trained."""
-    log = model.logger.name_to_value
+    logged_values = model.logger.name_to_value
     losses = {}
-    for metric, names in LOGGED.items():
-        for sign, name in reversed(names):
-            if f"train/{name}" in log:
-                losses[metric] = sign * float(log[f"train/{name}"])
+    for metric, logged_names in LOGGED.items():
+        for sign, logged_name in reversed(logged_names):
+            if f"train/{logged_name}" in logged_values:
+                losses[metric] = sign * float(logged_values[f"train/{logged_name}"])
     return losses
 
 
@@ -250,34 +250,34 @@ def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
     env: Any = model.env
     generator, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
     arrays = {"random/torch": torch.get_rng_state().numpy().copy(), "random/numpy": np.array(keys)}
-    for name, tensor in model.policy.state_dict().items():
-        arrays[f"policy/{name}"] = _copy(tensor)
+    for saved_name, tensor in model.policy.state_dict().items():
+        arrays[f"policy/{saved_name}"] = _copy(tensor)
     for index, entries in model.policy.optimizer.state_dict()["state"].items():
-        for name, value in entries.items():
-            if value is not None:
-                arrays[f"optimizer/{index}/{name}"] = _copy(value)
-    for name, array in env.slots.saved_state().items():
-        arrays[f"worlds/{name}"] = array
-    for name, attribute in _ARRAYS.items():
-        arrays[name] = np.array(getattr(model, attribute))
+        for saved_name, entry in entries.items():
+            if entry is not None:
+                arrays[f"optimizer/{index}/{saved_name}"] = _copy(entry)
+    for saved_name, array in env.slots.saved_state().items():
+        arrays[f"worlds/{saved_name}"] = array
+    for saved_name, attribute in _ARRAYS.items():
+        arrays[saved_name] = np.array(getattr(model, attribute))
     numbers: dict[str, Any] = {
         "numpy": [str(generator), int(position), int(has_gauss), float(gauss)],
         "optimizer": type(model.policy.optimizer).__name__,
     }
-    for name, attribute in _NUMBERS.items():
+    for saved_name, attribute in _NUMBERS.items():
         if hasattr(model, attribute):
-            numbers[name] = getattr(model, attribute)
+            numbers[saved_name] = getattr(model, attribute)
     if isinstance(model, DQN):
         buffer: Any = model.replay_buffer
-        for name in _REPLAYED:
-            arrays[f"replay/{name}"] = getattr(buffer, name)[: buffer.size()].copy()
+        for saved_name in _REPLAYED:
+            arrays[f"replay/{saved_name}"] = getattr(buffer, saved_name)[: buffer.size()].copy()
         numbers |= {"position": buffer.pos, "full": buffer.full}
         numbers["random_actions"] = model.action_space.np_random.bit_generator.state
     return Checkpoint(step, arrays, numbers, records.copy())
 
 
-def _copy(value: Any) -> np.ndarray:
-    return torch.as_tensor(value).detach().numpy().copy()
+def _copy(tensor: Any) -> np.ndarray:
+    return torch.as_tensor(tensor).detach().numpy().copy()
 
 
 def restore_checkpoint(model: Learner, checkpoint: Checkpoint) -> None:
@@ -288,25 +288,25 @@ def restore_checkpoint(model: Learner, checkpoint: Checkpoint) -> None:
     if numbers["optimizer"] != type(optimizer).__name__:
         raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
     # tensors are copies in torch's own memory, which its kernels need aligned
-    state: dict[int, dict[str, torch.Tensor]] = {}
-    for path, array in checkpoint.part("optimizer/").items():
-        index, _, name = path.partition("/")
-        state.setdefault(int(index), {})[name] = torch.tensor(array)
-    optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
-    policy = {name: torch.tensor(array) for name, array in checkpoint.part("policy/").items()}
+    optimizer_state: dict[int, dict[str, torch.Tensor]] = {}
+    for array_path, array in checkpoint.part("optimizer/").items():
+        parameter_index, _, saved_name = array_path.partition("/")
+        optimizer_state.setdefault(int(parameter_index), {})[saved_name] = torch.tensor(array)
+    optimizer.load_state_dict({**optimizer.state_dict(), "state": optimizer_state})
+    policy = {saved_name: torch.tensor(array) for saved_name, array in checkpoint.part("policy/").items()}
     model.policy.load_state_dict(policy)
     env.slots.restore_state(checkpoint.part("worlds/"))
     torch.set_rng_state(torch.tensor(arrays["random/torch"]))
     generator, position, has_gauss, gauss = numbers["numpy"]
     np.random.set_state((generator, arrays["random/numpy"].copy(), position, has_gauss, gauss))
-    for name, attribute in _ARRAYS.items():
-        setattr(model, attribute, arrays[name].copy())
-    for name in _NUMBERS.keys() & numbers.keys():
-        setattr(model, _NUMBERS[name], numbers[name])
+    for saved_name, attribute in _ARRAYS.items():
+        setattr(model, attribute, arrays[saved_name].copy())
+    for saved_name in _NUMBERS.keys() & numbers.keys():
+        setattr(model, _NUMBERS[saved_name], numbers[saved_name])
     if isinstance(model, DQN):
         buffer: Any = model.replay_buffer
-        for name in _REPLAYED:
-            replayed = arrays[f"replay/{name}"]
-            getattr(buffer, name)[: len(replayed)] = replayed
+        for saved_name in _REPLAYED:
+            replayed = arrays[f"replay/{saved_name}"]
+            getattr(buffer, saved_name)[: len(replayed)] = replayed
         buffer.pos, buffer.full = numbers["position"], numbers["full"]
         model.action_space.np_random.bit_generator.state = numbers["random_actions"]

@@ -82,9 +82,9 @@ def check_learner(run: Run) -> None:
             environments.step(np.array([environments.action_space.sample() for _ in range(run.slots)]))
     pace = _pace(learner)
     if run.horizon % pace:
-        fix = f"set horizon = {math.ceil(run.horizon / pace) * pace}, or another multiple"
+        remedy = f"set horizon = {math.ceil(run.horizon / pace) * pace}, or another multiple"
         raise UserError(
-            f"horizon = {run.horizon} is not allowed: {run.algorithm} learns every {pace} steps; {fix}"
+            f"horizon = {run.horizon} is not allowed: {run.algorithm} learns every {pace} steps; {remedy}"
         )
 
 
@@ -106,14 +106,14 @@ def _check_arguments(run: Run) -> None:
     """Refuse arguments of PPO that it has as fields."""
     arguments = _algorithm_kwargs(run)
     policy_kwargs = str(arguments.get("policy_kwargs"))  # a table, its text, or anything
-    for key, field in (*IN_POLICY_KWARGS.items(), *arguments_of(run)):
-        if key in arguments or (key in IN_POLICY_KWARGS and key in policy_kwargs):
-            raise UserError(f"algorithm_kwargs: {key} is not allowed: ppo has the field {field}")
+    for argument, field_name in (*IN_POLICY_KWARGS.items(), *arguments_of(run)):
+        if argument in arguments or (argument in IN_POLICY_KWARGS and argument in policy_kwargs):
+            raise UserError(f"algorithm_kwargs: {argument} is not allowed: ppo has the field {field_name}")
 
 
 def _algorithm_kwargs(run: Run) -> dict[str, Any]:
-    table: dict[str, Any] = json.loads(run.algorithm_kwargs or "{}")
-    return table
+    argument_table: dict[str, Any] = json.loads(run.algorithm_kwargs or "{}")
+    return argument_table
 
 
 def _environments(run: Run, slots: int, seed: int = 0) -> VecEnv:
@@ -132,9 +132,11 @@ def _environments(run: Run, slots: int, seed: int = 0) -> VecEnv:
 def _make_learner(run: Run, env: VecEnv, to_play: bool = False) -> Any:
     """Return the learner of a run. One `to_play` has no room for replay, and seeds no generators."""
     learner_type = learner_class(run)
-    policy = run.policy or "MlpPolicy"
-    if policy not in learner_type.policy_aliases:
-        raise UserError(f'policy = "{policy}": {run.algorithm} has {", ".join(learner_type.policy_aliases)}')
+    policy_name = run.policy or "MlpPolicy"
+    if policy_name not in learner_type.policy_aliases:
+        raise UserError(
+            f'policy = "{policy_name}": {run.algorithm} has {", ".join(learner_type.policy_aliases)}'
+        )
     with blamed(f"{run.algorithm} in {run.env}"):
         arguments = read_arguments(_algorithm_kwargs(run), env.action_space)
         if run.algorithm == "ppo":
@@ -144,7 +146,7 @@ def _make_learner(run: Run, env: VecEnv, to_play: bool = False) -> Any:
         if to_play and "buffer_size" in signature(learner_type).parameters:
             arguments["buffer_size"] = 1
         seed = None if to_play else stream_seed(run.seed, "weights") % 2**31
-        learner = learner_type(policy, env, seed=seed, device="cpu", **arguments)
+        learner = learner_type(policy_name, env, seed=seed, device="cpu", **arguments)
     if isinstance(env, VecNormalize):
         env.gamma = learner.gamma
     return learner
@@ -188,13 +190,13 @@ class OpenTrainer(Trainer):
 
     def evaluate(self, step: int) -> Row:
         """Return one row of `EVALUATION_COLUMNS`, of the same seeds each time."""
-        about = self._about
-        returns, lengths = self._play(about.episodes, deterministic=False)
-        best_returns, _ = self._play(about.best_episodes, deterministic=True)
-        return evaluation_row(step, returns, lengths, best_returns, about.random)
+        evaluation = self._about
+        returns, lengths = self._play(evaluation.episodes, deterministic=False)
+        best_returns, _ = self._play(evaluation.best_episodes, deterministic=True)
+        return evaluation_row(step, returns, lengths, best_returns, evaluation.random)
 
     def _play(self, episodes: int, deterministic: bool) -> tuple[list[float], list[int]]:
-        before = np.random.get_state()
+        generator_state = np.random.get_state()
         with (
             torch.random.fork_rng(devices=[]),
             closing(_environments(self.run, 1, self._seed)) as env,
@@ -208,7 +210,7 @@ class OpenTrainer(Trainer):
             returns_and_lengths: Any = evaluate_policy(
                 self._model, env, episodes, deterministic, return_episode_rewards=True
             )
-        np.random.set_state(before)
+        np.random.set_state(generator_state)
         return returns_and_lengths
 
     def policy(self) -> LearnedPolicy:
@@ -252,22 +254,22 @@ class LearnedPolicy:
 
     def to_bytes(self) -> bytes:
         """Return the .zip that the learner's `save` writes, with the statistics in it."""
-        file = io.BytesIO()
-        self.learner.save(file, exclude=HOOKS)
-        with ZipFile(file, "a") as archive:
+        zip_buffer = io.BytesIO()
+        self.learner.save(zip_buffer, exclude=HOOKS)
+        with ZipFile(zip_buffer, "a") as archive:
             archive.writestr(STATISTICS, save(_statistics(self.learner)))
-        return file.getvalue()
+        return zip_buffer.getvalue()
 
 
-def load_learner(run: Run, data: bytes) -> LearnedPolicy:
+def load_learner(run: Run, zip_bytes: bytes) -> LearnedPolicy:
     """Read what a run learned, from the bytes of `LearnedPolicy.to_bytes`, which may be untrusted.
 
     The learner and its environment are made from the run's fields. Nothing is unpickled.
     """
     learner = _make_learner(run, _environments(run, 1), to_play=True)
     try:
-        learner.set_parameters(io.BytesIO(data), device="cpu")
-        with ZipFile(io.BytesIO(data)) as archive:
+        learner.set_parameters(io.BytesIO(zip_bytes), device="cpu")
+        with ZipFile(io.BytesIO(zip_bytes)) as archive:
             _restore_statistics(learner, load(archive.read(STATISTICS)))
     except Exception:  # zipfile, torch and safetensors raise different errors
         raise UserError(
@@ -289,15 +291,15 @@ def _means_by_key(learner: BaseAlgorithm) -> dict[str, RunningMeanStd]:
 
 
 def _statistics(learner: BaseAlgorithm) -> dict[str, np.ndarray]:
-    arrays: dict[str, np.ndarray] = {}
-    for key, means in _means_by_key(learner).items():
-        arrays |= {f"mean/{key}": means.mean, f"variance/{key}": means.var}
-    return arrays
+    statistics: dict[str, np.ndarray] = {}
+    for observation_key, means in _means_by_key(learner).items():
+        statistics |= {f"mean/{observation_key}": means.mean, f"variance/{observation_key}": means.var}
+    return statistics
 
 
-def _restore_statistics(learner: BaseAlgorithm, arrays: dict[str, np.ndarray]) -> None:
-    for key, means in _means_by_key(learner).items():
-        mean, variance = arrays[f"mean/{key}"], arrays[f"variance/{key}"]
+def _restore_statistics(learner: BaseAlgorithm, statistics: dict[str, np.ndarray]) -> None:
+    for observation_key, means in _means_by_key(learner).items():
+        mean, variance = statistics[f"mean/{observation_key}"], statistics[f"variance/{observation_key}"]
         if mean.shape != means.mean.shape or variance.shape != means.var.shape:
-            raise ValueError(f"the statistics of {key} are of another shape")
+            raise ValueError(f"the statistics of {observation_key} are of another shape")
         means.mean, means.var = mean, variance

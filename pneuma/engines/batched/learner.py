@@ -34,10 +34,10 @@ HIDDEN_GAIN, ACTOR_GAIN, CRITIC_GAIN = math.sqrt(2), 0.01, 1.0
 def initial_networks(run: Run, features: int, actions: int, player: int = 0) -> Networks:
     """Return orthogonal weights and zero biases, from the run's random stream for weights."""
     generator = np.random.default_rng(stream_seed(run.seed, "weights", player))
-    scale = run.first_layer_scale
+    first_scale = run.first_layer_scale
     return {
-        "actor": _layers(generator, (features, *run.actor, actions), scale, ACTOR_GAIN),
-        "critic": _layers(generator, (features, *run.critic, 1), scale, CRITIC_GAIN),
+        "actor": _layers(generator, (features, *run.actor, actions), first_scale, ACTOR_GAIN),
+        "critic": _layers(generator, (features, *run.critic, 1), first_scale, CRITIC_GAIN),
     }
 
 
@@ -63,11 +63,11 @@ class Learner:
         count = len(batch["actions"])
         orders = np.stack([self.generator.permutation(count) for _ in range(run.epochs)]).astype(np.int32)
         numbers = run_numbers(run, self._player, budget_left)
-        networks, optimizer, means = learn(
+        networks, optimizer, metric_means = learn(
             self.networks, self.optimizer, batch, orders, numbers, program(run)
         )
         self.networks, self.optimizer = to_numpy(networks), to_numpy(optimizer)
-        metrics: dict[str, float] = dict(zip(METRICS, np.asarray(means).tolist(), strict=True))
+        metrics: dict[str, float] = dict(zip(METRICS, np.asarray(metric_means).tolist(), strict=True))
         metrics["explained_variance"] = _explained_variance(values, batch["returns"])
         metrics["dead_units"] = dead_units
         return metrics | action_shares(run, batch["actions"], self._actions)
@@ -84,7 +84,7 @@ class Learner:
         all_values = np.asarray(all_values)
         values = all_values[: slots * steps].reshape(slots, steps)
         last_values = all_values[slots * steps :]
-        gain = advantages(
+        all_advantages = advantages(
             self._bootstrapped(rollout), values, rollout.starts, last_values, rollout.last_ends,
             np.float32(run.gamma), np.float32(run.gamma * run.gae_lambda),
         )  # fmt: skip
@@ -92,8 +92,8 @@ class Learner:
             "observations": observations[: slots * steps],
             "actions": actions,
             "log_probabilities": np.asarray(log_probabilities),
-            "advantages": gain.reshape(-1),
-            "returns": (gain + values).reshape(-1),
+            "advantages": all_advantages.reshape(-1),
+            "returns": (all_advantages + values).reshape(-1),
         }
         return batch, values.reshape(-1), float(dead_units)
 
@@ -109,8 +109,8 @@ class Learner:
         return rewards
 
     def is_finite(self, metrics: Mapping[str, float]) -> bool:
-        for name in ("policy_loss", "value_loss", "entropy", "grad_norm"):
-            if not math.isfinite(metrics[name]):
+        for metric in ("policy_loss", "value_loss", "entropy", "grad_norm"):
+            if not math.isfinite(metrics[metric]):
                 return False
         return all(bool(np.isfinite(leaf).all()) for leaf in jax.tree.leaves(self.networks))
 
@@ -145,7 +145,7 @@ def _orthogonal(generator: np.random.Generator, inputs: int, outputs: int) -> np
 
     Saxe, McClelland and Ganguli (2014); the signs make the draw uniform (Mezzadri 2007).
     """
-    normal = generator.standard_normal((max(inputs, outputs), min(inputs, outputs)))
-    q, r = np.linalg.qr(normal)
+    normal_matrix = generator.standard_normal((max(inputs, outputs), min(inputs, outputs)))
+    q, r = np.linalg.qr(normal_matrix)
     q = q * np.sign(np.diag(r))
     return np.ascontiguousarray(q if inputs >= outputs else q.T, np.float32)

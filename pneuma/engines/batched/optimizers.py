@@ -104,12 +104,12 @@ def upgd(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> t
 def upgd_noise(parameters: Tree, steps: Any, numbers: Numbers) -> Tree:
     """Return standard normal noise shaped like the parameters, keyed by the run and the step, from 1."""
     leaves, structure = jax.tree.flatten(parameters)
-    key = jax.random.wrap_key_data(numbers["noise_key"], impl="threefry2x32")
-    keys = jax.random.split(jax.random.fold_in(key, steps), len(leaves))
-    noise = []
-    for stream, leaf in zip(keys, leaves, strict=True):
-        noise.append(jax.random.normal(stream, leaf.shape, leaf.dtype))
-    return jax.tree.unflatten(structure, noise)
+    noise_key = jax.random.wrap_key_data(numbers["noise_key"], impl="threefry2x32")
+    stream_keys = jax.random.split(jax.random.fold_in(noise_key, steps), len(leaves))
+    noise_leaves = []
+    for stream_key, leaf in zip(stream_keys, leaves, strict=True):
+        noise_leaves.append(jax.random.normal(stream_key, leaf.shape, leaf.dtype))
+    return jax.tree.unflatten(structure, noise_leaves)
 
 
 OPTIMIZERS: dict[str, tuple[Step, tuple[str, ...]]] = {
@@ -124,5 +124,5 @@ OPTIMIZERS: dict[str, tuple[Step, tuple[str, ...]]] = {
 def initial_state(optimizer: str, parameters: Tree) -> State:
     _, kept_arrays = OPTIMIZERS[optimizer]
     zeros = jax.tree.map(np.zeros_like, parameters)  # NumPy's: JAX would compile a program for each shape
-    count = np.int32 if optimizer == "upgd" else np.float32  # the counter that keys the noise is kept
-    return {"steps": np.zeros((), count)} | dict.fromkeys(kept_arrays, zeros)
+    counter_type = np.int32 if optimizer == "upgd" else np.float32  # the counter that keys the noise is kept
+    return {"steps": np.zeros((), counter_type)} | dict.fromkeys(kept_arrays, zeros)

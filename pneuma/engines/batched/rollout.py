@@ -49,12 +49,12 @@ class Rollout(NamedTuple):
 
     def of_player(self, player: int, players: int) -> Rollout:
         """Return the part of one of the players of each world, as a rollout of its own."""
-        *arrays, ended, terminal = self
-        is_players = ended["slot"] % players == player
-        ended = ended[is_players]
-        ended["slot"] //= players
+        *arrays, ended_episodes, terminal = self
+        is_players = ended_episodes["slot"] % players == player
+        ended_episodes = ended_episodes[is_players]
+        ended_episodes["slot"] //= players
         of_player = [np.ascontiguousarray(array[player::players]) for array in arrays]
-        return Rollout._make([*of_player, ended, terminal[is_players]])
+        return Rollout._make([*of_player, ended_episodes, terminal[is_players]])
 
 
 def empty_rollout(slots: int, steps: int, features: int) -> Rollout:
@@ -80,8 +80,8 @@ class Collector:
         self.actions = int(self.slots.action_space.n)
 
     def _make_slots(self) -> Any:
-        config = env_config(self._run)
-        slots = make_slots(self._run.slots * config.players, config)
+        world_config = env_config(self._run)
+        slots = make_slots(self._run.slots * world_config.players, world_config)
         slots.worlds.seed(slot_seeds(self._run))
         slots.worlds.reset()
         return slots
@@ -90,10 +90,10 @@ class Collector:
         slots, features = self.slots.observations.shape
         rollout = empty_rollout(slots, self._run.horizon, features)
         draws = self.generator.random((self._run.horizon, slots), np.float32)
-        count = self._play(network(actor, self._run.activation), draws, rollout)
+        endings = self._play(network(actor, self._run.activation), draws, rollout)
         rollout.last_observations[:], rollout.last_ends[:] = self.slots.observations, self.slots.begins
         return rollout._replace(
-            ended=rollout.ended[:count], terminal_observations=rollout.terminal_observations[:count]
+            ended=rollout.ended[:endings], terminal_observations=rollout.terminal_observations[:endings]
         )
 
     def _play(self, actor: Network, draws: np.ndarray, rollout: Rollout) -> int:
@@ -103,22 +103,22 @@ class Collector:
         if not own_rewards(self._run.reward):
             return _play(handle, actor, draws, usual_starts, rollout)
         actions = np.zeros(worlds.players.shape, np.int64)
-        count = 0
-        for step, draw in enumerate(draws):  # as `_play` does: a user's reward is plain Python
-            _choose(handle, actor, draw, rollout, step, actions)
+        endings = 0
+        for step, step_draws in enumerate(draws):  # as `_play` does: a user's reward is plain Python
+            _choose(handle, actor, step_draws, rollout, step, actions)
             worlds.advance(actions)
-            count = _keep_step(handle, usual_starts, rollout, step, count, actions)
-        return count
+            endings = _keep_step(handle, usual_starts, rollout, step, endings, actions)
+        return endings
 
     def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
         """Return the rows of the episodes that ended, in a rollout after `first_step` steps."""
-        rows = []
+        finished_rows = []
         for episode in rollout.ended.tolist():
-            row: dict[str, Any] = dict(zip(ENDED.names or (), episode, strict=True))
-            row["step"] = first_step + row["step"] * len(rollout.actions)
-            row["ending"] = ENDINGS[row["ending"]]
-            rows.append(row)
-        return rows
+            finished_row: dict[str, Any] = dict(zip(ENDED.names or (), episode, strict=True))
+            finished_row["step"] = first_step + finished_row["step"] * len(rollout.actions)
+            finished_row["ending"] = ENDINGS[finished_row["ending"]]
+            finished_rows.append(finished_row)
+        return finished_rows
 
 
 class GymnasiumCollector(Collector):
@@ -129,12 +129,12 @@ class GymnasiumCollector(Collector):
 
     def _play(self, actor: Network, draws: np.ndarray, rollout: Rollout) -> int:
         slots = self.slots
-        plays = np.ones(draws.shape[1], np.bool_)
+        is_playing = np.ones(draws.shape[1], np.bool_)
         endings = 0
-        for step, draw in enumerate(draws):
+        for step, step_draws in enumerate(draws):
             observations, actions = rollout.observations[:, step], rollout.actions[:, step]
             observations[:], rollout.starts[:, step] = slots.observations, slots.begins
-            choose(actor, observations, draw, plays, actions)
+            choose(actor, observations, step_draws, is_playing, actions)
             rollout.rewards[:, step], terminated, truncated = slots.step(actions)
             for slot in np.flatnonzero(terminated | truncated):
                 ending = rules.TIME_LIMIT if truncated[slot] else rules.RUNNING
@@ -144,42 +144,42 @@ class GymnasiumCollector(Collector):
         return endings
 
     def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
-        rows = list(self.slots.finished)
+        finished_rows = list(self.slots.finished)
         self.slots.finished.clear()
-        return rows
+        return finished_rows
 
 
 def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.ndarray:
     """Return the critic's values of a few observations: (K, features) -> (K,) float32."""
-    weights, widths, code = network(critic, activation)
+    weights, widths, activation_code = network(critic, activation)
     count = len(observations)
     scratch = room(widths, count)
     scratch[0, :count, : widths[0]] = observations
-    return np.array(forward(weights[0], widths, code, count, scratch)[:count, 0])
+    return np.array(forward(weights[0], widths, activation_code, count, scratch)[:count, 0])
 
 
 @kernel
 def _play(handle: Any, actor: Any, draws: Any, usual_starts: Any, rollout: Any) -> int:
-    s = open_state(handle)
-    actions = np.zeros((s.players.shape[0], s.players.shape[1]), np.int64)
-    count = 0
+    state = open_state(handle)
+    actions = np.zeros((state.players.shape[0], state.players.shape[1]), np.int64)
+    endings = 0
     for step in range(draws.shape[0]):
         _choose(handle, actor, draws[step], rollout, step, actions)
         run_worlds(handle.ctypes.data, actions.ctypes, STEP | RECORD)
-        count = _keep_step(handle, usual_starts, rollout, step, count, actions)
-    return count
+        endings = _keep_step(handle, usual_starts, rollout, step, endings, actions)
+    return endings
 
 
 @kernel
 def _choose(handle: Any, actor: Any, draws: Any, rollout: Any, step: int, actions: Any) -> None:
     """Record what each slot observes and draw its action; idle slots observe zeros."""
-    s = open_state(handle)
-    players = s.players.shape[1]
+    state = open_state(handle)
+    players = state.players.shape[1]
     for i in range(len(draws)):
-        slot = s.slots[i // players, i % players]
+        slot = state.slots[i // players, i % players]
         if not slot.idle:
-            for j in range(s.observations.shape[2]):  # a slice would compile the text of an error
-                rollout.observations[i, step, j] = s.observations[i // players, i % players, j]
+            for j in range(state.observations.shape[2]):  # a slice would compile the text of an error
+                rollout.observations[i, step, j] = state.observations[i // players, i % players, j]
         rollout.starts[i, step] = slot.begins
     observations, slot_actions = rollout.observations[:, step], rollout.actions[:, step]
     choose(actor, observations, draws, np.ones(len(draws), np.bool_), slot_actions)
@@ -188,34 +188,34 @@ def _choose(handle: Any, actor: Any, draws: Any, rollout: Any, step: int, action
 
 
 @kernel
-def _keep_step(handle: Any, usual_starts: Any, rollout: Any, step: int, count: int, actions: Any) -> int:
+def _keep_step(handle: Any, usual_starts: Any, rollout: Any, step: int, endings: int, actions: Any) -> int:
     """Keep each slot's reward and ending of a step and reset ended worlds; return the number of endings."""
-    s = open_state(handle)
-    players = s.players.shape[1]
+    state = open_state(handle)
+    players = state.players.shape[1]
     any_ended = False
-    for i in range(s.players.size):
+    for i in range(state.players.size):
         w, p = i // players, i % players
-        player, slot = s.players[w, p], s.slots[w, p]
-        has_ended = s.worlds[w].ending != rules.RUNNING
+        player, slot = state.players[w, p], state.slots[w, p]
+        has_ended = state.worlds[w].ending != rules.RUNNING
         any_ended |= has_ended
-        s.begins[w] = usual_starts[w] if has_ended else GO_ON
-        rollout.rewards[i, step] = s.events[w, p].reward
+        state.begins[w] = usual_starts[w] if has_ended else GO_ON
+        rollout.rewards[i, step] = state.events[w, p].reward
         if slot.ending != rules.RUNNING:
-            row = rollout.ended[count]
-            row.slot = i
-            row.episode = slot.episodes - 1
-            row.step = step + 1
-            row["return"] = slot.returns
-            row.length = slot.lengths
-            row.kills = player.kills
-            row.hp = player.hp
-            row.ending = slot.ending
-            for j in range(s.observations.shape[2]):
-                rollout.terminal_observations[count, j] = s.observations[w, p, j]
-            count += 1
+            ended_row = rollout.ended[endings]
+            ended_row.slot = i
+            ended_row.episode = slot.episodes - 1
+            ended_row.step = step + 1
+            ended_row["return"] = slot.returns
+            ended_row.length = slot.lengths
+            ended_row.kills = player.kills
+            ended_row.hp = player.hp
+            ended_row.ending = slot.ending
+            for j in range(state.observations.shape[2]):
+                rollout.terminal_observations[endings, j] = state.observations[w, p, j]
+            endings += 1
     if any_ended:
         run_worlds(handle.ctypes.data, actions.ctypes, RESET)
-    return count
+    return endings
 
 
 @kernel
@@ -227,16 +227,16 @@ def advantages(
     All arrays are float32. Values are of the states before each step, (S, T), and after the last one, (S,).
     `starts` and `last_ends` are 1 where the step before ended an episode; `decay` is gamma times lambda.
     """
-    result = np.zeros_like(rewards)
+    all_advantages = np.zeros_like(rewards)
     slots, steps = rewards.shape
     for i in range(slots):
         going_on = np.float32(1) - last_ends[i]
         next_value = last_values[i]
-        last = np.float32(0)
+        last_advantage = np.float32(0)
         for t in range(steps - 1, -1, -1):
             delta = rewards[i, t] + gamma * next_value * going_on - values[i, t]
-            last = delta + decay * going_on * last
-            result[i, t] = last
+            last_advantage = delta + decay * going_on * last_advantage
+            all_advantages[i, t] = last_advantage
             going_on = np.float32(1) - starts[i, t]
             next_value = values[i, t]
-    return result
+    return all_advantages

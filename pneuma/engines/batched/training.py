@@ -63,9 +63,9 @@ class BatchedTrainer(ResumableTrainer):
             "minibatches": [learner.generator.bit_generator.state for learner in self.learners],
         }
         for player, learner in enumerate(self.learners):
-            for kind, tree in (("networks", learner.networks), ("optimizer", learner.optimizer)):
-                for path, leaf in jax.tree.leaves_with_path(tree):
-                    arrays[_array_name(player, kind, path)] = np.array(leaf)
+            for tree_name, tree in (("networks", learner.networks), ("optimizer", learner.optimizer)):
+                for leaf_path, leaf in jax.tree.leaves_with_path(tree):
+                    arrays[_array_name(player, tree_name, leaf_path)] = np.array(leaf)
         return Checkpoint(step, arrays, numbers, records.copy())
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -82,13 +82,13 @@ class BatchedTrainer(ResumableTrainer):
 
 def _means(metrics_of_learners: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Return the mean of each metric. Not by `sum`, which rounds differently from Python 3.12 on."""
-    means = {}
-    for name in metrics_of_learners[0]:
-        total = metrics_of_learners[0][name]
+    metric_means = {}
+    for metric in metrics_of_learners[0]:
+        total = metrics_of_learners[0][metric]
         for metrics in metrics_of_learners[1:]:
-            total += metrics[name]
-        means[name] = total / len(metrics_of_learners)
-    return means
+            total += metrics[metric]
+        metric_means[metric] = total / len(metrics_of_learners)
+    return metric_means
 
 
 def _stack(networks: Sequence[Layers]) -> Layers:
@@ -97,20 +97,20 @@ def _stack(networks: Sequence[Layers]) -> Layers:
     return layers
 
 
-def _restored(tree: Any, player: int, kind: str, checkpoint: Checkpoint) -> Any:
+def _restored(tree: Any, player: int, tree_name: str, checkpoint: Checkpoint) -> Any:
     """Return a tree of arrays with the values of a checkpoint."""
 
-    def saved(path: Any, leaf: Any) -> np.ndarray:
-        name = _array_name(player, kind, path)
-        array = checkpoint.arrays[name]
+    def saved(leaf_path: Any, leaf: Any) -> np.ndarray:
+        array_name = _array_name(player, tree_name, leaf_path)
+        array = checkpoint.arrays[array_name]
         if array.shape != np.shape(leaf):
-            raise ValueError(f"{name} is of shape {array.shape}, not {np.shape(leaf)}")
+            raise ValueError(f"{array_name} is of shape {array.shape}, not {np.shape(leaf)}")
         return np.array(array)
 
     return jax.tree.map_with_path(saved, tree)
 
 
-def _array_name(player: int, kind: str, path: Any) -> str:
+def _array_name(player: int, tree_name: str, leaf_path: Any) -> str:
     """Return the name of an array in a checkpoint: networks/actor.0.1, player-2/optimizer/mean.critic.1.0."""
     owner = f"player-{player}/" if player else ""
-    return f"{owner}{kind}/{jax.tree_util.keystr(path, simple=True, separator='.')}"
+    return f"{owner}{tree_name}/{jax.tree_util.keystr(leaf_path, simple=True, separator='.')}"

@@ -76,18 +76,18 @@ def run_numbers(run: Run, player: int = 0, budget_left: float = 1.0) -> dict[str
     numbers = {"joint_limit": math.inf, "separate_limit": math.inf}
     if run.gradient_limit is not None:
         numbers[f"{run.clip}_limit"] = run.gradient_limit
-    for name in _LEARNING_NUMBERS:
-        numbers[name] = getattr(run, name)
-    for name in ANNEALED:
-        if getattr(run, f"{name}_schedule") == "linear":
-            numbers[name] *= budget_left
+    for field_name in _LEARNING_NUMBERS:
+        numbers[field_name] = getattr(run, field_name)
+    for field_name in ANNEALED:
+        if getattr(run, f"{field_name}_schedule") == "linear":
+            numbers[field_name] *= budget_left
     optimizer_numbers = {name: getattr(run, name) for name in OPTIMIZERS[run.optimizer].defaults}
     if "betas" in optimizer_numbers:
         optimizer_numbers["beta_1"], optimizer_numbers["beta_2"] = optimizer_numbers.pop("betas")
-    for name, number in optimizer_numbers.items():
-        numbers[name] = number
-        numbers[f"log_{name}"] = math.log(number) if number else -math.inf
-    arrays: dict[str, Any] = {name: np.float32(number) for name, number in numbers.items()}
+    for field_name, number in optimizer_numbers.items():
+        numbers[field_name] = number
+        numbers[f"log_{field_name}"] = math.log(number) if number else -math.inf
+    arrays: dict[str, Any] = {field_name: np.float32(number) for field_name, number in numbers.items()}
     arrays["noise_key"] = np.array([stream_seed(run.seed, "upgd-noise", player)], np.uint64).view(np.uint32)
     return arrays
 
@@ -101,14 +101,14 @@ def evaluate_rollout(
     Return log-probabilities (n,), values (N,), and the share of hidden units that are dead over the n.
     Observations after the first n are only valued.
     """
-    count = actions.shape[0]
+    sample_count = actions.shape[0]
     networks = joined(parameters)
-    hidden_a, logits = _forward(networks["actor"], activation, observations[:count])
+    hidden_a, logits = _forward(networks["actor"], activation, observations[:sample_count])
     hidden_c, values = _forward(networks["critic"], activation, observations)
     is_dead = NUMPY_ACTIVATIONS[activation].is_dead
-    hidden = hidden_a + [layer[:count] for layer in hidden_c]
-    dead = jnp.concatenate([is_dead(units).all(axis=0) for units in hidden]).mean()
-    return _of_actions(jax.nn.log_softmax(logits), actions), values[:, 0], dead
+    hidden_outputs = hidden_a + [layer[:sample_count] for layer in hidden_c]
+    dead_share = jnp.concatenate([is_dead(units).all(axis=0) for units in hidden_outputs]).mean()
+    return _of_actions(jax.nn.log_softmax(logits), actions), values[:, 0], dead_share
 
 
 @partial(jax.jit, static_argnames="program", donate_argnums=(0, 1))
@@ -123,23 +123,23 @@ def learn(
     numbers are those of `run_numbers`. The memory of parameters and state is reused.
     """
     minibatch = program.minibatch
-    whole = orders.shape[1] // minibatch
+    batches = orders.shape[1] // minibatch
 
     def take(carry: Tree, index: Any) -> tuple[Tree, Any]:
-        samples = {name: array[index] for name, array in batch.items()}
+        samples = {array_name: array[index] for array_name, array in batch.items()}
         return _step(carry, samples, numbers, program)
 
     def epoch(carry: Tree, order: Any) -> tuple[Tree, Any]:
-        carry, metrics = jax.lax.scan(take, carry, order[: whole * minibatch].reshape(whole, minibatch))
-        if whole * minibatch == order.shape[0]:
+        carry, metrics = jax.lax.scan(take, carry, order[: batches * minibatch].reshape(batches, minibatch))
+        if batches * minibatch == order.shape[0]:
             return carry, metrics
-        carry, last_metrics = take(carry, order[whole * minibatch :])
+        carry, last_metrics = take(carry, order[batches * minibatch :])
         return carry, jnp.concatenate([metrics, last_metrics[None]])
 
     carry, metrics = jax.lax.scan(epoch, (joined(parameters), joined(state)), orders)
-    means = metrics.mean(axis=(0, 1))  # (epochs, minibatches, metrics) -> (metrics,)
+    metric_means = metrics.mean(axis=(0, 1))  # (epochs, minibatches, metrics) -> (metrics,)
     kl = METRICS.index("approx_kl")
-    return _parted(carry[0]), _parted(carry[1]), means.at[kl].set(metrics[-1, :, kl].mean())
+    return _parted(carry[0]), _parted(carry[1]), metric_means.at[kl].set(metrics[-1, :, kl].mean())
 
 
 def joined(tree: Tree) -> Tree:
@@ -209,15 +209,15 @@ def _loss(parameters: Tree, batch: Mapping[str, Any], numbers: Any, program: Pro
     advantages = batch["advantages"]
     if program.normalizes and advantages.shape[0] > 1:
         advantages = (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
-    logs = jax.nn.log_softmax(logits)
-    difference = _of_actions(logs, batch["actions"]) - batch["log_probabilities"]
+    log_probabilities = jax.nn.log_softmax(logits)
+    difference = _of_actions(log_probabilities, batch["actions"]) - batch["log_probabilities"]
     ratio = jnp.exp(difference)
-    clip = numbers["clip_range"]
+    clip_range = numbers["clip_range"]
     terms = [
-        -jnp.minimum(advantages * ratio, advantages * jnp.clip(ratio, 1 - clip, 1 + clip)),
+        -jnp.minimum(advantages * ratio, advantages * jnp.clip(ratio, 1 - clip_range, 1 + clip_range)),
         (batch["returns"] - values[:, 0]) ** 2,
-        -(jnp.exp(logs) * logs).sum(axis=1),
-        jnp.abs(ratio - 1) > clip,
+        -(jnp.exp(log_probabilities) * log_probabilities).sum(axis=1),
+        jnp.abs(ratio - 1) > clip_range,
         ratio - 1 - difference,
     ]
     metrics = jnp.stack(terms).mean(axis=1)  # (metrics, minibatch) -> (metrics,)
@@ -226,18 +226,18 @@ def _loss(parameters: Tree, batch: Mapping[str, Any], numbers: Any, program: Pro
     return loss, metrics
 
 
-def _of_actions(logs: Any, actions: Any) -> Any:
+def _of_actions(log_probabilities: Any, actions: Any) -> Any:
     """Return the log-probabilities of actions: (N, actions), (N,) -> (N,)."""
-    return (logs * jax.nn.one_hot(actions, logs.shape[1])).sum(axis=1)
+    return (log_probabilities * jax.nn.one_hot(actions, log_probabilities.shape[1])).sum(axis=1)
 
 
 def _forward(layers: Any, activation: str, x: Any) -> tuple[list[Any], Any]:
     """Return the outputs of the hidden layers and of the last layer: (N, units)."""
-    hidden = []
+    hidden_outputs = []
     for layer in layers[:-1]:
         x = JAX_ACTIVATIONS[activation](_linear(layer, x))
-        hidden.append(x)
-    return hidden, _linear(layers[-1], x)
+        hidden_outputs.append(x)
+    return hidden_outputs, _linear(layers[-1], x)
 
 
 def _linear(layer: Any, x: Any) -> Any:
