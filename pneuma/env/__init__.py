@@ -16,10 +16,10 @@ def register_environments() -> None:
     """
     import gymnasium  # which takes long, and registers them when it is imported
 
-    for name in ENVIRONMENTS:
+    for env_id in ENVIRONMENTS:
         gymnasium.register(
-            name,
+            env_id,
             entry_point="pneuma.env.gym:PneumaEnv",
             vector_entry_point="pneuma.env.gym_vector:PneumaVectorEnv",
-            kwargs={"env_id": name},
+            kwargs={"env_id": env_id},
         )

@@ -164,46 +164,46 @@ class Characters(Table):
         return self
 
 
-def load_characters(name: str = "") -> Characters:
+def load_characters(characters_name: str = "") -> Characters:
     """Read the shipped characters, of which a file overrides some.
 
     It is a user's own, by its path, or a shipped variant, by its name; empty for none.
     """
-    file = read_toml(DATA / "characters.toml")
-    overriding = character_files(name)
-    if name in SHIPPED_CHARACTERS:
-        overriding = [DATA / f"{name}.toml"]
+    characters_file = read_toml(DATA / "characters.toml")
+    overriding = character_files(characters_name)
+    if characters_name in SHIPPED_CHARACTERS:
+        overriding = [DATA / f"{characters_name}.toml"]
     for path in overriding:
         override = read_toml(path)
-        file = TomlFile(path, override.text, _overridden(file.data, override.data))
-    return read_model(Characters, file)
+        characters_file = TomlFile(path, override.text, _overridden(characters_file.data, override.data))
+    return read_model(Characters, characters_file)
 
 
 def _overridden(shipped: Any, override: Any, depth: int = 2) -> Any:
     """Return tables in which a file's keys replace those of the shipped ones, key by key."""
     if depth < 0 or not isinstance(override, dict) or not isinstance(shipped, dict):
         return override
-    tables = dict(shipped)
-    for key, value in override.items():
-        tables[key] = _overridden(shipped.get(key, {}), value, depth - 1)
-    return tables
+    joined_tables = dict(shipped)
+    for key, override_value in override.items():
+        joined_tables[key] = _overridden(shipped.get(key, {}), override_value, depth - 1)
+    return joined_tables
 
 
-def character_files(name: str) -> list[Path]:
+def character_files(characters_name: str) -> list[Path]:
     """Return the user's file behind a name of characters, if there is one."""
-    if not name or name in SHIPPED_CHARACTERS:
+    if not characters_name or characters_name in SHIPPED_CHARACTERS:
         return []
-    path = Path(os.path.expanduser(name))
-    if not os.path.isfile(path):  # a Path would refuse a long name
-        hint = nearest_name(name, SHIPPED_CHARACTERS)
+    characters_path = Path(os.path.expanduser(characters_name))
+    if not os.path.isfile(characters_path):  # a Path would refuse a long name
+        hint = nearest_name(characters_name, SHIPPED_CHARACTERS)
         shipped = ", ".join(SHIPPED_CHARACTERS)
-        raise UserError(f"characters {name!r}: no such file{hint}; shipped are {shipped}")
-    return [path]
+        raise UserError(f"characters {characters_name!r}: no such file{hint}; shipped are {shipped}")
+    return [characters_path]
 
 
 def monster_codes(characters: Characters) -> dict[int, str]:
     """Return the monster's name for each code in a level's table of objects."""
-    return {monster.code: name for name, monster in characters.monsters.items()}
+    return {monster.code: monster_name for monster_name, monster in characters.monsters.items()}
 
 
 def player_stats(characters: Characters, classes: Sequence[str]) -> np.ndarray:
@@ -259,9 +259,9 @@ def _fill_player(stats: Any, player: Player, weapon: Weapon, spells: Spells) -> 
     stats["energy"] = player.energy
     stats["energy_gain"] = player.energy_recovery * player.magic / TICKS_PER_SECOND
     stats["swing"] = _ticks(weapon.swing)
-    for name, spell in (("flame", spells.flame), ("heal", spells.heal)):
-        stats[f"{name}_ticks"] = _ticks(spell.cast)
-        stats[f"{name}_cost"] = spell.cost
+    for spell_name, spell in (("flame", spells.flame), ("heal", spells.heal)):
+        stats[f"{spell_name}_ticks"] = _ticks(spell.cast)
+        stats[f"{spell_name}_cost"] = spell.cost
     stats["heal"] = spells.heal.strength
     stats["heal_reach"] = spells.heal.reach
     sword = stats["sword"]
@@ -285,8 +285,8 @@ def _fill_strike(strike: Any, box: tuple[float, ...], reach: Reach, damage: floa
 
 def _fill_monster(stats: Any, monster: Monster) -> None:
     _fill_body(stats, monster)
-    for name in ("stand_off", "damage", "xp", "heal"):
-        stats[name] = getattr(monster, name)
+    for field_name in ("stand_off", "damage", "xp", "heal"):
+        stats[field_name] = getattr(monster, field_name)
     for circle in ("notice", "attack"):
         stats[f"{circle}_squared"] = getattr(monster, circle) ** 2
         stats[f"{circle}_x"], stats[f"{circle}_y"] = getattr(monster, f"{circle}_at")

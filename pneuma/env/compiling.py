@@ -46,18 +46,18 @@ def cached(*signature: Any, using: Any = njit, notice: str = "", **options: Any)
     """
 
     def compiled(function: Any) -> Any:
-        index: Any = {}
+        cache_index: Any = {}
         can_cache = True
         try:
-            cache = typed_cache(function)
+            function_cache = typed_cache(function)
         except RuntimeError:  # no such folder
             can_cache = False
         else:
             try:
-                index = cache._cache_file._load_index()
+                cache_index = function_cache._cache_file._load_index()
             except Exception:  # it names a class that is gone, and is read whole before its age is seen
-                cache.flush()
-        if notice and not index and sys.stderr.isatty():
+                function_cache.flush()
+        if notice and not cache_index and sys.stderr.isatty():
             print(notice, file=sys.stderr)
         return using(*signature, cache=can_cache, **options)(function)
 
@@ -97,8 +97,8 @@ def array_from(codegen: Any, builder: Any, array_type: Any, address: Any, length
     for length in reversed(lengths[1:]):
         strides.insert(0, builder.mul(strides[0], length))
     if isinstance(address.type, ir.IntType):
-        data = builder.inttoptr(address, array.data.type)
+        data_pointer = builder.inttoptr(address, array.data.type)
     else:
-        data = builder.bitcast(address, array.data.type)
-    typed_arrays.populate_array(array, data, lengths, strides, item_size, None)
+        data_pointer = builder.bitcast(address, array.data.type)
+    typed_arrays.populate_array(array, data_pointer, lengths, strides, item_size, None)
     return array._getvalue()

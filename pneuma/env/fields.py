@@ -113,66 +113,68 @@ OBSERVATION_FIELDS = {
 # --- Resolving -----------------------------------------------------------------------------------
 
 
-def make_env_config(settings: Mapping[str, object], env: str = ENVIRONMENTS[0]) -> EnvConfig:
+def make_env_config(settings: Mapping[str, object], env_id: str = ENVIRONMENTS[0]) -> EnvConfig:
     """Resolve the fields of an environment to a complete configuration."""
-    if env not in ENVIRONMENT_FIELDS:
-        raise unknown_name("environment", env, ENVIRONMENTS)
-    values = read_fields(EnvConfig, with_environment(env, settings))
-    return EnvConfig(**resolve_world(values))
+    if env_id not in ENVIRONMENT_FIELDS:
+        raise unknown_name("environment", env_id, ENVIRONMENTS)
+    field_values = read_fields(EnvConfig, with_environment(env_id, settings))
+    return EnvConfig(**resolve_world(field_values))
 
 
-def with_environment(env: str, settings: Mapping[str, object]) -> dict[str, Any]:
+def with_environment(env_id: str, settings: Mapping[str, object]) -> dict[str, Any]:
     """Return an environment's fields with the settings over them."""
-    return {**ENVIRONMENT_FIELDS.get(env, {}), **settings}
+    return {**ENVIRONMENT_FIELDS.get(env_id, {}), **settings}
 
 
 OF_PLAYERS = ("classes", "reward")
 """Fields with one name, or one for each player."""
 
 
-def resolve_world(values: Mapping[str, Any]) -> dict[str, Any]:
+def resolve_world(field_values: Mapping[str, Any]) -> dict[str, Any]:
     """Fill in what an observation layout implies, and check fields that depend on each other."""
-    resolved = dict(values)
-    for field_name, implied in OBSERVATION_FIELDS[values.get("observation", "thesis")].items():
-        resolved[field_name] = values.get(field_name) or implied
-    players = values.get("players", 1)
+    resolved = dict(field_values)
+    for field_name, implied in OBSERVATION_FIELDS[field_values.get("observation", "thesis")].items():
+        resolved[field_name] = field_values.get(field_name) or implied
+    players = field_values.get("players", 1)
     for field_name in OF_PLAYERS:
-        names = resolved.get(field_name)
-        if not names:
+        names_by_player = resolved.get(field_name)
+        if not names_by_player:
             continue
-        if len(names) not in (1, players):
-            problem = f"{field_name} has {len(names)} names for {players} players"
+        if len(names_by_player) not in (1, players):
+            problem = f"{field_name} has {len(names_by_player)} names for {players} players"
             raise UserError(f"{problem}: give one value, or one for each")
-        if len(set(names)) == 1:
-            resolved[field_name] = names[:1]
+        if len(set(names_by_player)) == 1:
+            resolved[field_name] = names_by_player[:1]
     if players == 1:
         resolved.pop("shared_reward", None)
-    if not values.get("level", "").startswith(RANDOM):
+    if not field_values.get("level", "").startswith(RANDOM):
         for field_name, only_value in (("random_levels", 1), ("monsters", "bamboo")):
-            value = resolved.get(field_name, only_value)
-            if value != only_value:
-                raise UserError(f"{field_name} = {value} is not allowed: it applies only to random levels")
+            field_value = resolved.get(field_name, only_value)
+            if field_value != only_value:
+                raise UserError(
+                    f"{field_name} = {field_value} is not allowed: it applies only to random levels"
+                )
     return resolved
 
 
-def is_own_level(name: str) -> bool:
-    return bool(name) and name not in SHIPPED_LEVELS and not name.startswith(RANDOM)
+def is_own_level(level_name: str) -> bool:
+    return bool(level_name) and level_name not in SHIPPED_LEVELS and not level_name.startswith(RANDOM)
 
 
-def are_own_characters(name: str) -> bool:
-    return bool(name) and name not in SHIPPED_CHARACTERS
+def are_own_characters(characters_name: str) -> bool:
+    return bool(characters_name) and characters_name not in SHIPPED_CHARACTERS
 
 
-def own_rewards(names: Iterable[str]) -> list[str]:
-    return [name for name in names if ":" in name]
+def own_rewards(reward_names: Iterable[str]) -> list[str]:
+    return [reward_name for reward_name in reward_names if ":" in reward_name]
 
 
-def read_fields(config: type[EnvConfig], values: Mapping[str, object]) -> dict[str, Any]:
+def read_fields(config_type: type[EnvConfig], values: Mapping[str, object]) -> dict[str, Any]:
     """Check fields of a configuration and return each in its final type."""
-    return {field_name: read_field(config, field_name, value) for field_name, value in values.items()}
+    return {field_name: read_field(config_type, field_name, value) for field_name, value in values.items()}
 
 
-def read_field(config: type[EnvConfig], field_name: str, value: object) -> Any:
+def read_field(config_type: type[EnvConfig], field_name: str, field_value: object) -> Any:
     from pneuma import schema  # pydantic: not for `import pneuma`
 
-    return schema.read_field(config, field_name, value)
+    return schema.read_field(config_type, field_name, field_value)

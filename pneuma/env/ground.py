@@ -66,8 +66,8 @@ def _texture(shape: tuple[int, ...], ground_code: int) -> np.ndarray:
     mirrored = pictures[:, :, ::-1]
     variants = np.concatenate([pictures, mirrored])
     tile_row, tile_column = np.ogrid[:rows, :columns]
-    mixed = tile_hash(tile_row, tile_column, ground_code)
-    variant_by_tile = np.array(_VARIANTS)[mixed % 8] + mixed // 8 % 2 * len(pictures)
+    hash_by_tile = tile_hash(tile_row, tile_column, ground_code)
+    variant_by_tile = np.array(_VARIANTS)[hash_by_tile % 8] + hash_by_tile // 8 % 2 * len(pictures)
     tiles = variants[variant_by_tile]  # (rows, columns, 16, 16, 3)
     image = tiles.swapaxes(1, 2).reshape(rows * TILE, columns * TILE, 3)
     background = pictures[0, 0, 0]
@@ -107,17 +107,17 @@ def _soften(ground: np.ndarray) -> np.ndarray:
 
 def _sum_around(pixels: np.ndarray, radius: int) -> np.ndarray:
     """Return the sum of the pixels in a square of 2 radius + 1 around each."""
-    total = pixels.astype(np.int32)
+    pixel_sums = pixels.astype(np.int32)
     weights = np.ones(2 * radius + 1)
     for axis in (0, 1):
-        total = convolve1d(total, weights, axis, mode="nearest")
-    return total
+        pixel_sums = convolve1d(pixel_sums, weights, axis, mode="nearest")
+    return pixel_sums
 
 
 def _wobble(shape: tuple[int, ...], hash_salt: int, step: int = 8) -> np.ndarray:
     """Return smooth noise from -36 to 36 over all art pixels, by lattice points `step` apart."""
-    counts = [length * TILE // step + 2 for length in shape]
-    tile_row, tile_column = np.ogrid[: counts[0], : counts[1]]
+    lattice_counts = [length * TILE // step + 2 for length in shape]
+    tile_row, tile_column = np.ogrid[: lattice_counts[0], : lattice_counts[1]]
     noise = tile_hash(tile_row, tile_column, 100 + hash_salt).astype(np.int32) % 73 - 36
     for axis in (0, 1):
         noise = np.moveaxis(noise, axis, 0)
@@ -137,8 +137,8 @@ def _paint_water(image: np.ndarray, pixel_ground: np.ndarray) -> None:
     noise = _wobble(shape, 7)
     shallow = water & (_sum_around(land, 9) + noise > 50)
     image[shallow] = rgb(_SHALLOWS)
-    near, further, furthest = [_sum_around(land, radius) > 0 for radius in (1, 4, 5)]
-    image[water & (near | (furthest & ~further & (noise > 6)))] = rgb(_FOAM)
+    near_shore, further, furthest = [_sum_around(land, radius) > 0 for radius in (1, 4, 5)]
+    image[water & (near_shore | (furthest & ~further & (noise > 6)))] = rgb(_FOAM)
 
 
 def _paint_banks(image: np.ndarray, pixel_ground: np.ndarray) -> None:
@@ -208,7 +208,7 @@ def visible_ground(level: Level) -> np.ndarray:
 def land_and_shore(levels: Sequence[Level]) -> Rectangle:
     """Return the box of the land of all levels and the water around, in art pixels."""
     land = np.any([level.terrain != rules.COAST for level in levels], axis=0)
-    tiles = np.argwhere(land)
-    top, left = np.maximum(tiles.min(axis=0) - SHORE_TILES, 0).tolist()
-    bottom, right = np.minimum(tiles.max(axis=0) + 1 + SHORE_TILES, land.shape).tolist()
+    land_tiles = np.argwhere(land)
+    top, left = np.maximum(land_tiles.min(axis=0) - SHORE_TILES, 0).tolist()
+    bottom, right = np.minimum(land_tiles.max(axis=0) + 1 + SHORE_TILES, land.shape).tolist()
     return Rectangle(left * TILE, top * TILE, right * TILE, bottom * TILE)

@@ -141,11 +141,11 @@ class PneumaEnv(Face, gymnasium.Env[np.ndarray, np.int64]):
         camera: str = "map",
         **settings: object,
     ) -> None:
-        config = make_env_config(settings, env_id)
-        if config.players != 1:
+        env_config = make_env_config(settings, env_id)
+        if env_config.players != 1:
             alternative = "make the vector environment, or pneuma.env.pettingzoo.parallel_env"
-            raise UserError(f"players = {config.players}: this environment has one player; {alternative}")
-        self.state = Worlds(1, config)
+            raise UserError(f"players = {env_config.players}: this environment has one player; {alternative}")
+        self.state = Worlds(1, env_config)
         self.observation_space = self.state.space
         self.action_space = self.state.action_space
         self._set_up(self.state, env_id, render_mode, camera)
@@ -168,21 +168,21 @@ class PneumaEnv(Face, gymnasium.Env[np.ndarray, np.int64]):
 
     def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Play one action; see `gymnasium.Env.step`."""
-        index = operator.index(action)
-        if not 0 <= index < self.state.action_space.n:
+        action_index = operator.index(action)
+        if not 0 <= action_index < self.state.action_space.n:
             raise ValueError(f"action {action!r} is outside {self.action_space}")
         if not self._is_playing:
             raise ResetNeeded("no episode is under way: call reset first")
-        self._actions[0, 0] = index
-        ended = self.state.advance(self._actions) > 0
-        self._is_playing = not ended
+        self._actions[0, 0] = action_index
+        has_ended = self.state.advance(self._actions) > 0
+        self._is_playing = not has_ended
         observation, info = self._observation_and_info()
         truncated = False
-        if ended:
+        if has_ended:
             info |= ending_info(self.state)
             truncated = bool(self.state.truncated[0])
         reward = self.state.events["reward"].item()
-        return observation, reward, ended and not truncated, truncated, info
+        return observation, reward, has_ended and not truncated, truncated, info
 
     def get_keys_to_action(self) -> dict[tuple[int, ...], int]:
         """Return the keys that `gymnasium.utils.play.play` asks for; see `pneuma.env.watch.KEYS`."""

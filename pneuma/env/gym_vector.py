@@ -120,9 +120,9 @@ class PneumaVectorEnv(Face, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         masks = self.state.masks.reshape(self.num_envs, -1)
         infos: dict[str, Any] = {}
         for slot_index in np.flatnonzero(ended).tolist():
-            info = ending_info(self.state, slot_index)
+            slot_info = ending_info(self.state, slot_index)
             if self.autoreset_mode == AutoresetMode.SAME_STEP:
-                info["action_mask"] = masks[slot_index].copy()
-                info = {"final_obs": observations[slot_index].copy(), "final_info": info}
-            infos = self._add_info(infos, info, slot_index)
+                slot_info["action_mask"] = masks[slot_index].copy()
+                slot_info = {"final_obs": observations[slot_index].copy(), "final_info": slot_info}
+            infos = self._add_info(infos, slot_info, slot_index)
         return infos

@@ -57,7 +57,7 @@ def _run_worlds(handle: Any, actions: Any, work: int) -> int:
     state = open_state(handle)
     players = state.players.shape[1]
     step_actions = array_at(actions, (state.players.shape[0], players))
-    ended = 0
+    ended_count = 0
     for world_index in range(state.worlds.shape[0]):
         if work == RESET and state.begins[world_index] != GO_ON:
             begin_episode(state, world_index, state.begins[world_index])
@@ -69,7 +69,7 @@ def _run_worlds(handle: Any, actions: Any, work: int) -> int:
                 world.slots[player_index].ending = RUNNING
             if world.episode.ending != RUNNING:
                 continue
-            ended += step_world(world, world_actions)
+            ended_count += step_world(world, world_actions)
         if work != RECORD:
             notes_distance = work & STEP or world.episode.ending == RUNNING
             for player_index in range(players):
@@ -83,4 +83,4 @@ def _run_worlds(handle: Any, actions: Any, work: int) -> int:
                 share_reward(world.events)
         if work & RECORD:
             record_step(world, world_actions)
-    return ended
+    return ended_count

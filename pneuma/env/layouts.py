@@ -62,11 +62,11 @@ def fill_scales(worlds: Worlds) -> None:
 
 def _fill_perceived(worlds: Worlds, settings: Any) -> None:
     """Write how many monsters are perceived, or by which rays, and the kinds that these distinguish."""
-    mode, _, number = worlds.config.perceive.partition(":")
+    perception, _, number = worlds.config.perceive.partition(":")
     settings["perceived"] = worlds.monster_stats.shape[1]
-    if mode == "nearest":
+    if perception == "nearest":
         settings["perceived"] = min(int(number), settings["perceived"])
-    elif mode == "rays":
+    elif perception == "rays":
         settings["perceived"] = 0
         settings["rays"] = rays = int(number)
         angles = 2 * np.pi * np.arange(rays) / rays
@@ -101,24 +101,24 @@ def observation_space(worlds: Worlds, player_stats: Any) -> spaces.Box:
         least_xp, most_xp = -MOST_XP, MOST_XP
     monster_hp = (0.0, (monsters["hp"] * monsters["hp_scale"]).max(initial=0.0))
     monster_xp = (0.0, (monsters["xp"] * monsters["xp_scale"]).max(initial=0.0))
-    distance = (0.0, diagonal * monsters["distance_scale"].max(initial=0.0))
+    distance_bounds = (0.0, diagonal * monsters["distance_scale"].max(initial=0.0))
     bounds = _position_bounds(settings, _land(level))
-    monster = [distance, DIRECTION, DIRECTION, monster_hp]
+    monster_bounds = [distance_bounds, DIRECTION, DIRECTION, monster_hp]
     if config.observation == "pygame":
-        energy = (0.0, player_stats["energy"] * player_stats["energy_scale"])
-        bounds += [DIRECTION, DIRECTION, hp_bounds, energy]
-        monster.append(monster_xp)
+        energy_bounds = (0.0, player_stats["energy"] * player_stats["energy_scale"])
+        bounds += [DIRECTION, DIRECTION, hp_bounds, energy_bounds]
+        monster_bounds.append(monster_xp)
     else:
         bounds += [hp_bounds, (least_xp * settings["xp_scale"], most_xp * settings["xp_scale"])]
     if config.observation == "godot":
         area = _land(level)
         if config.terrain_stops == "players":  # monsters follow out over the sea
             area = level.grid
-        monster = [*_position_bounds(settings, area), monster_hp, DIRECTION, DIRECTION]
+        monster_bounds = [*_position_bounds(settings, area), monster_hp, DIRECTION, DIRECTION]
     if config.observe_facing:
         bounds += [FLAG] * 4
     ray: list[Bounds] = [(0.0, diagonal * settings["ray_scale"])] + [FLAG] * (2 + int(settings["sights"]))
-    bounds += monster * int(settings["perceived"]) + ray * int(settings["rays"])
+    bounds += monster_bounds * int(settings["perceived"]) + ray * int(settings["rays"])
     limits = np.array(bounds)
     low = np.minimum(limits[:, 0], 0.0)  # idle slots see zeros
     high = np.maximum(limits[:, 1], 0.0)

@@ -109,51 +109,51 @@ def refuse_bad_places(
     for index, (x, y) in enumerate(level.starts):
         for shape in shapes:
             starting.append(_Body(f"start place {index}", x, y, shape))
-    living = []
-    for index, (monster, stats) in enumerate(zip(level.monsters, monster_stats, strict=True)):
-        living.append(_Body(f"monster {index} ({monster.name})", monster.x, monster.y, stats))
-    closed = level.terrain == rules.COAST
+    living_bodies = []
+    for index, (monster, body_stats) in enumerate(zip(level.monsters, monster_stats, strict=True)):
+        living_bodies.append(_Body(f"monster {index} ({monster.name})", monster.x, monster.y, body_stats))
+    closed_tiles = level.terrain == rules.COAST
     if config.trees == "wall":
-        closed |= level.terrain == rules.SOLID
-    stopped = living
+        closed_tiles |= level.terrain == rules.SOLID
+    stopped_bodies = living_bodies
     if config.terrain_stops == "players":
-        stopped = []
-    _refuse_terrain(level, starting + stopped, closed)
-    _refuse_terrain(level, living, np.zeros_like(closed))  # none is beyond the grid
+        stopped_bodies = []
+    _refuse_terrain(level, starting + stopped_bodies, closed_tiles)
+    _refuse_terrain(level, living_bodies, np.zeros_like(closed_tiles))  # none is beyond the grid
     longer_side = 2 * float(max(player_stats["half_width"].max(), player_stats["half_height"].max()))
-    cut_off = first_cut_off(level, ~closed, longer_side, len(stopped))
+    cut_off = first_cut_off(level, ~closed_tiles, longer_side, len(stopped_bodies))
     if cut_off is not None:
-        body = (starting[:: len(shapes)] + living)[cut_off]
+        body = (starting[:: len(shapes)] + living_bodies)[cut_off]
         problem = f"{body.name} is walled in or off the land, for a body of {longer_side:g} px"
         raise UserError(f"level {level.name}: {problem}")
-    movers = living
+    movers = living_bodies
     if config.players > 1:
-        movers = starting + living
-    _refuse_overlaps(level, movers, starting + living)
+        movers = starting + living_bodies
+    _refuse_overlaps(level, movers, starting + living_bodies)
 
 
 class _Body:
     """A body where it begins, as a box."""
 
-    def __init__(self, name: str, x: float, y: float, stats: np.void) -> None:
-        self.name = f"{name} at ({x:g}, {y:g})"
-        middle = np.array([x + stats["body_x"], y + stats["body_y"]])
-        half = np.array([stats["half_width"], stats["half_height"]])
+    def __init__(self, place_name: str, x: float, y: float, body_stats: np.void) -> None:
+        self.name = f"{place_name} at ({x:g}, {y:g})"
+        middle = np.array([x + body_stats["body_x"], y + body_stats["body_y"]])
+        half = np.array([body_stats["half_width"], body_stats["half_height"]])
         self.low = middle - half
         self.high = middle + half
 
 
 def _refuse_terrain(level: Level, bodies: Sequence[_Body], closed: np.ndarray) -> None:
     """Refuse bodies on closed tiles, or beyond the grid, around which all is closed."""
-    framed = np.pad(closed, 1, constant_values=True)
+    framed_tiles = np.pad(closed, 1, constant_values=True)
     corner = (level.left - level.tile, level.top - level.tile)
-    last = np.array(framed.T.shape) - 1
+    last_tile = np.array(framed_tiles.T.shape) - 1
     for body in bodies:
-        first = np.clip(np.floor((body.low - corner) / level.tile), 0, last).astype(int)
-        end = np.clip(np.ceil((body.high - corner) / level.tile), 1, last + 1).astype(int)
-        stuck = np.argwhere(framed[first[1] : end[1], first[0] : end[0]])
-        if len(stuck):
-            row, column = stuck[0] + first[::-1]
+        first_tile = np.clip(np.floor((body.low - corner) / level.tile), 0, last_tile).astype(int)
+        end_tile = np.clip(np.ceil((body.high - corner) / level.tile), 1, last_tile + 1).astype(int)
+        stuck_tiles = np.argwhere(framed_tiles[first_tile[1] : end_tile[1], first_tile[0] : end_tile[0]])
+        if len(stuck_tiles):
+            row, column = stuck_tiles[0] + first_tile[::-1]
             width, height = body.high - body.low
             problem = f"has a body of {width:g} x {height:g} px, stuck in row {row}, column {column}"
             raise UserError(f"level {level.name}: {body.name} {problem}")
@@ -165,8 +165,8 @@ def _refuse_overlaps(level: Level, bodies: Sequence[_Body], obstacles: Sequence[
     for body in bodies:
         depth = np.minimum(high, body.high) - np.maximum(low, body.low)
         overlapping = (depth > rules.CONTACT_EPS).all(axis=1)  # touching is no overlap
-        for index in np.flatnonzero(overlapping).tolist():
-            obstacle = obstacles[index]
+        for obstacle_index in np.flatnonzero(overlapping).tolist():
+            obstacle = obstacles[obstacle_index]
             if obstacle.name != body.name:  # itself, or another player's body at one place
                 raise UserError(
                     f"level {level.name}: {body.name} starts inside {obstacle.name}; move one of them"
@@ -196,9 +196,9 @@ def first_cut_off(level: Level, free: np.ndarray, side: float, monsters: int) ->
     places_by_region = Counter(region for place_regions in regions_by_place for region in place_regions)
     sizes = np.bincount(regions.ravel())
     home = max(places_by_region, key=lambda region: (places_by_region[region], sizes[region]), default=0)
-    for index, place_regions in enumerate(regions_by_place):
+    for place_index, place_regions in enumerate(regions_by_place):
         if home not in place_regions:
-            return index
+            return place_index
     return None
 
 
@@ -207,8 +207,8 @@ def walkable_regions(free: np.ndarray, abreast: int = 1) -> np.ndarray:
 
     Return the region of a body whose upper left tile is this one, (rows, columns) int32; 0 where none fits.
     """
-    fits = minimum_filter(free, abreast, mode="constant", cval=False, origin=-(abreast // 2))
-    return np.asarray(label(fits, output=np.int32)[0])
+    has_room = minimum_filter(free, abreast, mode="constant", cval=False, origin=-(abreast // 2))
+    return np.asarray(label(has_room, output=np.int32)[0])
 
 
 def _regions_at(regions: np.ndarray, abreast: int, level: Level, x: float, y: float) -> set[int]:

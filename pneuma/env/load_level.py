@@ -68,8 +68,8 @@ def load_levels(config: EnvConfig, monster_codes: Mapping[int, str]) -> list[Lev
     """
     if not config.level.startswith(RANDOM):
         return [load_level(config.level, monster_codes)]
-    split, first = parse_name(config.level)
-    numbers = range(first, first + config.random_levels)
+    split, first_number = parse_name(config.level)
+    numbers = range(first_number, first_number + config.random_levels)
     return [random_level(split, number, config.monsters) for number in numbers]
 
 
@@ -91,17 +91,17 @@ def load_level(level_name: str, monster_codes: Mapping[int, str]) -> Level:
     rows, columns = ground.shape
     origin_column, origin_row = header.origin or (columns / 2, rows / 2)
     starts = []
-    living = []
+    monster_places = []
     objects_path = folder / "objects.csv"
-    for code, x, y in _read_table(objects_path, _OBJECTS, header="code,x,y"):
-        code = int(_without_turns(code))
-        if code == START_CODE:
+    for object_code, x, y in _read_table(objects_path, _OBJECTS, header="code,x,y"):
+        object_code = int(_without_turns(object_code))
+        if object_code == START_CODE:
             starts.append((x, y))
-        elif code in monster_codes:
-            living.append(MonsterPlace(monster_codes[code], x, y))
+        elif object_code in monster_codes:
+            monster_places.append(MonsterPlace(monster_codes[object_code], x, y))
         else:
             known_codes = ", ".join(map(str, (START_CODE, *monster_codes)))
-            raise UserError(f"{objects_path}: unknown code {code}; known are {known_codes}")
+            raise UserError(f"{objects_path}: unknown code {object_code}; known are {known_codes}")
     if not starts:
         raise UserError(f"{objects_path}: has no start place")
     if level_name.startswith("~"):
@@ -115,7 +115,7 @@ def load_level(level_name: str, monster_codes: Mapping[int, str]) -> Level:
         ground=ground,
         terrain=terrain.astype(np.uint8),
         starts=np.array(starts, np.float64),
-        monsters=tuple(living),
+        monsters=tuple(monster_places),
     )
 
 
@@ -129,16 +129,16 @@ def level_files(level_name: str) -> list[Path]:
 def _level_path(level_name: str) -> Path:
     if level_name in SHIPPED_LEVELS:
         return LEVELS / level_name
-    path = Path(os.path.expanduser(level_name))
-    if _folder_files(path):
-        return path
+    level_folder = Path(os.path.expanduser(level_name))
+    if _folder_files(level_folder):
+        return level_folder
     forms = f"{RANDOM}train:N, {RANDOM}test:N, or the path of a folder with obstacles.csv and objects.csv"
     raise UserError(f"{unknown_name('level', level_name, SHIPPED_LEVELS)}, {forms}")
 
 
 def _folder_files(folder: Path) -> list[Path]:
-    paths = [folder / file_name for file_name in FOLDER_FILES]
-    return [path for path in paths if os.path.isfile(path)]
+    file_paths = [folder / file_name for file_name in FOLDER_FILES]
+    return [file_path for file_path in file_paths if os.path.isfile(file_path)]
 
 
 def _read_layer(table_path: Path) -> np.ndarray:
@@ -157,11 +157,11 @@ def _without_turns(codes: Any) -> Any:
 
 def _read_table(table_path: Path, row_types: TypeAdapter[Any], header: str = "") -> list[Any]:
     """Return the rows of a CSV file of numbers, below its header if it has one."""
-    lines = read_text(table_path).splitlines()
-    if header and lines[:1] != [header]:
+    text_lines = read_text(table_path).splitlines()
+    if header and text_lines[:1] != [header]:
         raise UserError(f"{table_path}: the first line must be {header}")
     header_rows = len(header.splitlines())
-    rows = [line.split(",") for line in lines[header_rows:] if line.strip()]
+    rows = [text_line.split(",") for text_line in text_lines[header_rows:] if text_line.strip()]
     try:
         return list(row_types.validate_python(rows))
     except ValidationError as error:

@@ -200,9 +200,9 @@ def _distance_to_body(box: Array, from_x: float, from_y: float, ray_x: float, ra
     middle_y = box.place[1] + box.offset[1]
     enters_x, leaves_x = _between(middle_x - box.half[0] - from_x, middle_x + box.half[0] - from_x, ray_x)
     enters_y, leaves_y = _between(middle_y - box.half[1] - from_y, middle_y + box.half[1] - from_y, ray_y)
-    enters = max(enters_x, enters_y, 0.0)
-    if enters < min(leaves_x, leaves_y):
-        return enters
+    entry = max(enters_x, enters_y, 0.0)
+    if entry < min(leaves_x, leaves_y):
+        return entry
     return math.inf
 
 

@@ -37,7 +37,7 @@ class PneumaParallelEnv(Face, ParallelEnv[str, np.ndarray, np.int64]):
     ) -> None:
         self.slots = make_slots(players, make_env_config({"players": players, **settings}, env_id))
         self.worlds = self.slots.worlds
-        self.possible_agents = [f"player_{index}" for index in range(players)]
+        self.possible_agents = [f"player_{player_index}" for player_index in range(players)]
         self.agents: list[str] = []
         self._actions = np.zeros(players, np.int64)
         self._action_spaces = [spaces.Discrete(int(self.worlds.action_space.n)) for _ in range(players)]
@@ -75,23 +75,23 @@ class PneumaParallelEnv(Face, ParallelEnv[str, np.ndarray, np.int64]):
         """
         if not self.agents:
             raise ResetNeeded("no episode is under way: call reset first")
-        for index, agent in enumerate(self.possible_agents):
+        for player_index, agent in enumerate(self.possible_agents):
             if agent in self.agents:
                 action: Any = actions.get(agent)
-                if not self._action_spaces[index].contains(action):
+                if not self._action_spaces[player_index].contains(action):
                     problem = f"action {action!r} of {agent}, who is alive,"
-                    raise ValueError(f"{problem} is outside {self._action_spaces[index]}")
-                self._actions[index] = action
-        ended = self.slots.step(self._actions)
+                    raise ValueError(f"{problem} is outside {self._action_spaces[player_index]}")
+                self._actions[player_index] = action
+        has_ended = self.slots.step(self._actions)
         observations, infos = self._observations_and_infos()
         rewards, terminations, truncations = {}, {}, {}
         for agent in infos:
-            index = self.possible_agents.index(agent)
-            rewards[agent] = self.slots.rewards[index].item()
-            terminations[agent] = self.slots.terminated[index].item()
-            truncations[agent] = self.slots.truncated[index].item()
-            if ended[index]:
-                infos[agent] |= ending_info(self.worlds, index)
+            player_index = self.possible_agents.index(agent)
+            rewards[agent] = self.slots.rewards[player_index].item()
+            terminations[agent] = self.slots.terminated[player_index].item()
+            truncations[agent] = self.slots.truncated[player_index].item()
+            if has_ended[player_index]:
+                infos[agent] |= ending_info(self.worlds, player_index)
                 self.agents.remove(agent)
         return observations, rewards, terminations, truncations, infos
 
@@ -99,9 +99,9 @@ class PneumaParallelEnv(Face, ParallelEnv[str, np.ndarray, np.int64]):
         """Return what the players in `agents` observe, and which actions have an effect."""
         observations, infos = {}, {}
         for agent in self.agents:
-            index = self.possible_agents.index(agent)
-            observations[agent] = self.worlds.observations[0, index].copy()
-            infos[agent] = {"action_mask": self.worlds.masks[0, index].copy()}
+            player_index = self.possible_agents.index(agent)
+            observations[agent] = self.worlds.observations[0, player_index].copy()
+            infos[agent] = {"action_mask": self.worlds.masks[0, player_index].copy()}
         return observations, infos
 
 

@@ -41,25 +41,25 @@ class Hunter:
     def act(self, worlds: Worlds) -> np.ndarray:
         """Return (N, P) actions; those of players who are busy do not matter."""
         actions = np.full(worlds.players.shape, rules.ATTACK)
-        for world_index, world in enumerate(worlds.worlds):
-            if world["steps"] == 0:
+        for world_index, world_row in enumerate(worlds.worlds):
+            if world_row["steps"] == 0:
                 self._way[world_index] = 0
-            if world["ending"] == rules.RUNNING and world["monsters_left"]:
+            if world_row["ending"] == rules.RUNNING and world_row["monsters_left"]:
                 for player_index in range(actions.shape[1]):
                     actions[world_index, player_index] = self._choose(worlds, world_index, player_index)
         return actions
 
     def _choose(self, worlds: Worlds, world_index: int, player_index: int) -> int:
         """Return a player's action in a world where monsters live."""
-        player, way = worlds.players[world_index, player_index], self._way[world_index, player_index]
-        has_walked, way["walks"] = bool(way["walks"]), False
+        player, detour = worlds.players[world_index, player_index], self._way[world_index, player_index]
+        has_walked, detour["walks"] = bool(detour["walks"]), False
         if player["busy"] >= TICKS_PER_STEP or player["hp"] <= 0:
             return rules.ATTACK
         monsters = worlds.monsters[world_index]
         living = np.flatnonzero(monsters["hp"] > 0)
         offsets = np.stack([monsters["x"][living] - player["x"], monsters["y"][living] - player["y"]])
-        stats = worlds.monster_stats[worlds.worlds["level"][world_index], living]
-        hits = _hits(worlds.player_stats["sword"][player_index], offsets, stats)
+        monster_stats = worlds.monster_stats[worlds.worlds["level"][world_index], living]
+        hits = _hits(worlds.player_stats["sword"][player_index], offsets, monster_stats)
         if hits[player["facing"]].any():
             return rules.ATTACK
         # A monster that a turn would hit is nearer than all others.
@@ -67,18 +67,18 @@ class Hunter:
         ahead, aside = _directions(*offsets[:, nearest])
         if hits[aside, nearest] and not hits[ahead, nearest]:
             ahead, aside = aside, ahead
-        if has_walked and (way["x"], way["y"]) == (player["x"], player["y"]):  # something stopped it
-            if way["steps"] > 0:
-                aside = (way["facing"] + 1) % 4  # round to the right
-            way["facing"] = aside
-            way["steps"] = self.SIDE_STEPS * (
+        if has_walked and (detour["x"], detour["y"]) == (player["x"], player["y"]):  # something stopped it
+            if detour["steps"] > 0:
+                aside = (detour["facing"] + 1) % 4  # round to the right
+            detour["facing"] = aside
+            detour["steps"] = self.SIDE_STEPS * (
                 1 + player_index
             )  # so that two do not block each other for ever
         else:
-            way["steps"] = max(way["steps"] - 1, 0)
-        way["walks"], way["x"], way["y"] = True, player["x"], player["y"]
-        if way["steps"] > 0:
-            return int(way["facing"])
+            detour["steps"] = max(detour["steps"] - 1, 0)
+        detour["walks"], detour["x"], detour["y"] = True, player["x"], player["y"]
+        if detour["steps"] > 0:
+            return int(detour["facing"])
         return ahead
 
 
@@ -88,11 +88,11 @@ _WAY = np.dtype([("walks", "?"), ("x", "f8"), ("y", "f8"), ("steps", "i8"), ("fa
 
 def _hits(sword: np.void, offsets: np.ndarray, monster_stats: np.ndarray) -> np.ndarray:
     """Return which monsters, at offsets from the player, an attack would hit by the way it faces: (4, M)."""
-    meets = np.ones((4, len(monster_stats)), bool)
+    is_hit = np.ones((4, len(monster_stats)), bool)
     for offset, axis, side in zip(offsets, ("x", "y"), ("half_width", "half_height"), strict=True):
         distance = np.abs(offset + monster_stats[f"body_{axis}"] - sword[axis][:, None])
-        meets &= distance < sword[side][:, None] + monster_stats[side]
-    return meets
+        is_hit &= distance < sword[side][:, None] + monster_stats[side]
+    return is_hit
 
 
 def _directions(offset_x: float, offset_y: float) -> tuple[int, int]:

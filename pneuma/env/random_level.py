@@ -59,12 +59,12 @@ Draw = Callable[[int], np.ndarray]
 """A function that takes `count` uniform numbers in [0, 1) from an island's random stream."""
 
 
-def parse_name(name: str) -> tuple[str, int]:
+def parse_name(level_name: str) -> tuple[str, int]:
     """Return split and number of a random level's name, such as random:train:17."""
-    match = re.fullmatch(r"random:(train|test):(0|[1-9][0-9]{0,18})", name)
-    if match is None:
-        raise UserError(f"level {name!r} is not allowed: the form is random:train:17 or random:test:17")
-    return match[1], int(match[2])
+    name_match = re.fullmatch(r"random:(train|test):(0|[1-9][0-9]{0,18})", level_name)
+    if name_match is None:
+        raise UserError(f"level {level_name!r} is not allowed: the form is random:train:17 or random:test:17")
+    return name_match[1], int(name_match[2])
 
 
 def random_level(split: str, number: int, monsters: str = "bamboo") -> Level:
@@ -111,7 +111,7 @@ def _attempt(draw_uniform: Draw, split: str, number: int, population: tuple[str,
         ground=ground,
         terrain=terrain,
         starts=np.stack([x, y], axis=1)[:STARTS],
-        monsters=tuple(MonsterPlace(name, x, y) for name, x, y in monsters),
+        monsters=tuple(MonsterPlace(monster_name, x, y) for monster_name, x, y in monsters),
     )
 
 
@@ -143,12 +143,12 @@ def _draw_land(draw_uniform: Draw) -> np.ndarray:
     squared_x, squared_y = across * across, down * down
     oval = squared_x + squared_y  # how far out, 1 on the shore
     box = squared_x * squared_x + squared_y * squared_y
-    rough = 1.1 * (_draw_noise(draw_uniform, 9) - 0.5) + 0.5 * (_draw_noise(draw_uniform, 4) - 0.5)
-    land = oval * (1 - corners) + box * corners + rough < 1
-    inside = np.zeros_like(land)
-    inside[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
+    roughness = 1.1 * (_draw_noise(draw_uniform, 9) - 0.5) + 0.5 * (_draw_noise(draw_uniform, 4) - 0.5)
+    land = oval * (1 - corners) + box * corners + roughness < 1
+    is_inside = np.zeros_like(land)
+    is_inside[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
     for _ in range(3):
-        land = (_count_around(land) >= 5) & inside  # as most tiles around
+        land = (_count_around(land) >= 5) & is_inside  # as most tiles around
     without_lakes = ~_without_specks(~land, 6)
     return _without_specks(without_lakes, 12)
 
@@ -179,8 +179,8 @@ def _bridge_columns(ground: np.ndarray, shore: np.ndarray, width: int) -> np.nda
     straight = (shore[:-2] == shore[1:-1]) & (shore[1:-1] == shore[2:])
     columns = []
     for column in (np.flatnonzero(straight) + 1).tolist():
-        around = ground[shore[column] - 2 : shore[column] + width + 2, column - 1 : column + 2]
-        if (around != WATER).all():
+        surroundings = ground[shore[column] - 2 : shore[column] + width + 2, column - 1 : column + 2]
+        if (surroundings != WATER).all():
             columns.append(column)
     return np.array(columns, np.int64)
 
@@ -200,19 +200,19 @@ def _draw_terrain(draw_uniform: Draw, ground: np.ndarray) -> np.ndarray:
 
 def _choose_tiles(draw_uniform: Draw, terrain: np.ndarray, count: int) -> np.ndarray | None:
     """Return (count, 2) rows and columns, start places first, far apart and with open tiles around."""
-    free = terrain == rules.OPEN
-    regions = walkable_regions(free)
-    roomy = (regions == _largest(regions)) & (_count_around(free) == 9)
-    tiles = np.argwhere(roomy)
+    is_open = terrain == rules.OPEN
+    regions = walkable_regions(is_open)
+    has_room = (regions == _largest(regions)) & (_count_around(is_open) == 9)
+    tiles = np.argwhere(has_room)
     tiles = tiles[np.argsort(draw_uniform(len(tiles)), kind="stable")]
     selected: list[np.ndarray] = []
     while len(selected) < count and len(tiles):
-        tile = tiles[0]
-        selected.append(tile)
+        chosen_tile = tiles[0]
+        selected.append(chosen_tile)
         least_distance = MONSTER_GAP
         if len(selected) <= STARTS:
             least_distance = START_GAP
-        tiles = tiles[((tiles - tile) ** 2).sum(axis=1) >= least_distance * least_distance]
+        tiles = tiles[((tiles - chosen_tile) ** 2).sum(axis=1) >= least_distance * least_distance]
     if len(selected) < count:
         return None
     return np.array(selected)
@@ -247,8 +247,8 @@ def _count_around(tiles: np.ndarray) -> np.ndarray:
 def _without_specks(tiles: np.ndarray, smallest: int) -> np.ndarray:
     """Leave out the regions of set tiles that have fewer than `smallest`."""
     regions = walkable_regions(tiles)
-    sizes = np.bincount(regions.ravel())
-    return (regions > 0) & (sizes[regions] >= smallest)
+    region_sizes = np.bincount(regions.ravel())
+    return (regions > 0) & (region_sizes[regions] >= smallest)
 
 
 def _largest(regions: np.ndarray) -> int:

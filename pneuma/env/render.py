@@ -182,8 +182,8 @@ class Renderer:
     def _monsters(self, world_index: int) -> Iterator[Item]:
         monsters = self.worlds.monsters[world_index]
         level_stats = self._level_stats(world_index)
-        places = self.worlds.levels[self.worlds.worlds["level"][world_index]].monsters
-        for monster, monster_stats, place in zip(monsters, level_stats, places, strict=True):
+        monster_places = self.worlds.levels[self.worlds.worlds["level"][world_index]].monsters
+        for monster, monster_stats, place in zip(monsters, level_stats, monster_places, strict=True):
             if monster["hp"] <= 0:
                 continue
             flash_colour = ""
@@ -222,10 +222,10 @@ class Renderer:
     def _bitten(self, world_index: int) -> np.ndarray:
         """Return which players were bitten a moment ago, (P,)."""
         monsters = self.worlds.monsters[world_index]
-        living = (monsters["hp"] > 0)[:, None]
+        is_living = (monsters["hp"] > 0)[:, None]
         fresh_ticks = (self._level_stats(world_index)["bite_ticks"] - FLASH_TICKS)[:, None]
-        fresh = (monsters["bite"] > 0) & (monsters["bite"] > fresh_ticks) & living  # (M, players)
-        return np.asarray(fresh.any(axis=0))
+        is_fresh = (monsters["bite"] > 0) & (monsters["bite"] > fresh_ticks) & is_living  # (M, players)
+        return np.asarray(is_fresh.any(axis=0))
 
     def _standing(self, picture: np.ndarray, body: Any, stats: Any) -> Iterator[Item]:
         return _upright(picture, *self._place(body["x"], _foot(body, stats)))
@@ -315,8 +315,8 @@ class Renderer:
             plate = sprites.PLATE
             if strip_player == player_index:
                 plate = PLAYER_PLATE
-            name = sprites.badge_picture(f"P{strip_player + 1}", plate)
-            strips.append([name] + self._player_pieces(world_index, strip_player))
+            player_badge = sprites.badge_picture(f"P{strip_player + 1}", plate)
+            strips.append([player_badge] + self._player_pieces(world_index, strip_player))
         return strips
 
     def _player_pieces(self, world_index: int, player_index: int) -> list[np.ndarray]:
@@ -337,15 +337,15 @@ class Renderer:
 
     def _world_pieces(self, world_index: int) -> list[np.ndarray]:
         """Return the step, the monsters that are left, and how the episode has ended."""
-        worlds, state = self.worlds, self.worlds.worlds[world_index]
+        worlds, world_row = self.worlds, self.worlds.worlds[world_index]
         ticks = int(worlds.settings["ticks"][0])  # fewer while a step is shown in several frames
-        texts = [
-            f"STEP {int(state['steps']) * ticks // TICKS_PER_STEP}",
-            f"MONSTERS {state['monsters_left']}/{worlds.monsters.shape[1]}",
+        strip_texts = [
+            f"STEP {int(world_row['steps']) * ticks // TICKS_PER_STEP}",
+            f"MONSTERS {world_row['monsters_left']}/{worlds.monsters.shape[1]}",
         ]
-        if state["ending"] != rules.RUNNING:
-            texts.append(worlds.ending(world_index).replace("-", " "))
-        return [sprites.text_picture(text) for text in texts]
+        if world_row["ending"] != rules.RUNNING:
+            strip_texts.append(worlds.ending(world_index).replace("-", " "))
+        return [sprites.text_picture(strip_text) for strip_text in strip_texts]
 
 
 def _foot(body: Any, stats: Any) -> float:

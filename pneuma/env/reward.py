@@ -33,17 +33,17 @@ RewardFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], Any]
 class OwnReward:
     """A user's own reward, and the players that it pays."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def __init__(self, reward_name: str) -> None:
+        self.name = reward_name
         self.players: list[int] = []
-        module_name, _, function_name = name.partition(":")
+        module_name, _, function_name = reward_name.partition(":")
         try:
             module = load_module(module_name)
         except (Exception, SystemExit) as error:  # whatever a user's module does when it is imported
-            raise UserError(f"reward {name!r}: {type(error).__name__}: {error}") from None
+            raise UserError(f"reward {reward_name!r}: {type(error).__name__}: {error}") from None
         function: Any = getattr(module, function_name, None)
         if not callable(function):
-            raise UserError(f"reward {name!r}: module {module_name} has no function {function_name}")
+            raise UserError(f"reward {reward_name!r}: module {module_name} has no function {function_name}")
         self.function: RewardFunction = function
 
     def pay(self, events: np.ndarray, players: np.ndarray, player_stats: np.ndarray) -> np.ndarray:
@@ -65,18 +65,18 @@ class OwnReward:
         return rewards
 
     def _refusal(self, problem: str) -> UserError:
-        code = getattr(self.function, "__code__", None)
-        if code:
-            problem = f"{code.co_filename}, line {code.co_firstlineno}: {problem}"
+        function_code = getattr(self.function, "__code__", None)
+        if function_code:
+            problem = f"{function_code.co_filename}, line {function_code.co_firstlineno}: {problem}"
         return UserError(f"reward {self.name!r}: {problem}")
 
 
 def _raised_at(error: BaseException) -> str:
     """Return file and line of the user's function in which an error was raised; empty if it is compiled."""
-    frames = traceback.extract_tb(error.__traceback__)
-    if len(frames) < 2:
+    stack_frames = traceback.extract_tb(error.__traceback__)
+    if len(stack_frames) < 2:
         return ""
-    return f"{frames[1].filename}, line {frames[1].lineno}: "
+    return f"{stack_frames[1].filename}, line {stack_frames[1].lineno}: "
 
 
 # --- The named formulas (compiled) -----------------------------------------------------------------
@@ -100,12 +100,12 @@ def write_reward(player: Array, player_stats: Array, event: Array) -> None:
 @inlined
 def share_reward(events: Array) -> None:
     """Give each player who was there the mean of all players' rewards."""
-    total = 0.0
+    reward_sum = 0.0
     for player_index in range(len(events)):
-        total += events[player_index].reward
+        reward_sum += events[player_index].reward
     for player_index in range(len(events)):
         if events[player_index].present > 0:
-            events[player_index].reward = total / len(events)
+            events[player_index].reward = reward_sum / len(events)
 
 
 @inlined

@@ -51,8 +51,8 @@ def _draw(episode: Array) -> Any:
 @inlined
 def _draw_below(episode: Array, bound: int) -> Any:
     """Return a random integer in [0, bound), for bounds far below 2**32."""
-    high = _draw(episode) >> np.uint64(32)
-    return np.int64((high * np.uint64(bound)) >> np.uint64(32))
+    high_bits = _draw(episode) >> np.uint64(32)
+    return np.int64((high_bits * np.uint64(bound)) >> np.uint64(32))
 
 
 # --- Reset ---------------------------------------------------------------------------------------
@@ -149,13 +149,13 @@ def _gather_active(world: World) -> int:
     The others stand still and only block those that move. Leaving them out changes no bit and saves most of
     the time.
     """
-    active = 0
+    active_count = 0
     for monster_index in range(len(world.monsters)):
         monster = world.monsters[monster_index]
         if monster.hp > 0.0 and _may_stir(world, monster_index):
-            world.scratch[active].order = monster_index
-            active += 1
-    return active
+            world.scratch[active_count].order = monster_index
+            active_count += 1
+    return active_count
 
 
 @inlined
@@ -365,23 +365,23 @@ def _suffer(world: World, monster_index: int, player_index: int) -> None:
     """Let a player's strike hit a monster: once an attack, or each time that it enters the sword's box."""
     monster = world.monsters[monster_index]
     tick = world.tick[player_index]
-    bit = np.uint8(1 << player_index)
-    struck = tick.there and tick.strikes and _is_struck(world, monster_index, player_index)
+    player_bit = np.uint8(1 << player_index)
+    is_struck = tick.there and tick.strikes and _is_struck(world, monster_index, player_index)
     on_entry = world.settings.blow_on_entry
     entered = on_entry and world.players[player_index].action_kind == BLADE
     if not tick.there:
-        monster.noticed &= ~bit
+        monster.noticed &= ~player_bit
         monster.bite[player_index] = 0
-    elif struck and not entered:
+    elif is_struck and not entered:
         _apply_hit(world, monster_index, player_index)
-    elif struck and not monster.inside & bit:
+    elif is_struck and not monster.inside & player_bit:
         monster.struck_by[player_index] = 0  # one that comes back is hit again by the same attack
         _apply_hit(world, monster_index, player_index)
     if on_entry:
-        if struck and entered:
-            monster.inside |= bit
+        if is_struck and entered:
+            monster.inside |= player_bit
         else:
-            monster.inside &= ~bit
+            monster.inside &= ~player_bit
 
 
 @inlined
@@ -474,14 +474,14 @@ def _sense(world: World, monster_index: int, player_index: int) -> float:
     player = world.players[player_index]
     player_stats = world.player_stats[player_index]
     tick = world.tick[player_index]
-    bit = np.uint8(1 << player_index)
+    player_bit = np.uint8(1 << player_index)
     notice_x = monster.x + monster_stats.notice_x
     notice_y = monster.y + monster_stats.notice_y
     squared_gap = _squared_gap(notice_x, notice_y, player, player_stats)
     if squared_gap > monster_stats.notice_squared:
-        monster.noticed &= ~bit
-    elif not monster.noticed & bit:
-        monster.noticed |= bit
+        monster.noticed &= ~player_bit
+    elif not monster.noticed & player_bit:
+        monster.noticed |= player_bit
         tick.notices += 1
     attack_x = monster.x + monster_stats.attack_x
     attack_y = monster.y + monster_stats.attack_y
@@ -629,15 +629,15 @@ def _stop_at_tiles(world: World, mover: Array, axis: int, direction: float, end:
     corner = world.settings.corner
     half = mover.half[axis]
     middle_aside = mover.place[aside] + mover.offset[aside]
-    first = math.floor((middle_aside - mover.half[aside] - corner[aside]) / tile)
-    last = math.ceil((middle_aside + mover.half[aside] - corner[aside]) / tile) - 1
+    first_line = math.floor((middle_aside - mover.half[aside] - corner[aside]) / tile)
+    last_line = math.ceil((middle_aside + mover.half[aside] - corner[aside]) / tile) - 1
     if direction > 0.0:
         tile_line = math.ceil((end + half - corner[axis]) / tile) - 1
         flush = corner[axis] + tile_line * tile - half
     else:
         tile_line = math.floor((end - half - corner[axis]) / tile)
         flush = corner[axis] + (tile_line + 1) * tile + half
-    for tile_line_aside in range(first, last + 1):
+    for tile_line_aside in range(first_line, last_line + 1):
         column, row = tile_line, tile_line_aside
         if axis == 1:
             column, row = tile_line_aside, tile_line

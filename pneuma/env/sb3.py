@@ -30,10 +30,10 @@ class SlotsVecEnv(VecEnv):
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> list[Any]:
         """Call a method for the given slots; `action_masks` returns each slot's own mask."""
-        result = getattr(self, method_name)(*method_args, **method_kwargs)
+        method_result = getattr(self, method_name)(*method_args, **method_kwargs)
         if method_name == "action_masks":
-            return [result[i] for i in self._get_indices(indices)]
-        return [result for _ in self._get_indices(indices)]
+            return [method_result[i] for i in self._get_indices(indices)]
+        return [method_result for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type, indices: VecEnvIndices = None) -> list[bool]:
         return [False for _ in self._get_indices(indices)]
@@ -103,16 +103,16 @@ class PneumaVecEnv(Face, SlotsVecEnv):
         rewards = slots.rewards.astype(np.float32)  # a copy: the learner adds to it at time limits
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for slot_index in np.flatnonzero(dones).tolist():
-            book = slots.book[slot_index]
+            slot_book = slots.book[slot_index]
             infos[slot_index] = {
                 **ending_info(self.state, slot_index),
                 "terminal_observation": observations[slot_index].copy(),
                 "TimeLimit.truncated": bool(slots.truncated[slot_index]),
-                "episode": {"r": float(book["returns"]), "l": int(book["lengths"])},
+                "episode": {"r": float(slot_book["returns"]), "l": int(slot_book["lengths"])},
             }
-        ended = slots.world_over
-        if ended.any():
-            self.state.reset(ended)
+        is_over = slots.world_over
+        if is_over.any():
+            self.state.reset(is_over)
         return slots.observations, rewards, dones, infos
 
     def action_masks(self) -> np.ndarray:

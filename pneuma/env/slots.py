@@ -97,20 +97,20 @@ class Slots:
 
         They are bytes; `layout` identifies their layout.
         """
-        saved = {"layout": np.frombuffer(LAYOUT_DIGEST.encode(), np.uint8)}
-        for name in SAVED:
-            saved[name] = as_bytes(getattr(self.worlds, name)).copy()
-        return saved
+        saved_arrays = {"layout": np.frombuffer(LAYOUT_DIGEST.encode(), np.uint8)}
+        for array_name in SAVED:
+            saved_arrays[array_name] = as_bytes(getattr(self.worlds, array_name)).copy()
+        return saved_arrays
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
         """Return to a saved state; ValueError or KeyError for one of other worlds."""
         if saved["layout"].tobytes() != LAYOUT_DIGEST.encode():
             raise ValueError("the state of the worlds was laid out otherwise")
-        for name in SAVED:
-            array = as_bytes(getattr(self.worlds, name))
-            if saved[name].shape != array.shape:
-                raise ValueError(f"{name} is of shape {saved[name].shape}, not {array.shape}")
-            array[:] = saved[name]
+        for array_name in SAVED:
+            array = as_bytes(getattr(self.worlds, array_name))
+            if saved[array_name].shape != array.shape:
+                raise ValueError(f"{array_name} is of shape {saved[array_name].shape}, not {array.shape}")
+            array[:] = saved[array_name]
         self.worlds.observe()
         self.begun = True
 
@@ -127,14 +127,14 @@ def make_slots(count: int, config: EnvConfig) -> Slots:
     return Slots(Worlds(count // config.players, config))
 
 
-def world_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
-    """Return a seed for each of `count` worlds, None where its random stream goes on."""
+def world_seeds(seed: int | Sequence[int | None] | None, world_count: int) -> list[int | None]:
+    """Return a seed for each of `world_count` worlds, None where its random stream goes on."""
     if seed is None:
-        return [None] * count
+        return [None] * world_count
     if isinstance(seed, int | np.integer):
-        return list(range(int(seed), int(seed) + count))
-    if len(seed) != count:
-        raise ValueError(f"{len(seed)} seeds for {count} worlds")
+        return list(range(int(seed), int(seed) + world_count))
+    if len(seed) != world_count:
+        raise ValueError(f"{len(seed)} seeds for {world_count} worlds")
     return list(seed)
 
 
@@ -151,11 +151,11 @@ def ending_info(worlds: Worlds, slot_index: int = 0) -> dict[str, Any]:
 
 def read_options(options: Mapping[str, Any] | None, *allowed: str) -> dict[str, Any]:
     """Return the options of a reset, of which some are allowed."""
-    checked = dict(options or {})
-    for name in checked:
-        if name not in allowed:
-            raise unknown_name("option of reset", name, allowed)
-    return checked
+    reset_options = dict(options or {})
+    for option_name in reset_options:
+        if option_name not in allowed:
+            raise unknown_name("option of reset", option_name, allowed)
+    return reset_options
 
 
 def read_starts(worlds: Worlds, start: Any) -> np.ndarray:
@@ -165,9 +165,9 @@ def read_starts(worlds: Worlds, start: Any) -> np.ndarray:
     """
     starts = worlds.usual_starts.copy()
     try:
-        for world, index in enumerate(np.broadcast_to(np.array(start, object), len(worlds))):
-            if index is not None:
-                starts[world] = operator.index(index)
+        for world, start_index in enumerate(np.broadcast_to(np.array(start, object), len(worlds))):
+            if start_index is not None:
+                starts[world] = operator.index(start_index)
     except (TypeError, ValueError, OverflowError):
         allowed = f"the index of a start place, or one for each of {len(worlds)} worlds"
         raise ValueError(f"start = {start!r}: must be {allowed}") from None

@@ -35,9 +35,9 @@ _QUARTER_TURNS = {"up": 0, "left": 1, "down": 2, "right": 3}
 # --- Who and what stands in the world ------------------------------------------------------------
 
 
-def read_art(name: str) -> np.ndarray:
+def read_art(file_name: str) -> np.ndarray:
     """Return a sheet of pictures, (height, width, 4)."""
-    return np.asarray(Image.open(ART / name).convert("RGBA"))
+    return np.asarray(Image.open(ART / file_name).convert("RGBA"))
 
 
 @cache
@@ -50,22 +50,22 @@ def player_picture(player_index: int, facing: str, pose: str, flash_colour: str 
 
 
 @cache
-def monster_picture(name: str, pose: int, alert: bool = False, flash_colour: str = "") -> np.ndarray:
+def monster_picture(monster_name: str, pose: int, alert: bool = False, flash_colour: str = "") -> np.ndarray:
     """Return the picture of a monster in one of two poses; its eyes show if it has noticed a player.
 
     `art/monsters/NAME.png` holds both poses, calm above alert; others look like `stranger.png`.
     """
-    if not (ART / "monsters" / f"{name}.png").is_file():
-        name = "stranger"
-    sheet = read_art(f"monsters/{name}.png")
+    if not (ART / "monsters" / f"{monster_name}.png").is_file():
+        monster_name = "stranger"
+    sheet = read_art(f"monsters/{monster_name}.png")
     height, width = sheet.shape[0] // 2, sheet.shape[1] // 2
     pictures = sheet[alert * height : (alert + 1) * height]
     return _flashed(pictures[:, pose * width : (pose + 1) * width], flash_colour)
 
 
 @cache
-def obstacle_picture(name: str) -> np.ndarray:
-    column = TILE * OBSTACLES.index(name)
+def obstacle_picture(obstacle: str) -> np.ndarray:
+    column = TILE * OBSTACLES.index(obstacle)
     return read_art("obstacles.png")[:, column : column + TILE]
 
 
@@ -131,13 +131,13 @@ def plus_picture() -> np.ndarray:
 
 def gauge_picture(points: float, full_points: float, colour: str, width: int, height: int = 1) -> np.ndarray:
     """Return a framed bar of the points that are left; it is empty only if there are none."""
-    filled = min(round(width * float(points) / float(full_points)), width)
+    filled_width = min(round(width * float(points) / float(full_points)), width)
     if points > 0:
-        filled = max(filled, 1)
+        filled_width = max(filled_width, 1)
     picture = np.empty((height + 2, width + 2, 4), np.uint8)
     picture[...] = _opaque(OUTLINE)
     picture[1:-1, 1:-1] = _opaque("7a6070")
-    picture[1:-1, 1 : 1 + filled] = _opaque(colour)
+    picture[1:-1, 1 : 1 + filled_width] = _opaque(colour)
     return picture
 
 
@@ -164,10 +164,10 @@ def text_picture(text: str) -> np.ndarray:
 @cache
 def _glyphs() -> dict[str, np.ndarray]:
     glyphs = {}
-    cells = np.split(read_art("font.png"), len(LETTERS), axis=1)
-    for letter, cell in zip(LETTERS, cells, strict=True):
-        inked_columns = np.flatnonzero(cell[..., 3].any(axis=0))
-        glyphs[letter] = cell[:, : inked_columns[-1] + 1]
+    letter_pictures = np.split(read_art("font.png"), len(LETTERS), axis=1)
+    for letter, letter_picture in zip(LETTERS, letter_pictures, strict=True):
+        inked_columns = np.flatnonzero(letter_picture[..., 3].any(axis=0))
+        glyphs[letter] = letter_picture[:, : inked_columns[-1] + 1]
     return glyphs
 
 
@@ -176,8 +176,8 @@ def _glyphs() -> dict[str, np.ndarray]:
 
 def blend(canvas: Image.Image, picture: np.ndarray, left: int, top: int) -> None:
     """Paint a picture onto a canvas; parts outside are cut off."""
-    image = Image.fromarray(picture)
-    canvas.paste(image, (left, top), image)
+    picture_image = Image.fromarray(picture)
+    canvas.paste(picture_image, (left, top), picture_image)
 
 
 def rgb(colour: str) -> list[int]:
@@ -194,6 +194,6 @@ def _flashed(picture: np.ndarray, colour: str) -> np.ndarray:
     if not colour:
         return picture
     flashed = picture.copy()
-    inside = (picture[..., 3] > 0) & (picture[..., :3] != rgb(OUTLINE)).any(axis=-1)
-    flashed[inside, :3] = (picture[inside, :3].astype(np.uint16) + 2 * np.array(rgb(colour))) // 3
+    is_inside = (picture[..., 3] > 0) & (picture[..., :3] != rgb(OUTLINE)).any(axis=-1)
+    flashed[is_inside, :3] = (picture[is_inside, :3].astype(np.uint16) + 2 * np.array(rgb(colour))) // 3
     return flashed

@@ -35,9 +35,9 @@ Array = Any
 def _record(fields: type) -> np.dtype[np.void]:
     """Return the dtype of the fields that a class annotates: numbers, or arrays of a length."""
     columns: list[tuple[Any, ...]] = []
-    for name, hint in get_type_hints(fields, include_extras=True).items():
+    for field_name, hint in get_type_hints(fields, include_extras=True).items():
         length = getattr(hint, "__metadata__", ())
-        columns.append((name, getattr(hint, "__origin__", hint), *length))
+        columns.append((field_name, getattr(hint, "__origin__", hint), *length))
     return np.dtype(columns, align=True)
 
 
@@ -338,9 +338,9 @@ class State(NamedTuple):
 
 def _read_annotations() -> dict[str, tuple[np.dtype[Any], list[str]]]:
     layouts = {}
-    for name, hint in get_type_hints(State, include_extras=True).items():
+    for array_name, hint in get_type_hints(State, include_extras=True).items():
         dtype, axes = hint.__metadata__
-        layouts[name] = (np.dtype(dtype), axes.split())
+        layouts[array_name] = (np.dtype(dtype), axes.split())
     return layouts
 
 
@@ -357,11 +357,11 @@ HANDLE = np.dtype([(_CODE, "i8", (4,))])
 def allocate(constants: Mapping[str, np.ndarray], **sizes: int) -> State:
     """Return a state of constant arrays, and of zeros for the others, by the sizes of their axes."""
     arrays = {}
-    for name, (dtype, axes) in ARRAYS.items():
-        if name in constants:
-            arrays[name] = np.ascontiguousarray(constants[name], dtype)
+    for array_name, (dtype, axes) in ARRAYS.items():
+        if array_name in constants:
+            arrays[array_name] = np.ascontiguousarray(constants[array_name], dtype)
         else:
-            arrays[name] = np.zeros([_length(axis, sizes) for axis in axes], dtype)
+            arrays[array_name] = np.zeros([_length(axis, sizes) for axis in axes], dtype)
     return State(**arrays)
 
 
@@ -438,9 +438,9 @@ def open_state(context: Any, handle: Any) -> Any:
 
         arrays = []
         for index, array_type in enumerate(array_types):
-            first = 4 * index
-            lengths = [number_at(first + 1 + axis) for axis in range(array_type.ndim)]
-            arrays.append(array_from(codegen, builder, array_type, number_at(first), lengths))
+            first_number = 4 * index
+            lengths = [number_at(first_number + 1 + axis) for axis in range(array_type.ndim)]
+            arrays.append(array_from(codegen, builder, array_type, number_at(first_number), lengths))
         return codegen.make_tuple(builder, state_type, arrays)
 
     return state_type(handle), generate

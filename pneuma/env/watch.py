@@ -43,12 +43,12 @@ Act = Callable[[Worlds], np.ndarray]
 def keys_to_action(action_names: Sequence[str]) -> dict[tuple[int, ...], int]:
     """Return what keys do that are held alone or in pairs, for `gymnasium.utils.play.play`."""
     action_by_key: dict[int, int] = {}
-    for action, name in enumerate(action_names):
-        for key in KEYS[name]:
+    for action, action_name in enumerate(action_names):
+        for key in KEYS[action_name]:
             action_by_key[key] = action
     actions: dict[tuple[int, ...], int] = {(key,): action for key, action in action_by_key.items()}
-    for first, second in combinations(sorted(action_by_key), 2):
-        actions[first, second] = max(action_by_key[first], action_by_key[second])
+    for first_key, second_key in combinations(sorted(action_by_key), 2):
+        actions[first_key, second_key] = max(action_by_key[first_key], action_by_key[second_key])
     return actions
 
 
@@ -150,9 +150,9 @@ def smooth(worlds: Worlds, frames_per_step: int) -> None:
 
 def encode_png(frame: np.ndarray) -> bytes:
     """Return a frame, (height, width, 3) uint8, as a PNG file."""
-    file = BytesIO()
-    Image.fromarray(frame).save(file, "png")
-    return file.getvalue()
+    png_buffer = BytesIO()
+    Image.fromarray(frame).save(png_buffer, "png")
+    return png_buffer.getvalue()
 
 
 def encode_gif(frames: Iterable[np.ndarray], frames_per_second: float = FRAME_RATE) -> bytes:
@@ -161,8 +161,8 @@ def encode_gif(frames: Iterable[np.ndarray], frames_per_second: float = FRAME_RA
     Its times are hundredths of a second, which add up to the right length.
     """
     images = [Image.fromarray(frame) for frame in frames]
-    ends = [round(100 * number / frames_per_second) for number in range(len(images) + 1)]
-    durations = [10 * (end - start) for start, end in pairwise(ends)]
-    file = BytesIO()
-    images[0].save(file, "gif", save_all=True, append_images=images[1:], duration=durations, loop=0)
-    return file.getvalue()
+    frame_ends = [round(100 * number / frames_per_second) for number in range(len(images) + 1)]
+    durations = [10 * (frame_end - frame_start) for frame_start, frame_end in pairwise(frame_ends)]
+    gif_buffer = BytesIO()
+    images[0].save(gif_buffer, "gif", save_all=True, append_images=images[1:], duration=durations, loop=0)
+    return gif_buffer.getvalue()

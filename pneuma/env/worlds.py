@@ -88,9 +88,9 @@ class Worlds:
         first_players["energy"] = self.player_stats["energy"]
         first_monsters = np.zeros((levels, monsters), state.MONSTER)
         first_monsters["hp"] = self.monster_stats["hp"]
-        for row, level in zip(first_monsters, self.levels, strict=True):
-            row["x"] = [monster.x for monster in level.monsters]
-            row["y"] = [monster.y for monster in level.monsters]
+        for level_row, level in zip(first_monsters, self.levels, strict=True):
+            level_row["x"] = [monster.x for monster in level.monsters]
+            level_row["y"] = [monster.y for monster in level.monsters]
         no_events = np.zeros(1, state.EVENTS)
         no_events["distance"] = np.inf
         constants = {
@@ -169,27 +169,27 @@ class Worlds:
 
     def _settings(self, config: EnvConfig) -> np.ndarray:
         settings = np.zeros(1, state.SETTINGS)
-        row = settings[0]
-        row["corner"] = self.level.left, self.level.top
-        row["tile"] = self.level.tile
-        row["ticks"] = characters.TICKS_PER_STEP
-        row["episode_steps"] = config.episode_steps
-        row["end_on_clear"] = config.end_on_clear
-        row["ending_cost"] = config.ending_cost
-        row["magic"] = config.magic
-        row["observe_facing"] = config.observe_facing
-        row["blow_on_entry"] = config.blow == "entry"
-        row["credit_near"] = config.kill_credit == "near"
-        row["keep_xp"] = config.xp_scope == "forever"
-        row["shared_reward"] = config.shared_reward and not self._own_rewards
+        settings_row = settings[0]
+        settings_row["corner"] = self.level.left, self.level.top
+        settings_row["tile"] = self.level.tile
+        settings_row["ticks"] = characters.TICKS_PER_STEP
+        settings_row["episode_steps"] = config.episode_steps
+        settings_row["end_on_clear"] = config.end_on_clear
+        settings_row["ending_cost"] = config.ending_cost
+        settings_row["magic"] = config.magic
+        settings_row["observe_facing"] = config.observe_facing
+        settings_row["blow_on_entry"] = config.blow == "entry"
+        settings_row["credit_near"] = config.kill_credit == "near"
+        settings_row["keep_xp"] = config.xp_scope == "forever"
+        settings_row["shared_reward"] = config.shared_reward and not self._own_rewards
         stops = 1 << rules.COAST
         if config.trees == "wall":
             stops |= 1 << rules.SOLID
-        row["player_stops"] = stops
+        settings_row["player_stops"] = stops
         if config.terrain_stops == "all":
-            row["monster_stops"] = stops
+            settings_row["monster_stops"] = stops
         fastest = characters.fastest(self.player_stats, self.monster_stats.ravel())
-        row["body_reach"] = 2 * (self._largest_body() + fastest * characters.TICKS_PER_STEP) + 1.0
+        settings_row["body_reach"] = 2 * (self._largest_body() + fastest * characters.TICKS_PER_STEP) + 1.0
         if fastest > self.level.tile:
             speed = fastest * characters.TICKS_PER_SECOND
             raise UserError(f"a speed of {speed:g} px/s jumps over tiles of {self.level.tile:g} px")
@@ -198,9 +198,9 @@ class Worlds:
     def _largest_body(self) -> float:
         """Return how far a body reaches from its position, on x or y, in pixels."""
         largest = 0.0
-        for stats in (self.player_stats, self.monster_stats):
+        for body_stats in (self.player_stats, self.monster_stats):
             for middle, half in (("body_x", "half_width"), ("body_y", "half_height")):
-                reach = abs(stats[middle]) + stats[half]
+                reach = abs(body_stats[middle]) + body_stats[half]
                 largest = max(largest, float(reach.max(initial=0.0)))
         return largest
 
@@ -239,9 +239,9 @@ class Worlds:
             raise ValueError(_wrong_array("mask", mask, f"booleans of shape {(len(self),)}"))
         if starts.shape != (len(self),) or starts.dtype.kind not in "iu":
             raise ValueError(_wrong_array("starts", starts, f"whole numbers of shape {(len(self),)}"))
-        count = len(self.level.starts)
-        if starts.max(initial=0) >= count:
-            raise ValueError(f"start {starts.max()} is none of the level's {count}")
+        start_count = len(self.level.starts)
+        if starts.max(initial=0) >= start_count:
+            raise ValueError(f"start {starts.max()} is none of the level's {start_count}")
         self._begin(np.where(mask, starts, kernel.GO_ON))
 
     def step(self, actions: np.ndarray) -> int:
@@ -253,12 +253,12 @@ class Worlds:
         Raises:
             ValueError: for anything else.
         """
-        array = np.asarray(actions)
-        if array.dtype.kind in "iu" and array.size == self.players.size:
-            by_player = np.ascontiguousarray(array, np.int64).reshape(self.players.shape)
+        action_array = np.asarray(actions)
+        if action_array.dtype.kind in "iu" and action_array.size == self.players.size:
+            by_player = np.ascontiguousarray(action_array, np.int64).reshape(self.players.shape)
             if by_player.view(np.uint64).max() < self._actions:  # negative numbers are huge as unsigned ones
                 return self.advance(by_player)
-        raise ValueError(f"actions {array} are outside {self.players.size} of {self.action_space}")
+        raise ValueError(f"actions {action_array} are outside {self.players.size} of {self.action_space}")
 
     def advance(self, actions: np.ndarray) -> int:
         """Do the same as `step` for actions that are known to be valid, (N, P) int64."""
@@ -269,8 +269,8 @@ class Worlds:
             rewards = own_reward.pay(*self._read_only)
             self.events["reward"][:, own_reward.players] = rewards[:, own_reward.players]
         if self.config.shared_reward:
-            mean = self.events["reward"].sum(axis=1) / self.players.shape[1]
-            self.events["reward"] = np.where(self.present, mean[:, None], 0.0)
+            mean_rewards = self.events["reward"].sum(axis=1) / self.players.shape[1]
+            self.events["reward"] = np.where(self.present, mean_rewards[:, None], 0.0)
         kernel.call_rules(self._address, actions, kernel.RECORD)
         return ended
 
@@ -281,10 +281,10 @@ class Worlds:
 
     def _try_rewards(self) -> None:
         """Call each user's reward once, as after a step in which nothing happened."""
-        events = self.events.copy()
-        events["present"] = self.settings["ticks"][0]
+        quiet_events = self.events.copy()
+        quiet_events["present"] = self.settings["ticks"][0]
         for own_reward in self._own_rewards:
-            own_reward.pay(state.read_only(events), *self._read_only[1:])
+            own_reward.pay(state.read_only(quiet_events), *self._read_only[1:])
 
     @property
     def present(self) -> np.ndarray:
