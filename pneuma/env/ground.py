@@ -209,6 +209,6 @@ def land_and_shore(levels: Sequence[Level]) -> Rectangle:
     """Return the box of the land of all levels and the water around, in art pixels."""
     land = np.any([level.terrain != rules.COAST for level in levels], axis=0)
     land_tiles = np.argwhere(land)
-    top, left = np.maximum(land_tiles.min(axis=0) - SHORE_TILES, 0).tolist()
-    bottom, right = np.minimum(land_tiles.max(axis=0) + 1 + SHORE_TILES, land.shape).tolist()
-    return Rectangle(left * TILE, top * TILE, right * TILE, bottom * TILE)
+    top_row, left_column = np.maximum(land_tiles.min(axis=0) - SHORE_TILES, 0).tolist()
+    bottom_row, right_column = np.minimum(land_tiles.max(axis=0) + 1 + SHORE_TILES, land.shape).tolist()
+    return Rectangle(left_column * TILE, top_row * TILE, right_column * TILE, bottom_row * TILE)

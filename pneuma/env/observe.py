@@ -21,14 +21,14 @@ def observe_player(world: World, player_index: int, notes_distance: bool) -> Non
     does not do.
     """
     perceived = _order_monsters(world, player_index, notes_distance)
-    numbers = world.observations[player_index]
-    column = _write_player(world, player_index, numbers)
+    observation = world.observations[player_index]
+    column = _write_player(world, player_index, observation)
     for monster_rank in range(perceived):
-        column = _write_monster(world, player_index, monster_rank, numbers, column)
+        column = _write_monster(world, player_index, monster_rank, observation, column)
     if world.settings.rays > 0:
-        column = _write_rays(world, player_index, numbers, column)
-    for empty_column in range(column, len(numbers)):
-        numbers[empty_column] = 0.0
+        column = _write_rays(world, player_index, observation, column)
+    for empty_column in range(column, len(observation)):
+        observation[empty_column] = 0.0
     _mask_actions(world, player_index)
 
 
@@ -86,33 +86,35 @@ def _insert(scratch: Array, listed: int, monster_index: int, distance: float, by
 
 
 @inlined
-def _write_player(world: World, player_index: int, numbers: Array) -> int:
+def _write_player(world: World, player_index: int, observation: Array) -> int:
     """Write what a player observes of itself; return how many numbers that is."""
     settings = world.settings
     player = world.players[player_index]
     player_stats = world.player_stats[player_index]
     hp = player.hp * player_stats.hp_scale
-    numbers[0] = (player.x - settings.middle_x) * settings.scale_x
-    numbers[1] = (player.y - settings.middle_y) * settings.scale_y
+    observation[0] = (player.x - settings.middle_x) * settings.scale_x
+    observation[1] = (player.y - settings.middle_y) * settings.scale_y
     if settings.layout != LAYOUT_PYGAME:
-        numbers[2] = hp
-        numbers[3] = player.xp * settings.xp_scale
+        observation[2] = hp
+        observation[3] = player.xp * settings.xp_scale
         column = 4
     else:
-        numbers[2] = (player.facing == rules.RIGHT) - (player.facing == rules.LEFT)
-        numbers[3] = (player.facing == rules.DOWN) - (player.facing == rules.UP)
-        numbers[4] = hp
-        numbers[5] = player.energy * player_stats.energy_scale
+        observation[2] = (player.facing == rules.RIGHT) - (player.facing == rules.LEFT)
+        observation[3] = (player.facing == rules.DOWN) - (player.facing == rules.UP)
+        observation[4] = hp
+        observation[5] = player.energy * player_stats.energy_scale
         column = 6
     if settings.observe_facing:
         for facing in range(4):
-            numbers[column + facing] = player.facing == facing
+            observation[column + facing] = player.facing == facing
         column += 4
     return column
 
 
 @inlined
-def _write_monster(world: World, player_index: int, monster_rank: int, numbers: Array, column: int) -> int:
+def _write_monster(
+    world: World, player_index: int, monster_rank: int, observation: Array, column: int
+) -> int:
     """Write a monster, by its rank in `scratch`, from a column on; return where the next one begins.
 
     The row of a dead monster is zero: its HP are, and the rest is because it is infinitely far away. In the
@@ -128,25 +130,25 @@ def _write_monster(world: World, player_index: int, monster_rank: int, numbers: 
     y = monster.y - player.y
     if settings.layout == LAYOUT_GODOT:
         inverse = _inverse(math.sqrt(x * x + y * y))
-        numbers[column] = (monster.x - settings.middle_x) * settings.scale_x
-        numbers[column + 1] = (monster.y - settings.middle_y) * settings.scale_y
-        numbers[column + 2] = hp
-        numbers[column + 3] = (player.x - monster.x) * inverse
-        numbers[column + 4] = (player.y - monster.y) * inverse
+        observation[column] = (monster.x - settings.middle_x) * settings.scale_x
+        observation[column + 1] = (monster.y - settings.middle_y) * settings.scale_y
+        observation[column + 2] = hp
+        observation[column + 3] = (player.x - monster.x) * inverse
+        observation[column + 4] = (player.y - monster.y) * inverse
         return column + 5
     distance = world.scratch[monster_rank].distance
     inverse = _inverse(distance)
-    numbers[column] = 0.0
+    observation[column] = 0.0
     if distance < math.inf:
-        numbers[column] = distance * monster_stats.distance_scale
-    numbers[column + 1] = x * inverse
-    numbers[column + 2] = y * inverse
-    numbers[column + 3] = hp
+        observation[column] = distance * monster_stats.distance_scale
+    observation[column + 1] = x * inverse
+    observation[column + 2] = y * inverse
+    observation[column + 3] = hp
     if settings.layout == LAYOUT_THESIS:
         return column + 4
-    numbers[column + 4] = 0.0
+    observation[column + 4] = 0.0
     if distance < math.inf:
-        numbers[column + 4] = monster_stats.xp * monster_stats.xp_scale
+        observation[column + 4] = monster_stats.xp * monster_stats.xp_scale
     return column + 5
 
 
@@ -159,7 +161,7 @@ def _inverse(distance: float) -> float:
 
 
 @kernel
-def _write_rays(world: World, player_index: int, numbers: Array, column: int) -> int:
+def _write_rays(world: World, player_index: int, observation: Array, column: int) -> int:
     """Write what each ray of a player meets first, from a column on; return where the last one ends.
 
     At equal distances the first thing counts: monsters by index, then players, then terrain.
@@ -186,9 +188,9 @@ def _write_rays(world: World, player_index: int, numbers: Array, column: int) ->
         if distance < nearest:
             nearest = distance
             sight = 0
-        numbers[column] = nearest * settings.ray_scale
+        observation[column] = nearest * settings.ray_scale
         for possible_sight in range(2 + settings.sights):
-            numbers[column + 1 + possible_sight] = possible_sight == sight
+            observation[column + 1 + possible_sight] = possible_sight == sight
         column += 3 + settings.sights
     return column
 

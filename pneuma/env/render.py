@@ -183,14 +183,14 @@ class Renderer:
         monsters = self.worlds.monsters[world_index]
         level_stats = self._level_stats(world_index)
         monster_places = self.worlds.levels[self.worlds.worlds["level"][world_index]].monsters
-        for monster, monster_stats, place in zip(monsters, level_stats, monster_places, strict=True):
+        for monster, monster_stats, origin in zip(monsters, level_stats, monster_places, strict=True):
             if monster["hp"] <= 0:
                 continue
             flash_colour = ""
             if monster["knocked"] // 8 % 2:
                 flash_colour = sprites.WHITE
             pose = int((monster["x"] + monster["y"]) // (STRIDE / 2)) % 2
-            picture = sprites.monster_picture(place.name, pose, bool(monster["noticed"]), flash_colour)
+            picture = sprites.monster_picture(origin.name, pose, bool(monster["noticed"]), flash_colour)
             yield from self._standing(picture, monster, monster_stats)
 
     def _players(self, world_index: int) -> Iterator[Item]:
@@ -236,11 +236,13 @@ class Renderer:
         moment = int(sprites.SWINGS * (player_stats["swing"] - player["busy"]) // player_stats["swing"])
         x, y = player["x"] + strike["x"][facing], player["y"] + strike["y"][facing]
         half_width, half_height = strike["half_width"][facing], strike["half_height"][facing]
-        left, top = self._place(x - half_width, y - half_height)
-        right, bottom = self._place(x + half_width, y + half_height)
-        arc = sprites.slash_picture(right - left + 1, bottom - top + 1, FACINGS[facing], moment)
+        left_edge, top_edge = self._place(x - half_width, y - half_height)
+        right_edge, bottom_edge = self._place(x + half_width, y + half_height)
+        arc = sprites.slash_picture(
+            right_edge - left_edge + 1, bottom_edge - top_edge + 1, FACINGS[facing], moment
+        )
         _, foot = self._place(0.0, _foot(player, player_stats))
-        yield Item(max(foot, bottom) + 0.1, arc, left, top)
+        yield Item(max(foot, bottom_edge) + 0.1, arc, left_edge, top_edge)
         sword_foot = foot + 0.2
         if FACINGS[facing] == "up":
             sword_foot = foot - 0.2

@@ -174,10 +174,10 @@ def _glyphs() -> dict[str, np.ndarray]:
 # --- What can be done with pictures --------------------------------------------------------------
 
 
-def blend(canvas: Image.Image, picture: np.ndarray, left: int, top: int) -> None:
+def blend(canvas: Image.Image, picture: np.ndarray, left_edge: int, top_edge: int) -> None:
     """Paint a picture onto a canvas; parts outside are cut off."""
     picture_image = Image.fromarray(picture)
-    canvas.paste(picture_image, (left, top), picture_image)
+    canvas.paste(picture_image, (left_edge, top_edge), picture_image)
 
 
 def rgb(colour: str) -> list[int]:
