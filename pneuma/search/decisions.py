@@ -28,69 +28,71 @@ STUDY_ATTRIBUTES = "pneuma:study"
 """The attribute of a trial with what its sampler has noted of the whole study."""
 
 
-def make_cells(record: Record, number: int, params: Mapping[str, Any]) -> list[Cell]:
+def make_cells(record: Record, trial_number: int, params: Mapping[str, Any]) -> list[Cell]:
     """Return the runs of a trial, one for each seed."""
     run = record.search.make_run(params, steps=record.budget.steps)
     cells = []
     for seed in record.budget.seeds:
-        cells.append(Cell(f"trial-{number:03}", seed, replace(run, seed=seed)))
+        cells.append(Cell(f"trial-{trial_number:03}", seed, replace(run, seed=seed)))
     return cells
 
 
-def suggest(record: Record, number: int) -> None:
+def suggest(record: Record, trial_number: int) -> None:
     """Give a trial its parameters, unless it has them; those that a user enqueued stay.
 
     A trial waits in the log until it has all of them. If this is cut short, it gets the same again.
     """
-    if number == len(record.trials):
+    if trial_number == len(record.trials):
         record.study.enqueue_trial({})
-    waiting = record.trials[number]
+    waiting = record.trials[trial_number]
     if waiting.state != TrialState.WAITING:
         return
     params = waiting.system_attrs.get("fixed_params")
-    if not params and number < len(record.search.start):
-        params = record.search.params_of(record.search.start[number])
-    trial = _sample(record, number, params or {})
+    if not params and trial_number < len(record.search.start):
+        params = record.search.params_of(record.search.start[trial_number])
+    trial = _sample(record, trial_number, params or {})
     storage = record.study._storage
     with suppress(UpdateFinishedTrialError):  # another process was faster
-        for name, distribution in trial.distributions.items():
-            value = distribution.to_internal_repr(trial.params[name])
-            storage.set_trial_param(waiting._trial_id, name, value, distribution)
-        for key, value in trial.user_attrs.items():
-            storage.set_trial_user_attr(waiting._trial_id, key, value)
-        for key, value in trial.system_attrs.items():
-            storage.set_trial_system_attr(waiting._trial_id, key, value)
+        for parameter_name, distribution in trial.distributions.items():
+            value = distribution.to_internal_repr(trial.params[parameter_name])
+            storage.set_trial_param(waiting._trial_id, parameter_name, value, distribution)
+        for attribute, value in trial.user_attrs.items():
+            storage.set_trial_user_attr(waiting._trial_id, attribute, value)
+        for attribute, value in trial.system_attrs.items():
+            storage.set_trial_system_attr(waiting._trial_id, attribute, value)
         storage.set_trial_state_values(waiting._trial_id, TrialState.RUNNING)
 
 
-def _sample(record: Record, number: int, enqueued: dict[str, Any]) -> FrozenTrial:
+def _sample(record: Record, trial_number: int, enqueued: dict[str, Any]) -> FrozenTrial:
     """Return a trial with the enqueued parameters, and the others as the sampler suggests them."""
     search = record.search
     attributes: dict[str, Any] = {"seeds": record.budget.seeds, "run_ids": []}
-    for name, value in enqueued.items():
-        if not search.holds({name: value}):
-            attributes["note"] = f"was enqueued with {name} = {shown(value)}, which is not in its space"
+    for parameter_name, value in enqueued.items():
+        if not search.holds({parameter_name: value}):
+            attributes["note"] = (
+                f"was enqueued with {parameter_name} = {shown(value)}, which is not in its space"
+            )
             return create_trial(state=TrialState.RUNNING, user_attrs=attributes)
-    study = _copy_study(record, number)
+    study = _copy_study(record, trial_number)
     study.enqueue_trial(enqueued)
     stream = search.name
     if search.sampler_seed:
         stream += f"/{search.sampler_seed}"
     with _explained(record, f"sampler {search.sampler.name}"):
-        study.sampler = search.sampler.create(seed=stream_seed(stream, "sampler", number) % 2**32)
+        study.sampler = search.sampler.create(seed=stream_seed(stream, "sampler", trial_number) % 2**32)
         trial = study.ask()
         params = search.suggest(lambda parameter: trial._suggest(parameter.name, parameter.distribution))
     try:
-        cells = make_cells(record, number, params)
+        cells = make_cells(record, trial_number, params)
         attributes["run_ids"] = [cell.run_id for cell in cells]
         attributes["config_id"] = config_id(cells[0].run)
     except UserError as error:
         attributes["note"] = str(error)
-    for key, value in attributes.items():
-        trial.set_user_attr(key, value)
-    noted = study._storage.get_study_system_attrs(study._study_id)
-    if noted:
-        study._storage.set_trial_system_attr(trial._trial_id, STUDY_ATTRIBUTES, noted)
+    for attribute, value in attributes.items():
+        trial.set_user_attr(attribute, value)
+    study_attributes = study._storage.get_study_system_attrs(study._study_id)
+    if study_attributes:
+        study._storage.set_trial_system_attr(trial._trial_id, STUDY_ATTRIBUTES, study_attributes)
     return study._storage.get_trial(trial._trial_id)
 
 
@@ -103,7 +105,7 @@ def prune(record: Record, trial: FrozenTrial, reports: Mapping[int, float]) -> t
     pruner = record.search.pruner
     if pruner is None:
         return False, {}
-    stopped = False
+    is_stopped = False
     with _explained(record, f"pruner {pruner.name}"):
         optuna_pruner = pruner.create()
         study = _copy_study(record, trial.number)
@@ -111,23 +113,23 @@ def prune(record: Record, trial: FrozenTrial, reports: Mapping[int, float]) -> t
         trial_id = study.get_trials(deepcopy=False)[-1]._trial_id
         for evaluation, value in sorted(reports.items()):
             study._storage.set_trial_intermediate_value(trial_id, evaluation, value)
-            stopped = stopped or optuna_pruner.prune(study, study._storage.get_trial(trial_id))
-        return stopped, study._storage.get_trial(trial_id).system_attrs
+            is_stopped = is_stopped or optuna_pruner.prune(study, study._storage.get_trial(trial_id))
+        return is_stopped, study._storage.get_trial(trial_id).system_attrs
 
 
-def _copy_study(record: Record, number: int) -> optuna.Study:
+def _copy_study(record: Record, trial_number: int) -> optuna.Study:
     """Return a copy of the study as it was when a trial was suggested: its own generation is running."""
     search = record.search
     study = optuna.create_study(study_name=search.name, directions=search.directions)
-    first = number - number % search.generation
-    noted: Mapping[str, Any] = {}
-    for trial in record.trials[:number]:
-        noted = trial.system_attrs.get(STUDY_ATTRIBUTES, noted)
-        if trial.number >= first:
+    first_number = trial_number - trial_number % search.generation
+    study_attributes: Mapping[str, Any] = {}
+    for trial in record.trials[:trial_number]:
+        study_attributes = trial.system_attrs.get(STUDY_ATTRIBUTES, study_attributes)
+        if trial.number >= first_number:
             trial = _as_suggested(trial, trial.system_attrs)
         study.add_trial(trial)
-    for key, value in noted.items():
-        study._storage.set_study_system_attr(study._study_id, key, value)
+    for attribute, value in study_attributes.items():
+        study._storage.set_study_system_attr(study._study_id, attribute, value)
     return study
 
 
@@ -142,13 +144,13 @@ def _as_suggested(trial: FrozenTrial, system_attributes: dict[str, Any]) -> Froz
 
 
 @contextmanager
-def _explained(record: Record, name: str) -> Iterator[None]:
+def _explained(record: Record, component: str) -> Iterator[None]:
     """Explain in a line what a sampler or pruner, which may be anybody's, cannot do."""
     try:
         with warnings.catch_warnings(action="ignore"):  # of what is experimental
             yield
     except Exception as error:
         raise UserError(
-            f"search {record.search.name}: {name}: {type(error).__name__}: {error}; "
+            f"search {record.search.name}: {component}: {type(error).__name__}: {error}; "
             "change its arguments in the search's file, or move the log away"
         ) from None

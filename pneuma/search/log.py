@@ -56,13 +56,13 @@ class LogLock(BaseJournalFileLock):
     WAIT_SECONDS = 10.0
     """After this time it prints for whom it waits."""
 
-    def __init__(self, log: Path) -> None:
-        self._log = log.resolve()
+    def __init__(self, log_path: Path) -> None:
+        self._log = log_path.resolve()
         self._file: BinaryIO
 
     def acquire(self) -> bool:
-        path = self._log.with_name(f".{self._log.name}.lock")
-        self._file = open(path, "a+b", opener=open_lock)  # noqa: SIM115 (`release` closes it)
+        lock_path = self._log.with_name(f".{self._log.name}.lock")
+        self._file = open(lock_path, "a+b", opener=open_lock)  # noqa: SIM115 (`release` closes it)
         message_time = time.monotonic() + self.WAIT_SECONDS
         while not take_lock(self._file.fileno()):
             if time.monotonic() > message_time:
@@ -73,11 +73,11 @@ class LogLock(BaseJournalFileLock):
         self._file.truncate(0)
         self._file.write(f"process {os.getpid()} on {socket.gethostname()}".encode())
         self._file.flush()
-        with open(self._log, "r+b") as log:
-            log.seek(max(log.seek(0, os.SEEK_END) - 1, 0))
-            if log.read() not in (b"", b"\n"):
-                log.seek(0)
-                log.truncate(log.read().rfind(b"\n") + 1)
+        with open(self._log, "r+b") as log_file:
+            log_file.seek(max(log_file.seek(0, os.SEEK_END) - 1, 0))
+            if log_file.read() not in (b"", b"\n"):
+                log_file.seek(0)
+                log_file.truncate(log_file.read().rfind(b"\n") + 1)
         return True
 
     def release(self) -> None:
@@ -123,43 +123,43 @@ def open_record(store: Store, search: Search, budget: Budget) -> Record:
     store.check_writable()
     identity = _identify(search, budget)
     digest = checksum(json.dumps(identity, sort_keys=True).encode())[:12]
-    path = store.root / "searches" / f"{search.label}.{digest}.log"
-    if path.is_symlink():
-        raise UserError(f"{path}: is a link; replace it with a file")
-    with stored_file(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        storage = JournalStorage(JournalFileBackend(str(path), LogLock(path)))
+    log_path = store.root / "searches" / f"{search.label}.{digest}.log"
+    if log_path.is_symlink():
+        raise UserError(f"{log_path}: is a link; replace it with a file")
+    with stored_file(log_path):
+        log_path.parent.mkdir(parents=True, exist_ok=True)
+        storage = JournalStorage(JournalFileBackend(str(log_path), LogLock(log_path)))
         if not storage.get_all_studies():  # `create_study` would write a line each time
             optuna.create_study(
                 storage=storage, study_name=search.name, directions=search.directions, load_if_exists=True
             )
         study = _load_study(storage, search)
         if study.user_attrs.get(ABOUT, {}).get("trials_asked", 0) < budget.trials:
-            names = [
+            metric_names = [
                 f"{objective.outcome}, {objective.over_seeds}" for objective in search.objectives.values()
             ]
             with warnings.catch_warnings(action="ignore"):  # it is experimental
-                study.set_metric_names(names)
+                study.set_metric_names(metric_names)
             about = {"search": search.name, "identity": identity, "trials_asked": budget.trials}
             study.set_user_attr(ABOUT, about)
-        return Record(search, budget, study, path)
+        return Record(search, budget, study, log_path)
 
 
 def _identify(search: Search, budget: Budget) -> dict[str, Any]:
     """Return everything that the suggestions depend on, except the number of trials, as plain JSON."""
     objectives = []
-    for name, objective in search.objectives.items():
-        objectives.append({"name": name, **objective.model_dump()})
+    for objective_name, objective in search.objectives.items():
+        objectives.append({"name": objective_name, **objective.model_dump()})
     user_code = {user_files_digest(search.fields({}))}
-    for name, parameter in search.space.items():
-        for value in parameter.choices:
-            user_code.add(user_files_digest(search.fields({name: value})))
-    file = read_toml(search.path).data
+    for parameter_name, parameter in search.space.items():
+        for choice in parameter.choices:
+            user_code.add(user_files_digest(search.fields({parameter_name: choice})))
+    file_contents = read_toml(search.path).data
     identity = {
         "base": search.base,
         "fixed": search.run,
         "objectives": objectives,
-        "file": {key: value for key, value in file.items() if key not in WORDS},
+        "file": {file_key: value for file_key, value in file_contents.items() if file_key not in WORDS},
         "seeds": budget.seeds,
         "steps": budget.steps,
         "user_code": sorted(user_code),
@@ -167,59 +167,63 @@ def _identify(search: Search, budget: Budget) -> dict[str, Any]:
         "rules": RULES_VERSION,
         "engines": ENGINE_VERSIONS,
     }
-    plain: dict[str, Any] = json.loads(json.dumps(identity))
-    return plain
+    plain_identity: dict[str, Any] = json.loads(json.dumps(identity))
+    return plain_identity
 
 
 # --- Reading ---------------------------------------------------------------------------------------
 
 
-def read_record(store: Store, name: str, world: str | None = None) -> Record:
-    """Return a search that was run here, or else a published one; `name` and `world` are as in `load_search`.
+def read_record(store: Store, search_name: str, world: str | None = None) -> Record:
+    """Return a search that was run here, or else a published one; the arguments are those of `load_search`.
 
     Of several logs of a search, the one that was written last counts. One whose search's file has changed
     since is refused.
     """
-    search = load_search(name, world)
+    search = load_search(search_name, world)
     folder = store.root / "searches"
-    logs = []
-    for file in names_in(folder):
-        is_log = re.fullmatch(re.escape(search.label) + r"(\.[0-9a-f]{12})?\.log", file)
-        if is_log and (folder / file).stat().st_size:  # Optuna leaves an empty file
-            logs.append(folder / file)
-    if logs:
-        return _read(max(logs, key=lambda path: path.stat().st_mtime_ns), search)
+    log_paths = []
+    for file_name in names_in(folder):
+        is_log = re.fullmatch(re.escape(search.label) + r"(\.[0-9a-f]{12})?\.log", file_name)
+        if is_log and (folder / file_name).stat().st_size:  # Optuna leaves an empty file
+            log_paths.append(folder / file_name)
+    if log_paths:
+        return _read(max(log_paths, key=lambda log_path: log_path.stat().st_mtime_ns), search)
     return read_published(store, search)
 
 
 def read_published(store: Store, search: Search) -> Record:
     """Return a search whose log is published in the results folder or comes with Pneuma."""
     for folder in (store.root / PUBLISHED, shipped_tables()):
-        path = folder / f"search-{search.label}.log"
-        if path.exists():
-            return _read(path, search, published=True)
+        log_path = folder / f"search-{search.label}.log"
+        if log_path.exists():
+            return _read(log_path, search, published=True)
     raise UserError(
         f"search {search.label} was not run in {store.root}: start it with `pneuma search run`, "
         "or name another results folder"
     )
 
 
-def _read(path: Path, search: Search, published: bool = False) -> Record:
-    with stored_file(path):
-        study = _load_study(JournalStorage(JournalFileBackend(str(path), LogLock(path))), search)
+def _read(log_path: Path, search: Search, published: bool = False) -> Record:
+    with stored_file(log_path):
+        study = _load_study(JournalStorage(JournalFileBackend(str(log_path), LogLock(log_path))), search)
         about = study.user_attrs[ABOUT]
         stored_identity = about["identity"]
         budget = Budget(
             trials=about["trials_asked"], seeds=stored_identity["seeds"], steps=stored_identity["steps"]
         )
         identity = _identify(search, budget)
-        changed = [key for key in COMPARED if stored_identity.get(key) != identity[key]]
+        changed = [
+            identity_key
+            for identity_key in COMPARED
+            if stored_identity.get(identity_key) != identity[identity_key]
+        ]
         if changed:
             raise UserError(
-                f"{path}: its file now has other {', '.join(changed)} than when the search began; "
+                f"{log_path}: its file now has other {', '.join(changed)} than when the search began; "
                 "undo that change, or search under a new name"
             )
-        return Record(search, budget, study, path, published)
+        return Record(search, budget, study, log_path, published)
 
 
 def _load_study(storage: JournalStorage, search: Search) -> optuna.Study:
@@ -228,9 +232,11 @@ def _load_study(storage: JournalStorage, search: Search) -> optuna.Study:
     if study.directions != search.directions:
         raise ValueError("other directions")
     for trial in study.get_trials(deepcopy=False):
-        numbers = list(trial.values or ()) + list(trial.intermediate_values.values())
+        reported_values = list(trial.values or ()) + list(trial.intermediate_values.values())
         is_whole = trial.state != TrialState.COMPLETE or len(trial.values) == len(search.objectives)
         are_ids = all(isinstance(run_id, str) for run_id in trial.user_attrs.get("run_ids", []))
-        if not (is_whole and are_ids and all(map(math.isfinite, numbers)) and search.holds(trial.params)):
+        if not (
+            is_whole and are_ids and all(map(math.isfinite, reported_values)) and search.holds(trial.params)
+        ):
             raise ValueError(f"trial {trial.number} is not the search's")
     return study

@@ -21,16 +21,16 @@ BASE, TUNED = "base", "tuned"
 """The conditions of the study."""
 
 
-def find_trial(record: Record, number: int | None) -> FrozenTrial:
+def find_trial(record: Record, trial_number: int | None) -> FrozenTrial:
     """Return a complete trial of a search; without a number the best one."""
-    name, best = record.search.name, record.best
-    if number is None and isinstance(best, list) and best:
-        front = ", ".join(map(str, best))
+    name, best_trial = record.search.name, record.best
+    if trial_number is None and isinstance(best_trial, list) and best_trial:
+        front = ", ".join(map(str, best_trial))
         raise UserError(
             f"search {name}: has no single best trial but a Pareto front; choose one of the trials {front}"
         )
     for trial in record.complete:
-        if trial.number == (best if number is None else number):
+        if trial.number == (best_trial if trial_number is None else trial_number):
             return trial
     raise UserError(f"search {name}: no such complete trial; `pneuma search status` lists them")
 
@@ -40,18 +40,22 @@ def promotion_study(record: Record, trial: FrozenTrial, seeds: Sequence[int], st
     search = record.search
     used_seeds = sorted(set(seeds) & set(record.budget.seeds))
     if used_seeds:
-        numbers = ", ".join(map(str, used_seeds))
-        raise UserError(f"the search already used the seeds {numbers}; choose others, such as 0..9")
-    shared = search.fields({})
-    tuned = {name: value for name, value in search.fields(trial.params).items() if name in trial.params}
+        seeds_text = ", ".join(map(str, used_seeds))
+        raise UserError(f"the search already used the seeds {seeds_text}; choose others, such as 0..9")
+    shared_fields = search.fields({})
+    tuned_fields = {
+        field_name: value
+        for field_name, value in search.fields(trial.params).items()
+        if field_name in trial.params
+    }
     base_run, tuned_run = search.make_run({}), search.make_run(trial.params)
-    for name in unread_fields([base_run, tuned_run], shared):
-        del shared[name]
-    for name in unread_fields([tuned_run], tuned):
-        del tuned[name]
+    for field_name in unread_fields([base_run, tuned_run], shared_fields):
+        del shared_fields[field_name]
+    for field_name in unread_fields([tuned_run], tuned_fields):
+        del tuned_fields[field_name]
     outcomes = dict.fromkeys(objective.outcome for objective in search.objectives.values())
     values = ", ".join(f"{value:.4g}" for value in trial.values)
-    head = {
+    head_keys = {
         "title": f"{search.title}: the best trial on fresh seeds",
         "section": search.section,
         "base": search.base,
@@ -61,15 +65,15 @@ def promotion_study(record: Record, trial: FrozenTrial, seeds: Sequence[int], st
     }
     lines = [
         f"# {TUNED} is trial {trial.number} of the search {search.name}, whose own seeds gave {values}.",
-        *_lines(head),
+        *_lines(head_keys),
         "",
         "[run]",
-        *_lines(shared),
+        *_lines(shared_fields),
         "",
         f"[conditions.{BASE}]",
         "",
         f"[conditions.{TUNED}]",
-        *_lines(tuned),
+        *_lines(tuned_fields),
         "",
         "[presets.quick]",
         *_lines({"seeds": list(seeds), "steps": steps or record.budget.steps}),
@@ -77,13 +81,15 @@ def promotion_study(record: Record, trial: FrozenTrial, seeds: Sequence[int], st
     return "\n".join(lines) + "\n"
 
 
-def write_study(store: Store, record: Record, text: str) -> Path:
+def write_study(store: Store, record: Record, file_text: str) -> Path:
     """Write the file of a promotion's study into the results folder."""
     store.check_writable()
-    path = store.root / "searches" / f"promoted-{record.search.label}.toml"
-    store.write(path, text.encode())
-    return path
+    study_path = store.root / "searches" / f"promoted-{record.search.label}.toml"
+    store.write(study_path, file_text.encode())
+    return study_path
 
 
-def _lines(table: Mapping[str, Any]) -> list[str]:
-    return [f"{key} = {shown('none' if value is None else value)}" for key, value in table.items()]
+def _lines(toml_table: Mapping[str, Any]) -> list[str]:
+    return [
+        f"{toml_key} = {shown('none' if value is None else value)}" for toml_key, value in toml_table.items()
+    ]

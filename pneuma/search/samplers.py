@@ -45,32 +45,34 @@ class Choice(Table):
 
     def create(self, seed: int | None = None) -> Any:
         """Return the sampler or pruner, with a seed if its class takes one."""
-        loaded = self.load()
+        component_class = self.load()
         arguments = {**DEFAULTS.get(self.name, {}), **self.arguments}
-        if seed is not None and "seed" in inspect.signature(loaded).parameters:
+        if seed is not None and "seed" in inspect.signature(component_class).parameters:
             arguments["seed"] = seed
         with warnings.catch_warnings(action="ignore"):  # of arguments that are experimental
-            return loaded(**arguments)
+            return component_class(**arguments)
 
 
-def _read_choice(names: Mapping[str, str], base: type, table: Any) -> Any:
+def _read_choice(short_names: Mapping[str, str], base_class: type, choice_table: Any) -> Any:
     """Read [sampler] or [pruner], which is created once to find mistakes."""
-    if not isinstance(table, Mapping):
-        return table
-    arguments = dict(table)
-    name = str(arguments.pop("name", ""))
-    if ":" not in name and name not in names:
-        raise wrong(f"{unknown_name('name', name, names)}; any other is named as module:Class", "name")
-    choice = Choice(name=name, arguments=arguments)
+    if not isinstance(choice_table, Mapping):
+        return choice_table
+    arguments = dict(choice_table)
+    choice_name = str(arguments.pop("name", ""))
+    if ":" not in choice_name and choice_name not in short_names:
+        raise wrong(
+            f"{unknown_name('name', choice_name, short_names)}; any other is named as module:Class", "name"
+        )
+    choice = Choice(name=choice_name, arguments=arguments)
     try:
-        loaded = choice.load()
-        if not issubclass(loaded, base):
-            raise TypeError(f"it is not a class of Optuna's {base.__name__}")
-        if issubclass(loaded, CmaEsSampler):
+        component_class = choice.load()
+        if not issubclass(component_class, base_class):
+            raise TypeError(f"it is not a class of Optuna's {base_class.__name__}")
+        if issubclass(component_class, CmaEsSampler):
             raise TypeError("it keeps its state as a pickle, which is never loaded")
         choice.create()
     except Exception as error:  # a user's class may raise anything
-        raise wrong(f"{name} cannot be used: {error}", "name") from None
+        raise wrong(f"{choice_name} cannot be used: {error}", "name") from None
     return choice
 
 

@@ -60,7 +60,10 @@ class Parameter:
 
     def applies(self, run_fields: Mapping[str, Any]) -> bool:
         """Return whether it is searched in a run with these fields."""
-        return all(plain(run_fields.get(name)) in values for name, values in self.when.items())
+        return all(
+            plain(run_fields.get(field_name)) in field_values
+            for field_name, field_values in self.when.items()
+        )
 
 
 def as_parameter(value: Any) -> Any:
@@ -70,30 +73,30 @@ def as_parameter(value: Any) -> Any:
     return json.dumps(value)
 
 
-def _read(name: str, value: Any) -> Any:
-    if name not in SEARCHABLE:
-        raise unknown_name("parameter", name, SEARCHABLE)
-    return read_field(Run, name, value)
+def _read(field_name: str, value: Any) -> Any:
+    if field_name not in SEARCHABLE:
+        raise unknown_name("parameter", field_name, SEARCHABLE)
+    return read_field(Run, field_name, value)
 
 
-def _read_parameter(name: str, table: Mapping[str, Any]) -> Parameter:
+def _read_parameter(field_name: str, parameter_table: Mapping[str, Any]) -> Parameter:
     """Read a table by Optuna's own checks of its distributions.
 
     Raises:
         UserError: for a value that its field cannot have.
         ValueError: for a range that Optuna refuses; also TypeError, or UserWarning where it would change it.
     """
-    arguments = dict(table)
+    arguments = dict(parameter_table)
     when: dict[str, tuple[Any, ...]] = {}
-    for condition, values in arguments.pop("when", {}).items():
-        listed = values if isinstance(values, tuple) else (values,)
-        when[condition] = tuple(plain(_read(condition, value)) for value in listed)
+    for condition, condition_values in arguments.pop("when", {}).items():
+        value_list = condition_values if isinstance(condition_values, tuple) else (condition_values,)
+        when[condition] = tuple(plain(_read(condition, value)) for value in value_list)
     choices: dict[Any, Any] = {}
     for value in arguments.get("choices", ()):
-        choice = _read(name, value)
+        choice = _read(field_name, value)
         choices[as_parameter(choice)] = choice
     for bound in arguments.keys() & {"low", "high"}:
-        arguments[bound] = _read(name, arguments[bound])
+        arguments[bound] = _read(field_name, arguments[bound])
     distribution: Any = IntDistribution if isinstance(arguments.get("low"), int) else FloatDistribution
     if "choices" in arguments:
         distribution, arguments["choices"] = CategoricalDistribution, list(choices)
@@ -102,7 +105,7 @@ def _read_parameter(name: str, table: Mapping[str, Any]) -> Parameter:
     if distribution is IntDistribution and not isinstance(arguments.get("step", 1), int):
         raise ValueError(f"step = {arguments['step']} is not allowed: a whole number")
     with warnings.catch_warnings(action="error"):
-        return Parameter(name, distribution(**arguments), choices, when)
+        return Parameter(field_name, distribution(**arguments), choices, when)
 
 
 def _read_space(tables: Any) -> Any:
@@ -110,17 +113,17 @@ def _read_space(tables: Any) -> Any:
     if not isinstance(tables, Mapping):
         return tables
     space: dict[str, Parameter] = {}
-    for name, table in tables.items():
+    for parameter_name, parameter_table in tables.items():
         try:
-            space[name] = _read_parameter(name, table)
+            space[parameter_name] = _read_parameter(parameter_name, parameter_table)
         except ArithmeticError:
-            raise wrong(f"{name}: step is too small for this range", name) from None
+            raise wrong(f"{parameter_name}: step is too small for this range", parameter_name) from None
         except Exception as error:  # of the fields, or of Optuna's checks
-            raise wrong(f"{name}: {error}", name) from None
-        for condition in space[name].when:
+            raise wrong(f"{parameter_name}: {error}", parameter_name) from None
+        for condition in space[parameter_name].when:
             if condition in tables and condition not in space:
                 message = f"{condition} is searched, too: [space.{condition}] must stand before it"
-                raise wrong(f"{name}.when: {message}", name)
+                raise wrong(f"{parameter_name}.when: {message}", parameter_name)
     return space
 
 

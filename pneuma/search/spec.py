@@ -117,17 +117,17 @@ class Search(Table):
         """Choose a value for each parameter that applies; return them by name."""
         run_fields = as_fields(self.make_run({}))
         params = {}
-        for name, parameter in self.space.items():
+        for parameter_name, parameter in self.space.items():
             if parameter.applies(run_fields):
-                params[name] = choose(parameter)
-                run_fields[name] = parameter.value(params[name])
+                params[parameter_name] = choose(parameter)
+                run_fields[parameter_name] = parameter.value(params[parameter_name])
         return params
 
     def fields(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """Return the fields of the run that a trial sets on top of the base."""
         run_fields = dict(self.run)
-        for name, parameter in params.items():
-            run_fields[name] = self.space[name].value(parameter)
+        for parameter_name, parameter in params.items():
+            run_fields[parameter_name] = self.space[parameter_name].value(parameter)
         return files_beside(self.path, run_fields)
 
     def make_run(self, params: Mapping[str, Any], **overrides: Any) -> Run:
@@ -136,20 +136,23 @@ class Search(Table):
     def params_of(self, start: str | Mapping[str, Any]) -> dict[str, Any]:
         """Return the parameters for a base's values, or for given ones, as far as the space has them."""
         if isinstance(start, str):
-            values = as_fields(make_run(join_fields(start, files_beside(self.path, self.run))))
+            field_values = as_fields(make_run(join_fields(start, files_beside(self.path, self.run))))
         else:
-            values = dict(start)
-        run_fields = {**as_fields(self.make_run({})), **values}
+            field_values = dict(start)
+        run_fields = {**as_fields(self.make_run({})), **field_values}
         params = {}
-        for name, parameter in self.space.items():
-            value = as_parameter(values.get(name))
-            if name in values and parameter.contains(value) and parameter.applies(run_fields):
-                params[name] = value
+        for parameter_name, parameter in self.space.items():
+            value = as_parameter(field_values.get(parameter_name))
+            if parameter_name in field_values and parameter.contains(value) and parameter.applies(run_fields):
+                params[parameter_name] = value
         return params
 
     def holds(self, params: Mapping[str, Any]) -> bool:
         """Return whether all parameters of a trial are in the space."""
-        return all(name in self.space and self.space[name].contains(value) for name, value in params.items())
+        return all(
+            parameter_name in self.space and self.space[parameter_name].contains(value)
+            for parameter_name, value in params.items()
+        )
 
     def corners(self) -> Iterator[tuple[dict[str, Any], Run]]:
         """Yield trials at the ends of ranges, always the same ones, each with its run."""
@@ -161,13 +164,13 @@ class Search(Table):
             except UserError as error:
                 raise UserError(f"{error}, with {shown_params(params)}") from None
 
-    def check(self, shared: Iterable[str]) -> None:
+    def check(self, shared_fields: Iterable[str]) -> None:
         """Refuse a space whose corners make no valid run, or that has parameters without effect.
 
-        `shared` fields of all trials are refused, too, if no run reads them.
+        Fields of all trials, `shared_fields`, are refused, too, if no run reads them.
         """
-        for key in self.run.keys() & self.space.keys():
-            raise UserError(f"{key} is already varied by [space.{key}]; leave it out")
+        for field_name in self.run.keys() & self.space.keys():
+            raise UserError(f"{field_name} is already varied by [space.{field_name}]; leave it out")
         if self.pruner and len(self.objectives) > 1:
             raise UserError(f"pruner: {self.pruner.name} requires a single objective")
         for start in self.start:
@@ -176,33 +179,35 @@ class Search(Table):
                 raise UserError(f"start: {shown(start)} is not in the space")
         corners = list(self.corners())
         every_run = [run for _, run in corners]
-        for key in unread_fields(every_run, shared):
-            raise UserError(does_nothing(key, every_run))
-        for key, parameter in self.space.items():
-            runs = [run for params, run in corners if key in params]
+        for field_name in unread_fields(every_run, shared_fields):
+            raise UserError(does_nothing(field_name, every_run))
+        for field_name, parameter in self.space.items():
+            runs = [run for params, run in corners if field_name in params]
             if not runs:
-                raise UserError(f"{key} never applies: no trial has {shown(parameter.when)}")
-            if unread_fields(runs, [key]):
-                raise UserError(does_nothing(key, runs))
+                raise UserError(f"{field_name} never applies: no trial has {shown(parameter.when)}")
+            if unread_fields(runs, [field_name]):
+                raise UserError(does_nothing(field_name, runs))
 
 
 def shown_params(params: Mapping[str, Any]) -> str:
     """Return the parameters of a trial as text."""
-    texts = []
-    for name, value in params.items():
-        text = f"{value:.4g}" if isinstance(value, float) else shown_value(value)
-        texts.append(f"{name}={text}")
-    return ", ".join(texts)
+    parameter_texts = []
+    for parameter_name, value in params.items():
+        value_text = f"{value:.4g}" if isinstance(value, float) else shown_value(value)
+        parameter_texts.append(f"{parameter_name}={value_text}")
+    return ", ".join(parameter_texts)
 
 
-def load_search(name: str, world: str | None = None) -> Search:
+def load_search(search_name: str, world: str | None = None) -> Search:
     """Load a shipped search by its name, or any search by the path of its file.
 
     All trials get the environment of the world, and its other fields unless the search sets them itself. The
     world is one of `pneuma.presets.WORLDS`; default: the arena.
     """
-    path = find_file("search", name, studies_folder() / "search")
-    search = read_model(Search, read_toml(path)).model_copy(update={"name": path.stem, "path": path})
+    search_path = find_file("search", search_name, studies_folder() / "search")
+    search = read_model(Search, read_toml(search_path)).model_copy(
+        update={"name": search_path.stem, "path": search_path}
+    )
     own_fields = search.run
     checked_world(world)
     if search.has_worlds:
@@ -214,5 +219,5 @@ def load_search(name: str, world: str | None = None) -> Search:
     try:
         search.check(own_fields)
     except UserError as error:
-        raise UserError(f"{path}: {error}") from None
+        raise UserError(f"{search_path}: {error}") from None
     return search

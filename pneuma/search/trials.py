@@ -48,9 +48,9 @@ def run_search(search: Search, budget: Budget, store: Store, train: Train, say: 
     """
     runs = [search.make_run({})] + [run for _, run in search.corners()]
     check_environments(runs)
-    for name, objective in search.objectives.items():
+    for objective_name, objective in search.objectives.items():
         if objective.over_seeds == DEVIATION and len(budget.seeds) < 2:
-            raise UserError(f"objective {name}: a standard deviation needs at least 2 seeds")
+            raise UserError(f"objective {objective_name}: a standard deviation needs at least 2 seeds")
         for env in sorted({run.env for run in runs}):
             check_outcome(objective.outcome, [env])
     steps = common_steps(runs, budget.steps)
@@ -61,11 +61,11 @@ def run_search(search: Search, budget: Budget, store: Store, train: Train, say: 
     record = open_record(store, search, budget.model_copy(update={"steps": steps}))
     yield record
     try:
-        for first in range(0, budget.trials, search.generation):
-            generation = range(first, first + search.generation)
-            for number in generation:  # all of them, so that a longer search has the same trials
-                suggest(record, number)
-            _run_generation(record, store, generation[: budget.trials - first], train, say)
+        for first_number in range(0, budget.trials, search.generation):
+            generation = range(first_number, first_number + search.generation)
+            for trial_number in generation:  # all of them, so that a longer search has the same trials
+                suggest(record, trial_number)
+            _run_generation(record, store, generation[: budget.trials - first_number], train, say)
             yield record
     except OSError as error:
         raise write_error(record.path, error) from None
@@ -76,45 +76,53 @@ def common_steps(runs: Iterable[Run], steps: int) -> int:
 
     Where they would be more than twice as many, `steps` are returned: each run rounds them up for itself.
     """
-    update = math.lcm(*(run.steps_per_update for run in runs))
-    rounded = math.ceil(steps / update) * update
-    return rounded if rounded <= 2 * steps else steps
+    common_update = math.lcm(*(run.steps_per_update for run in runs))
+    rounded_steps = math.ceil(steps / common_update) * common_update
+    return rounded_steps if rounded_steps <= 2 * steps else steps
 
 
-def _run_generation(record: Record, store: Store, numbers: range, train: Train, say: Say) -> None:
+def _run_generation(record: Record, store: Store, trial_numbers: range, train: Train, say: Say) -> None:
     """Train the trials of a generation, stop some early, and store their values."""
-    cells: dict[int, list[Cell]] = {}
-    for number in numbers:
-        trial = record.trials[number]
+    cells_by_trial: dict[int, list[Cell]] = {}
+    for trial_number in trial_numbers:
+        trial = record.trials[trial_number]
         run_ids = trial.user_attrs.get("run_ids")
         if run_ids:
-            cells[number] = make_cells(record, number, trial.params)
+            cells_by_trial[trial_number] = make_cells(record, trial_number, trial.params)
         elif run_ids is not None:  # it has a note of why it can have no runs
-            record.study.tell(number, state=TrialState.FAIL, skip_if_finished=True)
+            record.study.tell(trial_number, state=TrialState.FAIL, skip_if_finished=True)
     for pause in _pauses(record.search) + [EVALUATIONS]:
-        running = [number for number in cells if record.trials[number].state == TrialState.RUNNING]
-        planned: list[Cell] = []
-        until: dict[str, int] = {}
-        for number in running:
-            planned += cells[number]
-            steps = _evaluations(cells[number][0].run, pause)
+        running = [
+            trial_number
+            for trial_number in cells_by_trial
+            if record.trials[trial_number].state == TrialState.RUNNING
+        ]
+        planned_cells: list[Cell] = []
+        step_by_run: dict[str, int] = {}
+        for trial_number in running:
+            planned_cells += cells_by_trial[trial_number]
+            steps = _evaluations(cells_by_trial[trial_number][0].run, pause)
             step = 0 if EVALUATIONS in steps else max(steps.values())
-            until |= dict.fromkeys((cell.run_id for cell in cells[number]), step)
+            step_by_run |= dict.fromkeys((cell.run_id for cell in cells_by_trial[trial_number]), step)
         if running:
-            _refuse_unfinished(train(_make_plan(record, planned), until), until)
-        for number in running:
+            _refuse_unfinished(train(_make_plan(record, planned_cells), step_by_run), step_by_run)
+        for trial_number in running:
             with suppress(UpdateFinishedTrialError):  # another process was faster
-                _tell(record, store, number, cells[number], pause)
-        pruned = [str(number) for number in running if record.trials[number].state == TrialState.PRUNED]
-        if pruned:
-            say(f"Stopped early: trial {', '.join(pruned)}.")
+                _tell(record, store, trial_number, cells_by_trial[trial_number], pause)
+        pruned_trials = [
+            str(trial_number)
+            for trial_number in running
+            if record.trials[trial_number].state == TrialState.PRUNED
+        ]
+        if pruned_trials:
+            say(f"Stopped early: trial {', '.join(pruned_trials)}.")
 
 
-def _refuse_unfinished(results: Sequence[CellResult], until: Mapping[str, int]) -> None:
-    """Raise `Unfinished` if a run is not where `until` says."""
+def _refuse_unfinished(results: Sequence[CellResult], step_by_run: Mapping[str, int]) -> None:
+    """Raise `Unfinished` if a run is not where `step_by_run` says."""
     for result in results:
         cell, status = result.cell, result.status
-        step = until.get(cell.run_id)
+        step = step_by_run.get(cell.run_id)
         if step is None or status.finished or 0 < step <= status.step:
             continue
         message = f"{cell.condition} seed {cell.seed} {status.name} (run {cell.run_id})"
@@ -139,8 +147,8 @@ def _pauses(search: Search) -> list[int]:
 def _evaluations(run: Run, pause: int) -> dict[int, int]:
     """Return the steps of a run's evaluations, by number, up to the first that is not before a pause."""
     steps = evaluation_steps(run)
-    last = min(number for number in steps if number >= pause)
-    return {number: step for number, step in steps.items() if number <= last}
+    last_number = min(number for number in steps if number >= pause)
+    return {number: step for number, step in steps.items() if number <= last_number}
 
 
 def _make_plan(record: Record, cells: Sequence[Cell]) -> Plan:
@@ -153,9 +161,9 @@ def _make_plan(record: Record, cells: Sequence[Cell]) -> Plan:
 # --- Values ----------------------------------------------------------------------------------------
 
 
-def _tell(record: Record, store: Store, number: int, cells: Sequence[Cell], pause: int) -> None:
+def _tell(record: Record, store: Store, trial_number: int, cells: Sequence[Cell], pause: int) -> None:
     """Report a trial's values at its evaluations up to a pause; end it at the last, or if its pruner does."""
-    trial, study = record.trials[number], record.study
+    trial, study = record.trials[trial_number], record.study
     evaluations = _evaluations(cells[0].run, pause)
     reports = dict(trial.intermediate_values)
     if len(record.search.objectives) == 1:  # Optuna reports single values alone
@@ -166,26 +174,26 @@ def _tell(record: Record, store: Store, number: int, cells: Sequence[Cell], paus
                 if math.isfinite(value):
                     reports[evaluation] = value
     has_ended = EVALUATIONS in evaluations
-    pruned, attributes = (False, {}) if has_ended else prune(record, trial, reports)
+    is_pruned, attributes = (False, {}) if has_ended else prune(record, trial, reports)
     for evaluation in sorted(reports.keys() - trial.intermediate_values.keys()):
         study._storage.set_trial_intermediate_value(trial._trial_id, evaluation, reports[evaluation])
-    for key, value in attributes.items():
-        if trial.system_attrs.get(key) != value:
-            study._storage.set_trial_system_attr(trial._trial_id, key, value)
-    if pruned:  # its value is the last that was reported
-        study.tell(number, state=TrialState.PRUNED, skip_if_finished=True)
+    for attribute, value in attributes.items():
+        if trial.system_attrs.get(attribute) != value:
+            study._storage.set_trial_system_attr(trial._trial_id, attribute, value)
+    if is_pruned:  # its value is the last that was reported
+        study.tell(trial_number, state=TrialState.PRUNED, skip_if_finished=True)
     if has_ended:
-        _end(record, store, number, cells)
+        _end(record, store, trial_number, cells)
 
 
-def _end(record: Record, store: Store, number: int, cells: Sequence[Cell]) -> None:
+def _end(record: Record, store: Store, trial_number: int, cells: Sequence[Cell]) -> None:
     """Store the values of a trial whose runs have ended, or that it failed."""
     rows = read_rows(store, cells)
     notes: list[str] = []
-    values: list[float] = []
+    trial_values: list[float] = []
     for objective in record.search.objectives.values():
         value = trial_value(objective, rows)
-        values.append(value)
+        trial_values.append(value)
         if not math.isfinite(value):
             notes.append(f"a run has no {objective.outcome}, or none that is finite")
     state = TrialState.FAIL if notes else TrialState.COMPLETE
@@ -193,8 +201,11 @@ def _end(record: Record, store: Store, number: int, cells: Sequence[Cell]) -> No
     if diverged:
         notes.append(f"{diverged} of {len(rows)} runs diverged")
     if notes:
-        trial_id = record.trials[number]._trial_id
+        trial_id = record.trials[trial_number]._trial_id
         record.study._storage.set_trial_user_attr(trial_id, "note", "; ".join(notes))
     record.study.tell(
-        number, values if state == TrialState.COMPLETE else None, state=state, skip_if_finished=True
+        trial_number,
+        trial_values if state == TrialState.COMPLETE else None,
+        state=state,
+        skip_if_finished=True,
     )

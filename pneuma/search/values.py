@@ -39,17 +39,17 @@ def trial_value(objective: Objective, rows: Sequence[Row]) -> float:
     worst = low if objective.direction == "maximize" else high
     diverged = [row.status == "diverged" for row in rows]
     if objective.over_seeds == DEVIATION and any(diverged) and np.isfinite([low, high]).all():
-        half = len(rows) // 2
-        return combine(DEVIATION, np.repeat([low, high], [half, len(rows) - half]))
-    values = []
+        half_count = len(rows) // 2
+        return combine(DEVIATION, np.repeat([low, high], [half_count, len(rows) - half_count]))
+    run_values = []
     for row, has_diverged in zip(rows, diverged, strict=True):
         counts_worst = has_diverged and objective.over_seeds != DEVIATION and np.isfinite(worst)
-        values.append(worst if counts_worst else outcome(row, objective.outcome))
-    return combine(objective.over_seeds, np.array(values))
+        run_values.append(worst if counts_worst else outcome(row, objective.outcome))
+    return combine(objective.over_seeds, np.array(run_values))
 
 
-def combine(over_seeds: str, values: np.ndarray) -> float:
+def combine(over_seeds: str, run_values: np.ndarray) -> float:
     """Combine the outcomes of a trial's runs, (seeds,); NaN if one has none."""
-    if not np.isfinite(values).all() or (over_seeds == DEVIATION and len(values) < 2):
+    if not np.isfinite(run_values).all() or (over_seeds == DEVIATION and len(run_values) < 2):
         return float("nan")
-    return float(OVER_SEEDS[over_seeds](values))
+    return float(OVER_SEEDS[over_seeds](run_values))
