@@ -89,6 +89,7 @@ def test_an_algorithm_has_its_own_fields_and_no_others(algorithm: str) -> None:
         ({"actor": [64, 64]}, {"actor": (64.0, 64)}),
         ({"gradient_limit": "none"}, {"gradient_limit": None}),
         ({"gradient_limit": None}, {"gradient_limit": None, "clip": "separate"}),  # nothing is clipped
+        ({"players": 1}, {"players": 1, "learners": "independent"}),
     ],
 )
 def test_two_ways_to_write_one_training_are_equal_runs(one: dict[str, Any], other: dict[str, Any]) -> None:

@@ -41,7 +41,7 @@ def settings(model: Any, kind: type) -> dict[str, Any]:
 def test_what_nobody_sets_is_the_librarys_default(algorithm: str) -> None:
     run = make_run({"algorithm": algorithm, **GIVEN, **OTHERS.get(algorithm, {})})
     if ALGORITHMS[algorithm].learner:
-        ours = OpenTrainer(run)._model
+        ours: Any = OpenTrainer(run).policy().learner
         env = ours.env
     else:
         env = make_vec_env(run)

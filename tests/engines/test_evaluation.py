@@ -42,8 +42,10 @@ def test_held_out_levels_are_none_that_is_trained_on() -> None:
 
 
 def test_score_is_zero_for_the_random_player_and_one_where_all_are_killed(evaluation: Evaluation) -> None:
-    assert [evaluation._score(np.array([share])) for share in (evaluation.random_share, 1.0)] == [0, 1]
-    assert 0.0 < evaluation.random_share < 0.3
+    row = evaluation.evaluate(constant([0.3, 0.1, 0.0, 0.2, 0.4], 60), 0)
+    killed, at_random = row["share_killed"], row["random_share_killed"]
+    assert 0 < at_random < 0.3 and killed != at_random
+    assert row["score"] == pytest.approx((killed - at_random) / (1 - at_random))
 
 
 def test_a_certain_policy_plays_each_start_the_same_way_sampled_or_not(evaluation: Evaluation) -> None:

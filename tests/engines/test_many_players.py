@@ -128,7 +128,3 @@ def test_each_plays_by_its_own_policy_compiled_or_not(monkeypatch: pytest.Monkey
     monkeypatch.setattr("pneuma.engines.evaluation.MOST_WEIGHTS", 0)
     other = Evaluation(run).evaluate(policy, 0)
     assert compiled == pytest.approx(other, nan_ok=True)
-
-
-def test_one_player_alone_has_one_policy() -> None:
-    assert run_of("team", players=1) == run_of("team", players=1, learners="shared")

@@ -10,11 +10,9 @@ from typing import Any
 
 import numba
 import numpy as np
-import pytest
 
 from pneuma.engines import mlp
-from pneuma.engines.batched.rollout import value_of
-from pneuma.engines.policy import Layers, Policy
+from pneuma.engines.policy import Layers
 
 from .trained import random_layers
 
@@ -97,10 +95,3 @@ def test_bits_are_the_same_on_a_processor_without_wide_vectors(tmp_path: Path) -
     other = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}
     told = subprocess.check_output([sys.executable, "-c", PRINT_BITS], env={**os.environ, **other}, text=True)
     assert told.strip() == outputs(LAYERS, 7).tobytes().hex()
-
-
-def test_it_agrees_with_a_policy_that_was_loaded() -> None:
-    layers, rows = LAYERS, observations(9)
-    policy = Policy("tanh", layers, (*layers[:-1], (layers[-1][0][:, :1], layers[-1][1][:1])))
-    assert outputs(layers, 9) == pytest.approx(policy.logits(rows), abs=1e-5)
-    assert value_of(policy.critic, "tanh", rows) == pytest.approx(policy.values(rows), abs=1e-5)

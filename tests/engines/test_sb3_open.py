@@ -98,7 +98,7 @@ def test_the_zoos_entry_of_dqn_is_handed_on_as_it_is() -> None:
         {"env": "CartPole-v1", "algorithm": "dqn", "algorithm_kwargs": entry, "evaluation_episodes": 1}
     )
     check_environment(run)
-    model = OpenTrainer(run)._model
+    model: Any = OpenTrainer(run).policy().learner
     assert [model.lr_schedule(left) for left in (1, 0.5)] == pytest.approx([2.3e-3, 1.15e-3])
     named = {key: entry[key] for key in entry if type(entry[key]) is not str and key != "train_freq"}
     assert {key: getattr(model, key) for key in named} == named
@@ -144,9 +144,9 @@ def test_arguments_of_ppo_that_are_no_fields_are_passed_on() -> None:
     assert json.loads(run.algorithm_kwargs) == {
         "clip_range_vf": 0.2, "policy_kwargs": {"ortho_init": False, "activation_fn": "nn.ELU"},
     }  # fmt: skip
-    trainer = OpenTrainer(run)
-    assert "ELU" in repr(trainer._model.policy)
-    assert trainer._model.clip_range_vf(1.0) == 0.2
+    model: Any = OpenTrainer(run).policy().learner
+    assert "ELU" in repr(model.policy)
+    assert model.clip_range_vf(1.0) == 0.2
     assert train_run(run, lambda _: True).status == "done"
 
 

@@ -29,7 +29,6 @@ from .oracle_cases import CODES, Map
 THESIS, GODOT, ARENA = ENVIRONMENTS
 DOWN, LEFT, UP, RIGHT, ATTACK = rules.DOWN, rules.LEFT, rules.UP, rules.RIGHT, rules.ATTACK
 FLAME, HEAL = rules.FLAME, rules.HEAL
-STAND = ATTACK  # whoever swings stands still
 
 CORNERS = [*itertools.product((-540.0, 540.0), repeat=2)]
 EMPTY = Map(20, 20, origin=(10, 10), starts=((0.0, 0.0),))

@@ -16,11 +16,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from pneuma.env.fields import make_env_config
-from pneuma.env.players import Hunter
 from pneuma.env.rules import ATTACK, CLEARED, KILLED, RIGHT, RUNNING, TIME_LIMIT
 from pneuma.env.worlds import Worlds
 
-from .arena import FIELD, GODOT, characters_file, stage
+from .arena import FIELD, characters_file, stage
 from .oracle import CONTACT_EPS, Body, Box, Monster, Oracle, Player
 from .oracle_arrays import Pair
 from .oracle_cases import MOOD_STEPS, Case, cases, choose_actions, hunt, make_worlds
@@ -123,17 +122,6 @@ def count_events(pair: Pair, counts: Counter[str]) -> None:
         for player in world.players:
             grown = shrunk(player, -2 * CONTACT_EPS)
             counts["in contact"] += player.hp > 0 and any(grown.meets(box) for box in living)
-
-
-def test_the_hunter_on_the_shipped_level() -> None:
-    worlds = Worlds(1, make_env_config({}, GODOT))
-    pair, hunter = Pair(worlds, seed=5), Hunter(worlds)
-    kills = 0
-    for _ in range(300):
-        pair.step(hunter.act(worlds))
-        kills += int(worlds.events["kills"].sum())
-        pair.reset(np.flatnonzero(worlds.worlds["ending"]))
-    assert kills
 
 
 def test_random_levels_are_drawn_before_starts() -> None:
