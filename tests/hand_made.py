@@ -42,10 +42,7 @@ _USUAL: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "metrics": (METRIC_COLUMNS, dict.fromkeys(METRIC_COLUMNS, 0.2)),
     "evaluations": (
         EVALUATION_COLUMNS,
-        {
-            **dict.fromkeys(EVALUATION_COLUMNS, 0.0),
-            **{"episodes": 50, "argmax_starts": 6},
-        },
+        {**dict.fromkeys(EVALUATION_COLUMNS, 0.0), "episodes": 50, "argmax_starts": 6},
     ),
 }
 """Columns of each table, and what a row has in those that it does not tell."""

@@ -119,7 +119,7 @@ def test_the_worlds_are_judged_side_by_side_each_as_a_family_of_its_own(store: S
     save_runs(store, tmp_path, {"high": LOW, "low": HIGH}, world="arena")
     text = CLAIMS.replace('["text"]', '["text", "godot"]') + like
     here, nowhere, there = judge_claims(store, tmp_path, text)
-    assert [one.verdict for one in (here, nowhere, there)] == [SUPPORTED, UNTESTABLE, REFUTED]
+    assert [verdict.verdict for verdict in (here, nowhere, there)] == [SUPPORTED, UNTESTABLE, REFUTED]
     assert (there.claim.row, there.claim.quote, len(there.run_ids)) == ("better", "a quote", 10)
     assert there.contrasts[0].contrast.effect == pytest.approx(np.mean(LOW[3:]) - np.mean(HIGH[3:]))
     claims = load_claims(write_files(tmp_path, text + BETTER.replace("better", "other")))
@@ -158,8 +158,8 @@ def test_a_list_that_is_longer_asks_for_more(store: Store, tmp_path: Path) -> No
     alone, among = (_judge_among(count, store, tmp_path) for count in (1, 20))
     assert (alone.verdict, among.verdict) == (SUPPORTED, INCONCLUSIVE)
     welch = stats.ttest_ind(high, LOW, equal_var=False)
-    for one, alpha in ((alone, 0.05), (among, 0.05 / 20)):
-        (row,) = one.contrasts
+    for verdict, alpha in ((alone, 0.05), (among, 0.05 / 20)):
+        (row,) = verdict.contrasts
         assert row.alpha == pytest.approx(alpha)
         assert row.contrast.simultaneous.low == pytest.approx(welch.confidence_interval(1 - alpha).low)
         assert row.contrast.interval.low == pytest.approx(welch.confidence_interval(0.95).low)
@@ -173,10 +173,10 @@ def test_the_outcome_that_supports_the_claim_decides(store: Store, tmp_path: Pat
     scattered = [0.0, 1.0] * 4
     for arm, shares, returns in (("high", HIGH, HIGH), ("low", LOW, LOW), ("middle", scattered, LOW)):
         save_runs(store, tmp_path, {arm: shares}, returns=returns)
-    one = judge_one(store, tmp_path, changed(TWO, CROSSED))
-    assert [own.verdict for own in one.contrasts] == [SUPPORTED, INCONCLUSIVE, SUPPORTED, SUPPORTED]
-    assert one.verdict == SUPPORTED
-    assert [(own.outcome, own.names[1], own.verdict) for own in one.deciding] == [
+    verdict = judge_one(store, tmp_path, changed(TWO, CROSSED))
+    assert [contrast.verdict for contrast in verdict.contrasts] == [SUPPORTED, INCONCLUSIVE, SUPPORTED, SUPPORTED]
+    assert verdict.verdict == SUPPORTED
+    assert [(contrast.outcome, contrast.names[1], contrast.verdict) for contrast in verdict.deciding] == [
         ("final-share-killed", "middle", INCONCLUSIVE), ("final-return", "low", SUPPORTED),
     ]  # fmt: skip
 
@@ -188,9 +188,9 @@ def test_where_a_margin_was_set_anew_both_verdicts_are_told(store: Store, tmp_pa
     """Arms differ by 0.001, give or take 0.026."""
     save_runs(store, tmp_path, {"high": NEAR, "low": LOW})
     anew = changed(("margin = 0.04", "margin = 0.04\nregistered_margin = 0.01"))
-    one = judge_one(store, tmp_path, anew)
-    assert (one.verdict, one.registered_verdict) == (REFUTED, INCONCLUSIVE)
-    assert "by the registered margins: undecided" in lines(one)
+    verdict = judge_one(store, tmp_path, anew)
+    assert (verdict.verdict, verdict.registered_verdict) == (REFUTED, INCONCLUSIVE)
+    assert "by the registered margins: undecided" in lines(verdict)
     alike = judge_one(store, tmp_path)
     assert (alike.verdict, alike.registered_verdict) == (REFUTED, REFUTED)
     assert not any("registered" in line and "margin" in line for line in lines(alike))
@@ -198,8 +198,8 @@ def test_where_a_margin_was_set_anew_both_verdicts_are_told(store: Store, tmp_pa
 
 def test_arms_of_unlike_size_are_told(store: Store, tmp_path: Path) -> None:
     save_runs(store, tmp_path, {"high": HIGH[:4], "low": LOW})
-    one = judge_one(store, tmp_path, changed(("seeds = 8", "seeds = { high = 4, low = 8 }")))
-    assert one.verdict == SUPPORTED and "4 against 8 runs" in lines(one)
+    verdict = judge_one(store, tmp_path, changed(("seeds = 8", "seeds = { high = 4, low = 8 }")))
+    assert verdict.verdict == SUPPORTED and "4 against 8 runs" in lines(verdict)
 
 
 def test_what_is_never_reached_counts_as_the_runs_budget(store: Store, tmp_path: Path) -> None:
@@ -245,8 +245,8 @@ def test_what_no_run_can_tell(case: str, store: Store, tmp_path: Path) -> None:
     """It keeps its place in the correction."""
     runs, changes, reason = REASONS[case]
     save_runs(store, tmp_path, runs)
-    one = judge_one(store, tmp_path, changed(*changes))
-    assert one.verdict == UNTESTABLE and reason in one.reason
+    verdict = judge_one(store, tmp_path, changed(*changes))
+    assert verdict.verdict == UNTESTABLE and reason in verdict.reason
     assert load_claims(tmp_path / "claims.toml").family_size("text", "mine.toml") == 1
 
 

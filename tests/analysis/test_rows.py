@@ -191,11 +191,7 @@ def test_a_curve_over_orders_of_size_is_rounded_in_proportion() -> None:
     kept = _rounded(values, "entropy")
     assert np.isnan(kept[0]) and kept[1:] == pytest.approx(values[1:], rel=1 / 512, abs=0)
     assert _rounded(kept, "entropy").tolist()[1:] == kept.tolist()[1:]
-    assert _rounded(np.array([-1e-5, 0.25, 1.0]), "return").tolist() == [
-        -(2.0**-8),
-        0.25,
-        1.0,
-    ]  # a sign stays
+    assert _rounded(np.array([-1e-5, 0.25, 1.0]), "return").tolist() == [-1 / 256, 0.25, 1]  # a sign stays
     for odd in ([-5e-324, 5e-324], [-1e308, 1e308], [-3.0, -3.0], [np.nan, np.inf]):
         assert np.array_equal(_rounded(np.array(odd), "return"), odd, equal_nan=True)
 

@@ -42,5 +42,3 @@ def test_all_views_have_every_claim_in_its_worlds(tmp_path: Path) -> None:
     (shown,) = [line.split() for line in lines if "holds   " in line]
     assert " ".join(shown) == "text holds kills 74 against 24 % (47 to 53; ±4.0)"
     assert "partly trained" in "\n".join(lines) and "Read 16 runs from" in lines[-1]
-    detail = printed(*command, "better")
-    assert "high against low, 8 and 8 runs:" in detail and "“a quote”" in detail

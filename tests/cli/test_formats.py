@@ -17,7 +17,7 @@ from pneuma.cli.output import Result, Table, print_result
 from pneuma.store.store import Store
 
 from ..analysis.claim_files import HIGH, LOW, save_runs, write_files
-from .calls import call, described, printed, refused
+from .calls import described, printed, refused
 
 SUMMARY = """\
 | condition | runs | final-share-killed (share) | final-return |
@@ -81,7 +81,7 @@ def test_verdicts_in_every_form(tmp_path: Path) -> None:
     (row,) = csv.DictReader(io.StringIO(printed(*asked, "--format", "csv")))
     assert (row["claim"], row["verdict"], row["seeds_a"]) == ("better", "supported", "8")
     assert float(row["mean_a"]) - float(row["mean_b"]) == pytest.approx(0.5)
-    told = call(*asked, "better").out
+    told = printed(*asked, "better")
     assert told.startswith("better (section 6)\n  “a quote”\n  high against low\n    text")
     assert "high against low, 8 and 8 runs: kills 74" in told
 

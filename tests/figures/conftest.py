@@ -15,7 +15,7 @@ from .hand_made import HandMade
 
 
 @pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
     """The figures that were about to be saved; they are saved all the same."""
     figures: list[Figure] = []
 

@@ -34,7 +34,7 @@ STAY = {"kind": "hazard", "outcome": "lasting-one-action-step", "direction": "le
 
 
 @pytest.mark.parametrize(
-    ("fields", "means", "ends", "told"),
+    ("fields", "means", "ends", "text"),
     [
         ({}, MEANS, ENDS, KILLS),
         (RETURN, (8.6, 7.5), (0.3, 2.0), "return 8.6 against 7.5 (0.3 to 2.0)"),
@@ -65,13 +65,13 @@ STAY = {"kind": "hazard", "outcome": "lasting-one-action-step", "direction": "le
         ),
     ],
 )  # fmt: skip
-def test_effects_are_told_in_plain_units(fields: dict[str, Any], means: Pair, ends: Pair, told: str) -> None:
+def test_effects_are_told_in_plain_units(fields: dict[str, Any], means: Pair, ends: Pair, text: str) -> None:
     row = comparison("supported", means[0] - means[1], ends, of=claim(**fields), means=means)
-    assert effect(row) == told
+    assert effect(row) == text
 
 
 @pytest.mark.parametrize(
-    ("verdict", "reason", "told"),
+    ("verdict", "reason", "text"),
     [
         ("supported", "", f"holds [p]\n{KILLS}"),
         ("refuted", AS_CLAIMED_BUT_SMALL, f"does not hold [p]\n{KILLS}\n{AS_CLAIMED_BUT_SMALL}"),
@@ -82,46 +82,46 @@ def test_effects_are_told_in_plain_units(fields: dict[str, Any], means: Pair, en
         ("untestable", "a run has no value: tanh seed 7", "not tested [p]\na run has no value"),
     ],
 )
-def test_a_cell_is_a_word_and_the_effect_or_why_there_is_none(verdict: str, reason: str, told: str) -> None:
+def test_a_cell_is_a_word_and_the_effect_or_why_there_is_none(verdict: str, reason: str, text: str) -> None:
     row = comparison("inconclusive" if verdict == "mixed" else verdict, 0.02, ENDS, means=MEANS)
-    assert cell(judged(claim(), text=(verdict, reason, (row,)))["text"]) == told
+    assert cell(judged(claim(), text=(verdict, reason, (row,)))["text"]) == text
 
 
 def test_every_outcome_is_told_and_that_nobody_learned() -> None:
-    own = claim(outcome="final-share-killed final-return", called=("tanh", "ReLU"))
+    one_claim = claim(outcome="final-share-killed final-return", called=("tanh", "ReLU"))
     rows = (
-        comparison("inconclusive", 0.02, ENDS, of=own, means=MEANS, none_learned=True),
-        comparison("supported", 1.1, (0.3, 2.0), of=own, means=(8.6, 7.5), outcome="final-return"),
+        comparison("inconclusive", 0.02, ENDS, of=one_claim, means=MEANS, none_learned=True),
+        comparison("supported", 1.1, (0.3, 2.0), of=one_claim, means=(8.6, 7.5), outcome="final-return"),
     )
     returns = "return 8.6 against 7.5 (0.3 to 2.0)"
-    told = ["holds [p]", KILLS, returns, "none plays better than at random"]
-    assert cell(judged(own, text=("supported", "", rows))["text"]).split("\n") == told
+    text = ["holds [p]", KILLS, returns, "none plays better than at random"]
+    assert cell(judged(one_claim, text=("supported", "", rows))["text"]).split("\n") == text
 
 
 def test_pairs_are_named_and_arms_are_called_once_a_row() -> None:
-    own = claim(**TWO, paired=True)
-    row = comparison("supported", 0.02, ENDS, of=own, means=MEANS, a=("y",), b=("w",))
+    one_claim = claim(**TWO, paired=True)
+    row = comparison("supported", 0.02, ENDS, of=one_claim, means=MEANS, a=("y",), b=("w",))
     assert effect(row) == f"wide, {KILLS}"
-    assert arms_in_words(own) == "new against old"
+    assert arms_in_words(one_claim) == "new against old"
     assert arms_in_words(claim(a=("tanh", "wide"), b=(), value=0.2)) == "tanh and wide"
 
 
 def test_sentences_are_without_tex_and_short_ones_are_the_thesiss_words() -> None:
-    known = shipped_claims()[0].claims
-    assert "where β₁ = β₂ = 0.9, rather than" in sentence(known["betas-solve"])
-    assert sentence(known["leaky-helps"]).endswith("the clipping limit of the norm to ‖∇L(ϑₜ)‖₂ ≤ 0.5.")
-    for own in known.values():
-        assert not {*sentence(own)} & {*"\\$*{}"}
-        for part in short_sentence(own).split("…"):
-            assert part.strip(" ,") in sentence(own)
+    claims = shipped_claims()[0].claims
+    assert "where β₁ = β₂ = 0.9, rather than" in sentence(claims["betas-solve"])
+    assert sentence(claims["leaky-helps"]).endswith("the clipping limit of the norm to ‖∇L(ϑₜ)‖₂ ≤ 0.5.")
+    for one_claim in claims.values():
+        assert not {*sentence(one_claim)} & {*"\\$*{}"}
+        for part in short_sentence(one_claim).split("…"):
+            assert part.strip(" ,") in sentence(one_claim)
 
 
 def test_the_table_is_by_section_and_says_a_sentence_once() -> None:
     """What is like another claim stands in its row, unless it is about the same world."""
-    named = {"first": "5.10", "second": "5.9", "third": "6"}
+    sections = {"first": "5.10", "second": "5.9", "third": "6"}
     verdicts = [
         Verdict(claim(name, section=section, context=name), "text", "inconclusive", "")
-        for name, section in named.items()
+        for name, section in sections.items()
     ]
     there, again = claim("there", like="third", section="6"), claim("again", like="third", section="6")
     verdicts += [Verdict(there, "arena", "refuted", ""), Verdict(again, "text", "supported", "")]
@@ -130,16 +130,16 @@ def test_the_table_is_by_section_and_says_a_sentence_once() -> None:
         "second": ["text"], "first": ["text"], "third": ["text", "arena"], "again": ["text"],
     }  # fmt: skip
     headings = ["“improves performance”", "first", "third", "again"]
-    told = [f"{heading}\ntanh against relu" for heading in headings]
-    assert verdict_table(ordered)["The thesis's sentence"].tolist() == told
+    text = [f"{heading}\ntanh against relu" for heading in headings]
+    assert verdict_table(ordered)["The thesis's sentence"].tolist() == text
     counts = words.count_words(ordered).to_numpy().tolist()
     assert counts == [["text", 1, 0, 3, 0], ["arena", 0, 1, 0, 0]]
 
 
 def test_the_letter_of_a_label_has_a_star_if_the_claim_was_changed() -> None:
-    own = Verdict(claim(), "text", "supported", "", label="same runs as list 3", changed=("seeds",))
-    assert (words.letter(own), words.letter(replace(own, changed=()))) == ("3*", "3")
-    assert words.registration(own) == "same runs as list 3; changed since the first run: seeds"
+    verdict = Verdict(claim(), "text", "supported", "", label="same runs as list 3", changed=("seeds",))
+    assert (words.letter(verdict), words.letter(replace(verdict, changed=()))) == ("3*", "3")
+    assert words.registration(verdict) == "same runs as list 3; changed since the first run: seeds"
 
 
 def test_an_interval_is_drawn_in_margins_and_as_claimed_to_the_right(

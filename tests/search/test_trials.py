@@ -76,14 +76,14 @@ def test_a_search_is_the_same_however_often_it_is_begun_or_killed(
         append(self, logs)
 
     monkeypatch.setattr(JournalFileBackend, "append_logs", append_or_die)
-    kills, found = 0, None
-    while found is None:
+    kills, found_trials = 0, None
+    while found_trials is None:
         left = generator.randrange(1, 60)
         try:
-            found = task.solve(store)
+            found_trials = task.solve(store)
         except Killed:
             kills += 1
-    assert kills > 2 and found == alone
+    assert kills > 2 and found_trials == alone
 
 
 def test_a_published_search_is_found_again(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,9 +100,9 @@ def test_a_published_search_is_found_again(store: Store, monkeypatch: pytest.Mon
 
     monkeypatch.setattr(trials, "read_rows", read_published)
     monkeypatch.setattr(values, "outcome", outcome)
-    found = Task(published.search, published.budget).record(store).ended
-    assert [trial.state for trial in found] == [trial.state for trial in published.ended]
-    for trial, old in zip(found, published.ended, strict=True):
+    found_trials = Task(published.search, published.budget).record(store).ended
+    assert [trial.state for trial in found_trials] == [trial.state for trial in published.ended]
+    for trial, old in zip(found_trials, published.ended, strict=True):
         assert trial.params["betas"] == old.params["betas"]
         assert trial.params["learning_rate"] == pytest.approx(old.params["learning_rate"], rel=1e-12)
         assert trial.values == pytest.approx(old.values)
@@ -111,10 +111,10 @@ def test_a_published_search_is_found_again(store: Store, monkeypatch: pytest.Mon
 
 
 def test_the_first_trials_are_those_that_it_starts_with(make_task: MakeTask) -> None:
-    found = make_task(4, start='start = ["table-6-1", { learning_rate = 1e-3 }]').solve()
-    assert found[0]["params"] == {"learning_rate": 3e-4, "activation": "relu"}
-    assert found[0]["values"][0] == pytest.approx(1 - 0.2 * abs(np.log10(3e-4) + 3) - 0.1 + 0.005)
-    assert found[1]["params"]["learning_rate"] == 1e-3 and "activation" in found[1]["params"]
+    found_trials = make_task(4, start='start = ["table-6-1", { learning_rate = 1e-3 }]').solve()
+    assert found_trials[0]["params"] == {"learning_rate": 3e-4, "activation": "relu"}
+    assert found_trials[0]["values"][0] == pytest.approx(1 - 0.2 * abs(np.log10(3e-4) + 3) - 0.1 + 0.005)
+    assert found_trials[1]["params"]["learning_rate"] == 1e-3 and "activation" in found_trials[1]["params"]
 
 
 def test_what_optuna_enqueues_is_the_next_trial(make_task: MakeTask, store: Store) -> None:
@@ -123,17 +123,17 @@ def test_what_optuna_enqueues_is_the_next_trial(make_task: MakeTask, store: Stor
     study.enqueue_trial({"learning_rate": 2e-3})
     study.enqueue_trial({"learning_rate": 9.0})
     study.enqueue_trial({"activation": "sine"})
-    found = make_task(8).solve(store)
-    assert found[4]["params"]["learning_rate"] == 2e-3
-    assert found[4]["params"].keys() == {"learning_rate", "activation"}
-    assert [trial["state"] for trial in found] == ["complete"] * 5 + ["failed"] * 2 + ["complete"]
-    assert found[5]["note"] == "was enqueued with learning_rate = 9.0, which is not in its space"
+    found_trials = make_task(8).solve(store)
+    assert found_trials[4]["params"]["learning_rate"] == 2e-3
+    assert found_trials[4]["params"].keys() == {"learning_rate", "activation"}
+    assert [trial["state"] for trial in found_trials] == ["complete"] * 5 + ["failed"] * 2 + ["complete"]
+    assert found_trials[5]["note"] == "was enqueued with learning_rate = 9.0, which is not in its space"
 
 
 def test_a_trial_that_another_program_asks_for_is_left_to_it(make_task: MakeTask, store: Store) -> None:
     assert open_log(make_task(4).record(store).path).ask().number == 4
-    found = make_task(12).solve(store)
-    assert [trial["number"] for trial in found] == [0, 1, 2, 3, *range(5, 12)]
+    found_trials = make_task(12).solve(store)
+    assert [trial["number"] for trial in found_trials] == [0, 1, 2, 3, *range(5, 12)]
 
 
 # --- Pruning ---------------------------------------------------------------------------------------
@@ -167,11 +167,11 @@ def test_a_median_stops_what_is_below_it(make_task: MakeTask) -> None:
     sampler = '[sampler]\nname = "random"\n'
     pruner = '[pruner]\nname = "median"\nn_startup_trials = 4\nn_warmup_steps = 10\ninterval_steps = 10'
     task = make_task(16, f"[run]\nhorizon = 64\n{sampler}{pruner}")
-    found = task.solve()
-    assert all(trial["state"] == "complete" and len(trial["reports"]) == 20 for trial in found[:4])
+    found_trials = task.solve()
+    assert all(trial["state"] == "complete" and len(trial["reports"]) == 20 for trial in found_trials[:4])
     stopped = set()
-    for index, trial in enumerate(found[4:], 4):
-        earlier = [other for other in found[: index // 4 * 4] if other["state"] == "complete"]
+    for index, trial in enumerate(found_trials[4:], 4):
+        earlier = [other for other in found_trials[: index // 4 * 4] if other["state"] == "complete"]
         median = np.median([other["reports"][10] for other in earlier])
         best = max(trial["reports"][step] for step in range(1, 11))
         assert (trial["state"] == "pruned") == bool(best < median)
@@ -194,10 +194,10 @@ def test_each_evaluation_is_reported_once_and_no_trial_is_stopped_at_its_end(
 ) -> None:
     pruner = f'name = "median"\nn_startup_trials = 1\nn_warmup_steps = {step}\ninterval_steps = 20'
     task = make_task(16, f"[run]\nhorizon = 512\n[pruner]\n{pruner}")
-    found = task.solve()
+    found_trials = task.solve()
     assert {*task.asked[0].values()} == {paused}
-    assert {trial["state"] for trial in found} == ({"complete", "pruned"} if paused else {"complete"})
-    for trial in found:
+    assert {trial["state"] for trial in found_trials} == ({"complete", "pruned"} if paused else {"complete"})
+    for trial in found_trials:
         assert [*trial["reports"]] == ([5, 10, 15, 20] if trial["state"] == "complete" else reports)
 
 
@@ -242,9 +242,9 @@ def test_what_another_process_ends_meanwhile_is_neither_told_again_nor_said_to_s
         return default(*args)
 
     monkeypatch.setattr(formula, "read_rows", read_meanwhile)
-    found = task.solve(store)
-    assert found == others[0]
-    assert told_to_stop(task) <= {trial["number"] for trial in found if trial["state"] == "pruned"}
+    found_trials = task.solve(store)
+    assert found_trials == others[0]
+    assert told_to_stop(task) <= {trial["number"] for trial in found_trials if trial["state"] == "pruned"}
 
 
 # --- Values ----------------------------------------------------------------------------------------
@@ -259,8 +259,10 @@ def test_a_run_without_a_number_fails_its_trial_alone(make_task: MakeTask, formu
 
 
 def test_over_seeds_by_hand() -> None:
-    found = {name: combine(name, np.array([1.0, 2, 3, 8])) for name in OVER_SEEDS}
-    assert found == pytest.approx({"mean": 3.5, "median": 2.5, "iqm": 2.5, "deviation": math.sqrt(29 / 3)})
+    combined = {name: combine(name, np.array([1.0, 2, 3, 8])) for name in OVER_SEEDS}
+    assert found_trials == pytest.approx(
+        {"mean": 3.5, "median": 2.5, "iqm": 2.5, "deviation": math.sqrt(29 / 3)}
+    )
 
 
 @pytest.mark.parametrize(
