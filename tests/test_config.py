@@ -111,7 +111,7 @@ PAIR: dict[str, Any] = {"players": 2, "learners": "independent"}
 
 
 @pytest.mark.parametrize(
-    ("fields", "told"),
+    ("fields", "message"),
     [
         ({**PAIR, "engine": "sb3"}, "learners = independent .*: sb3 trains one policy for all"),
         ({**PAIR, "algorithm": "a2c"}, "learners = independent .*: a2c trains one policy for all"),
@@ -124,8 +124,8 @@ PAIR: dict[str, Any] = {"players": 2, "learners": "independent"}
         ({"held_out_levels": 3}, "held_out_levels = 3 .*: thesis is not of random:train"),
     ],
 )
-def test_what_does_not_go_together_is_refused(fields: dict[str, Any], told: str) -> None:
-    with pytest.raises(UserError, match=told) as refused:
+def test_what_does_not_go_together_is_refused(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(UserError, match=message) as refused:
         make_run(fields)
     assert "not allowed" in str(refused.value)
 

@@ -55,7 +55,7 @@ def _mistake(line: str) -> str:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_commands_of_a_page_are_there_with_their_options(page: Path) -> None:
-    wrong = {line: told for line in _typed(page) if (told := _mistake(line))}
+    wrong = {line: message for line in _typed(page) if (message := _mistake(line))}
     assert not wrong
 
 
@@ -110,7 +110,7 @@ def test_a_block_becomes_what_its_command_prints(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("block", "told"),
+    ("block", "message"),
     [
         ("pneuma study run activation", "pages hold what"),
         ("pneuma study compare activation tanh relu --out there", "pages hold what"),
@@ -120,10 +120,10 @@ def test_a_block_becomes_what_its_command_prints(tmp_path: Path) -> None:
         ("pneuma study list -->\n\nprose\n\n<!-- pneuma study list", "a block has no line <!-- end -->"),
     ],
 )
-def test_a_block_that_trains_or_fails_is_refused_and_kept(tmp_path: Path, block: str, told: str) -> None:
+def test_a_block_that_trains_or_fails_is_refused_and_kept(tmp_path: Path, block: str, message: str) -> None:
     page, text = tmp_path / "page.md", f"<!-- {block} -->\n<!-- end -->\n"
     page.write_text(text)
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=message):
         rewrite([page])
     assert page.read_text() == text
 

@@ -81,8 +81,8 @@ SEEN: dict[str, tuple[np.ndarray, np.ndarray, dict[str, Any], dict[str, Any]]] =
 @pytest.mark.parametrize("case", SEEN)
 def test_what_is_found_of_a_run(case: str, tmp_path: Path) -> None:
     updates, shares, more, expected = SEEN[case]
-    found = vars(diagnosed(tmp_path, updates, shares, **more))
-    assert {key: found[key] for key in expected} == expected
+    diagnosis = vars(diagnosed(tmp_path, updates, shares, **more))
+    assert {key: diagnosis[key] for key in expected} == expected
 
 
 # --- What is none ---------------------------------------------------------------------------------
@@ -122,9 +122,9 @@ def test_a_return_that_sinks_below_zero_from_above_is_a_collapse_where_xp_is_nev
 ) -> None:
     """It crosses zero at update 60; a point averages five episodes, so that the one of update 62 is 0."""
     sinking = returns_of([(1, 0.0), (40, 20.0), (100, -40.0)])
-    found = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=sinking)
-    assert (found.collapsed, found.signs) == (True, ("return below zero",))
-    assert found.onset_step == 6300
+    diagnosis = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=sinking)
+    assert (diagnosis.collapsed, diagnosis.signs) == (True, ("return below zero",))
+    assert diagnosis.onset_step == 6300
     risen = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=np.abs(sinking))
     assert risen == Diagnosis(False)
     late = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=sinking + 36)  # from update 96 on
@@ -177,8 +177,8 @@ def test_logs_are_judged_by_their_entropy_alone(tmp_path: Path) -> None:
     write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
     import_tensorboard([tmp_path / "logs"], store)
     data = open_study(RunIndex(store), Query(study="logs"))
-    found = diagnose(data.rows[0])
-    assert (found.collapsed, found.onset_step, found.onset_update) == (True, 6000, None)
+    diagnosis = diagnose(data.rows[0])
+    assert (diagnosis.collapsed, diagnosis.onset_step, diagnosis.onset_update) == (True, 6000, None)
     assert data.budget == BUDGET
 
 
@@ -219,8 +219,9 @@ def test_stuck_updates_have_no_entropy_and_one_action() -> None:
     """Of six updates two are stuck, one has entropy left, one two actions, one is stuck, one unknown."""
     step = np.arange(1.0, 7.0)
     entropy = np.array([0.05, 0.05, 0.5, 0.05, 0.0, np.nan])
-    most = np.array([1.0, 0.995, 1.0, 0.97, 1.0, 1.0])
-    columns = {**{f"action_{i}": np.zeros(6) for i in range(5)}, "action_2": most, "action_3": 1 - most}
+    greatest = np.array([1.0, 0.995, 1.0, 0.97, 1.0, 1.0])
+    columns = {f"action_{i}": np.zeros(6) for i in range(5)}
+    columns |= {"action_2": greatest, "action_3": 1 - greatest}
     assert series.update_signs(step, {**columns, "entropy": entropy})[1] == (3, 6, 2)
     spells = {f"action_{i}": np.zeros(6) for i in range(5)}  # all actions are of the two without a column
     assert series.update_signs(step, {**spells, "entropy": entropy})[1] == (4, 6, 2)

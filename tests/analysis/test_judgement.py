@@ -174,7 +174,8 @@ def test_the_outcome_that_supports_the_claim_decides(store: Store, tmp_path: Pat
     for arm, shares, returns in (("high", HIGH, HIGH), ("low", LOW, LOW), ("middle", scattered, LOW)):
         save_runs(store, tmp_path, {arm: shares}, returns=returns)
     verdict = judge_one(store, tmp_path, changed(TWO, CROSSED))
-    assert [contrast.verdict for contrast in verdict.contrasts] == [SUPPORTED, INCONCLUSIVE, SUPPORTED, SUPPORTED]
+    verdicts = [contrast.verdict for contrast in verdict.contrasts]
+    assert verdicts == [SUPPORTED, INCONCLUSIVE, SUPPORTED, SUPPORTED]
     assert verdict.verdict == SUPPORTED
     assert [(contrast.outcome, contrast.names[1], contrast.verdict) for contrast in verdict.deciding] == [
         ("final-share-killed", "middle", INCONCLUSIVE), ("final-return", "low", SUPPORTED),

@@ -50,12 +50,12 @@ def test_outcomes_do_not_depend_on_other_runs_budgets(tmp_path: Path) -> None:
     store = Store(tmp_path / "results")
     save_run(store, RUN, 0)
     alone = hand_made.study_of(store, {("a", 0): RUN})
-    own = outcomes_of(alone)
+    outcomes = outcomes_of(alone)
     rows = [{"step": 5000, "return": 1.0}], [{"step": 5000}], [{"step": 5000, "share_killed": 0.5}]
     hand_made.save_run(store, "b0" * 8, *rows, 5000, fields={"steps": 5000})
     beside = hand_made.study_of(store, {("a", 0): RUN, ("b", 0): "b0" * 8})
     assert (alone.budget, beside.budget) == (1000, 5000)
-    assert outcomes_of(beside)[: len(own)] == own
+    assert outcomes_of(beside)[: len(outcomes)] == outcomes
 
 
 # --- A row that is no good --------------------------------------------------------------------------
@@ -79,7 +79,7 @@ BAD: dict[str, Callable[[bytes], bytes]] = {
 
 @pytest.mark.parametrize("kind", ["missing", *BAD])
 def test_a_row_that_is_no_good_is_made_anew_from_its_run(store: Store, kind: str) -> None:
-    whole, path = stored_row(store, RUN), store.run_folder(RUN) / ROW_FILE
+    row, path = stored_row(store, RUN), store.run_folder(RUN) / ROW_FILE
     first = path.read_bytes()
     if kind == "missing":
         path.unlink()
@@ -89,7 +89,7 @@ def test_a_row_that_is_no_good_is_made_anew_from_its_run(store: Store, kind: str
         files = {name: store.read_file(RUN, name) for name in store.checksums(RUN)}
         store.save_run(RUN, Status("done", 1000), {**files, ROW_FILE: BAD[kind](first)})
     assert store.status(RUN).finished
-    assert stored_row(store, RUN).same_numbers(whole)
+    assert stored_row(store, RUN).same_numbers(row)
     assert path.read_bytes() == first == store.read_file(RUN, ROW_FILE)
 
 
@@ -147,16 +147,16 @@ def test_the_users_own_files_are_named_without_their_folders(tmp_path: Path) -> 
     fields = {"seed": 0, "reward": ["/home/me/st/rw.py:f"], "level": "/home/me/isles", "env_module": "a.b"}
     hand_made.save_run(store, RUN, [], updates, [], 1000, "done", fields)
     data = encode_published([stored_row(store, RUN)], {})
-    kept = Published(tmp_path / "x.parquet", data).row(RUN).fields
-    assert (kept["reward"], kept["level"], kept["env_module"]) == (["rw.py:f"], "isles", "a.b")
+    published = Published(tmp_path / "x.parquet", data).row(RUN).fields
+    assert (published["reward"], published["level"], published["env_module"]) == (["rw.py:f"], "isles", "a.b")
 
 
 def test_only_the_curves_that_are_named_are_published_but_all_outcomes(store: Store, tmp_path: Path) -> None:
     data = hand_made.study_of(store, CELLS)
-    few = republished(data, tmp_path, "entropy")
-    assert few.quantities == ["entropy"]
+    published = republished(data, tmp_path, "entropy")
+    assert published.quantities == ["entropy"]
     for name in ("final-return", "median-grad-norm", "max-grad-norm", "mean-kl", "final-share-killed"):
-        assert outcome(few.rows[0], name) == outcome(data.rows[0], name), name
+        assert outcome(published.rows[0], name) == outcome(data.rows[0], name), name
 
 
 def test_rows_of_other_columns_join_in_one_table(store: Store, tmp_path: Path) -> None:
@@ -164,7 +164,7 @@ def test_rows_of_other_columns_join_in_one_table(store: Store, tmp_path: Path) -
     save_run(store, "b0" * 8, 0, valued=True, played=50.5)
     again = republished(data := hand_made.study_of(store, CELLS), tmp_path)
     assert outcomes_of(again) == outcomes_of(data)
-    assert all(run.same_numbers(own) for run, own in zip(again.rows, data.rows, strict=True))
+    assert all(run.same_numbers(row) for run, row in zip(again.rows, data.rows, strict=True))
     assert "q_estimate" in again.rows[1].evaluations_table.column_names
     assert "q_estimate" not in again.rows[0].evaluations_table.column_names
 
@@ -173,8 +173,8 @@ def test_one_flipped_bit_anywhere_or_a_cut_is_noticed(store: Store) -> None:
     path = publish(hand_made.study_of(store, CELLS), store)
     data = path.read_bytes()
     broken = [
-        data[:place] + bytes([data[place] ^ (1 << place % 8)]) + data[place + 1 :]
-        for place in range(0, len(data), 5003)
+        data[:position] + bytes([data[position] ^ (1 << position % 8)]) + data[position + 1 :]
+        for position in range(0, len(data), 5003)
     ]
     for wrong in (*broken, *(data[:size] for size in (0, 1, 100, -1))):
         with pytest.raises(UserError, match="damaged"):
@@ -188,9 +188,9 @@ def test_one_flipped_bit_anywhere_or_a_cut_is_noticed(store: Store) -> None:
 
 def test_a_curve_over_orders_of_size_is_rounded_in_proportion() -> None:
     values = np.array([np.nan, 0.0, 1e-3, 1.0, 1e6, 3e6])
-    kept = _rounded(values, "entropy")
-    assert np.isnan(kept[0]) and kept[1:] == pytest.approx(values[1:], rel=1 / 512, abs=0)
-    assert _rounded(kept, "entropy").tolist()[1:] == kept.tolist()[1:]
+    rounded = _rounded(values, "entropy")
+    assert np.isnan(rounded[0]) and rounded[1:] == pytest.approx(values[1:], rel=1 / 512, abs=0)
+    assert _rounded(rounded, "entropy").tolist()[1:] == rounded.tolist()[1:]
     assert _rounded(np.array([-1e-5, 0.25, 1.0]), "return").tolist() == [-1 / 256, 0.25, 1]  # a sign stays
     for odd in ([-5e-324, 5e-324], [-1e308, 1e308], [-3.0, -3.0], [np.nan, np.inf]):
         assert np.array_equal(_rounded(np.array(odd), "return"), odd, equal_nan=True)
@@ -207,19 +207,20 @@ def test_a_published_row_that_contradicts_the_run_is_told_by_name_and_the_run_wi
     publish(hand_made.study_of(other, {("a", 0): RUN}, name="elsewhere"), store)
     publish(hand_made.study_of(store, CELLS), store)
     index = RunIndex(store, shipped=False)
-    told: list[str] = []
+    notes: list[str] = []
     hand_made.save_listing(store, CELLS)
-    data = open_study(index, Query(study="mine"), say=told.append)
+    data = open_study(index, Query(study="mine"), say=notes.append)
     path = store.published_path("elsewhere")
-    assert told[1:] == [f"Note: {path}: its run {RUN} has other numbers here; those here are used."]
+    assert notes[1:] == [f"Note: {path}: its run {RUN} has other numbers here; those here are used."]
     assert not any(run.published for run in data.rows)
     assert outcome(data.rows[0], "best-return") == pytest.approx(20 / 3)
 
 
 def test_a_table_lends_its_runs_to_other_studies_and_their_longer_grid(store: Store, tmp_path: Path) -> None:
     """On the longer grid a point has the last value up to it, and none beyond the run's end."""
-    own = republished(hand_made.study_of(store, CELLS), tmp_path)
-    longer = replace(own, runs=own.runs.assign(steps=2000))
+    published = republished(hand_made.study_of(store, CELLS), tmp_path)
+    longer = replace(published, runs=published.runs.assign(steps=2000))
     for quantity in ("return", "entropy"):
-        curve, held = own.curve(own.rows[0], quantity), longer.curve(own.rows[0], quantity)
-        np.testing.assert_array_equal(held, [*curve[1::2], *[np.nan] * 100])
+        curve = published.curve(published.rows[0], quantity)
+        longer_curve = longer.curve(published.rows[0], quantity)
+        np.testing.assert_array_equal(longer_curve, [*curve[1::2], *[np.nan] * 100])

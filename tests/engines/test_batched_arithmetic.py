@@ -76,10 +76,10 @@ def fill_buffer(model: PPO, run: Run, rollout: Rollout) -> None:
     buffer.reset()
     slots, steps = rollout.actions.shape
     rewards = rollout.rewards.copy()
-    for row, seen in zip(rollout.ended, rollout.terminal_observations, strict=True):
+    for row, terminal in zip(rollout.ended, rollout.terminal_observations, strict=True):
         if row["ending"] == 3 and run.time_limit == "truncate":  # as `collect_rollouts` does it
             with torch.no_grad():
-                beyond = policy.predict_values(torch.tensor(seen[None]))[0]
+                beyond = policy.predict_values(torch.tensor(terminal[None]))[0]
             rewards[row["slot"], row["step"] - 1] += model.gamma * beyond.numpy()[0]
     for t in range(steps):
         observations = torch.tensor(rollout.observations[:, t])
@@ -107,28 +107,28 @@ def next_orders(learner: Learner) -> Iterator[np.ndarray]:
 def test_updates_are_those_of_stable_baselines3(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
     run = make_run({**SMALL, **CASES[case]})
     trainer, records = BatchedTrainer(run), Records()
-    (learner,), seen = trainer.learners, rollouts_of(trainer)
+    (learner,), rollouts = trainer.learners, rollouts_of(trainer)
     model, size = torch_model(run, learner), run.steps_per_update
     for update in range(UPDATES):
         before, orders = learner.policy(), next_orders(learner)
         assert trainer.update(update * size, (update + 1) * size, records)
-        ours, rollout = records.metrics[-1], seen[-1]
+        metrics, rollout = records.metrics[-1], rollouts[-1]
         model._update_current_progress_remaining((update + 1) * size, run.steps)
         fill_buffer(model, run, rollout)
         with monkeypatch.context() as patch, sb3.GradientNorms(model, run) as norms:
             patch.setattr(np.random, "permutation", lambda count, orders=orders: next(orders))
             model.train()
-            theirs = sb3_learners.logged_losses(model)
-        for name, value in {**theirs, **norms.means()}.items():
-            assert ours[name] == pytest.approx(value, rel=2e-3, abs=2e-5), (update, name)
-        shown = rollout.observations.reshape(-1, rollout.observations.shape[2])
-        assert ours["dead_units"] == pytest.approx(dead_share(before, shown), abs=1e-6)
+            expected_metrics = sb3_learners.logged_losses(model)
+        for name, value in {**expected_metrics, **norms.means()}.items():
+            assert metrics[name] == pytest.approx(value, rel=2e-3, abs=2e-5), (update, name)
+        observations = rollout.observations.reshape(-1, rollout.observations.shape[2])
+        assert metrics["dead_units"] == pytest.approx(dead_share(before, observations), abs=1e-6)
     if case == "clipped":
         assert max(row["clip_fraction"] for row in records.metrics) > 0.1
-    own, other = learner.policy(), sb3.extract_policy(model, run)
-    for layers, theirs_layers in ((own.actor, other.actor), (own.critic, other.critic)):
-        for array, their_array in zip(sum(layers, ()), sum(theirs_layers, ()), strict=True):
-            assert np.allclose(array, their_array, rtol=1e-3, atol=2e-5)
+    policy, expected = learner.policy(), sb3.extract_policy(model, run)
+    arrays, expected_arrays = (sum((*one.actor, *one.critic), ()) for one in (policy, expected))
+    for array, expected_array in zip(arrays, expected_arrays, strict=True):
+        assert np.allclose(array, expected_array, rtol=1e-3, atol=2e-5)
 
 
 @pytest.mark.parametrize("trainer", [BatchedTrainer, sb3.Sb3Trainer])
@@ -137,9 +137,9 @@ def test_initial_weights_are_orthogonal_with_the_gains_of_stable_baselines3(trai
     run = make_run({"actor": (128,), "critic": (32, 256), "first_layer_scale": 0.25, "engine": "sb3"})
     policy, gain = trainer(run).policy(), 2**0.5
     for layers, gains in ((policy.actor, [gain / 4, 0.01]), (policy.critic, [gain / 4, gain, 1.0])):
-        for (weight, bias), own in zip(layers, gains, strict=True):
+        for (weight, bias), layer_gain in zip(layers, gains, strict=True):
             product = weight @ weight.T if weight.shape[0] <= weight.shape[1] else weight.T @ weight
-            assert np.allclose(product, own**2 * np.eye(len(product)), atol=1e-5 * own**2)
+            assert np.allclose(product, layer_gain**2 * np.eye(len(product)), atol=1e-5 * layer_gain**2)
             assert not bias.any()
     assert not np.array_equal(policy.actor[0][0], trainer(replace(run, seed=1)).policy().actor[0][0])
 

@@ -33,15 +33,15 @@ def corridor(**arguments: Any) -> Run:
 def test_slots_are_what_gymnasiums_vector_of_environments_is(env: str) -> None:
     run = run_of(env=env, slots=3)
     slots = GymnasiumSlots(run, slot_seeds(run))
-    theirs = SyncVectorEnv([lambda: gymnasium.make(env)] * 3, autoreset_mode=AutoresetMode.SAME_STEP)
-    seen, _ = theirs.reset(seed=[seed % 2**31 for seed in slot_seeds(run)])
+    vector = SyncVectorEnv([lambda: gymnasium.make(env)] * 3, autoreset_mode=AutoresetMode.SAME_STEP)
+    observations, _ = vector.reset(seed=[seed % 2**31 for seed in slot_seeds(run)])
     generator, ends = np.random.default_rng(0), 0
     for _ in range(450):
-        np.testing.assert_array_equal(slots.observations, seen.astype(np.float32))
+        np.testing.assert_array_equal(slots.observations, observations.astype(np.float32))
         actions = generator.integers(2, size=3)
         rewards, terminated, truncated = slots.step(actions)
-        seen, *told, infos = theirs.step(actions)
-        np.testing.assert_array_equal([rewards, terminated, truncated], told)
+        observations, *expected, infos = vector.step(actions)
+        np.testing.assert_array_equal([rewards, terminated, truncated], expected)
         for slot in np.flatnonzero(terminated | truncated):
             np.testing.assert_array_equal(slots.terminal[slot], infos["final_obs"][slot].astype(np.float32))
             ends += 1
@@ -59,9 +59,9 @@ def test_an_environment_that_draws_from_elsewhere_gives_a_run_the_same_bits(kind
 @pytest.mark.parametrize("kind", own_envs.CHANCES)
 def test_an_environment_that_draws_from_elsewhere_is_never_resumed_with_other_bits(kind: str) -> None:
     run = corridor(kind=kind)
-    _, taken = train(run)
+    _, checkpoints = train(run)
     with pytest.raises(CheckpointError, match="Corridor-v0 does not come to the same state"):
-        train(run, taken[1])
+        train(run, checkpoints[1])
 
 
 BAD: dict[str, tuple[dict[str, Any], str]] = {
@@ -86,9 +86,9 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_what_cannot_be_trained_in_is_refused_in_one_line(name: str) -> None:
-    fields, told = BAD[name]
+    fields, message = BAD[name]
     run = run_of(**{**CORRIDOR, **fields})
-    with pytest.raises(UserError, match=told) as refused:
+    with pytest.raises(UserError, match=message) as refused:
         check_environment(run)
     assert "\n" not in str(refused.value)
 
@@ -108,12 +108,12 @@ def test_an_environment_that_was_made_to_be_checked_is_closed(
 def test_a_step_that_raises_or_gives_no_number_or_another_shape_ends_the_run_with_the_reason(
     engine: str,
 ) -> None:
-    for fault, value, told in (
+    for fault, value, message in (
         ("raises", 3, "ZeroDivisionError: by the corridor"),
         ("nan", 3, "ValueError: its reward is nan"),
         ("kind", "short", r"ValueError: its observation is of shape \(1,\)"),
     ):
-        with pytest.raises(UserError, match=f"Corridor-v0 in step 3 of episode 0: {told}"):
+        with pytest.raises(UserError, match=f"Corridor-v0 in step 3 of episode 0: {message}"):
             train(replace(corridor(**{fault: value}), engine=engine))
 
 
@@ -157,19 +157,20 @@ def test_a_policy_of_several_choices_plays_in_the_action_space() -> None:
 def test_what_a_policy_of_numbers_plays_lies_in_the_action_space() -> None:
     """Two rows of numbers in two rows of bounds; the mean (1.55, 0.02, 0, 0.5) is clipped by hand."""
     run = run_of(**CORRIDOR, **OTHERS, env_kwargs={"kind": "numbers"}, engine="sb3")
-    space, seen = make_env(run).action_space, np.zeros((50, 2), np.float32)
+    space, observations = make_env(run).action_space, np.zeros((50, 2), np.float32)
     policy = trained_but_for(run, [1.55, 0.02, 0, 0.5])
-    np.testing.assert_array_equal(policy.best(seen)[7], [[1, 10], [0, 0.5]])
-    assert all(map(space.contains, [*policy.best(seen), *policy.sample(seen, np.random.default_rng(0))]))
+    np.testing.assert_array_equal(policy.best(observations)[7], [[1, 10], [0, 0.5]])
+    for action in [*policy.best(observations), *policy.sample(observations, np.random.default_rng(0))]:
+        assert space.contains(action)
     assert Evaluation(run).evaluate(policy, 0)["argmax_return"] == 10 * 11.5  # the space's sum in ten steps
 
 
 def test_files_of_one_name_are_two_modules_of_which_a_process_loads_one(tmp_path: Any) -> None:
     runs = []
-    for place in ("here", "there", "statistics"):
-        path = tmp_path / place / ("statistics.py" if place == "statistics" else "of_one_name.py")
+    for folder in ("here", "there", "statistics"):
+        path = tmp_path / folder / ("statistics.py" if folder == "statistics" else "of_one_name.py")
         path.parent.mkdir()
-        path.write_text(f"import gymnasium\nHERE = {place!r}\n")
+        path.write_text(f"import gymnasium\nHERE = {folder!r}\n")
         runs.append(make_run({"env": "CartPole-v1", "env_module": str(path)}))
     assert len({*map(run_id, runs)}) == 3
     make_env(runs[0])

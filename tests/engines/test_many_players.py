@@ -41,26 +41,26 @@ def test_rollouts_are_those_of_stable_baselines_slots(settings: dict[str, Any]) 
     three = {"players": 3, "slots": 2, "classes": ("tank", "mage", "mage")}
     run = run_of(horizon=200, minibatch=50, episode_steps=90, **three, **settings)
     env, trainer = make_vec_env(run), BatchedTrainer(run)
-    seen: Any = env.reset()
-    begins, step = np.ones(env.num_envs, np.float32), 0
+    observations: Any = env.reset()
+    starts, step = np.ones(env.num_envs, np.float32), 0
     for _ in range(3):
         rollout = trainer.collector.collect(trainer.policy().actor)
         rows = trainer.collector.episode_rows(rollout, step)
         terminal, noted = iter(rollout.terminal_observations), []
         for t in range(run.horizon):
-            assert np.array_equal(rollout.observations[:, t], seen)
-            assert np.array_equal(rollout.starts[:, t], begins)
-            seen, rewards, dones, infos = env.step(rollout.actions[:, t])
+            assert np.array_equal(rollout.observations[:, t], observations)
+            assert np.array_equal(rollout.starts[:, t], starts)
+            observations, rewards, dones, infos = env.step(rollout.actions[:, t])
             assert np.array_equal(rollout.rewards[:, t], rewards)
-            begins, step = dones.astype(np.float32), step + env.num_envs
+            starts, step = dones.astype(np.float32), step + env.num_envs
             for slot in np.flatnonzero(dones):
                 assert np.array_equal(next(terminal), infos[slot]["terminal_observation"])
                 episode = infos[slot]["episode"]
                 noted.append((slot, step, episode["r"], episode["l"]))
         assert next(terminal, None) is None and rows
         assert noted == [(row["slot"], row["step"], row["return"], row["length"]) for row in rows]
-        assert np.array_equal(rollout.last_observations, seen)
-        assert np.array_equal(rollout.last_ends, begins)
+        assert np.array_equal(rollout.last_observations, observations)
+        assert np.array_equal(rollout.last_ends, starts)
 
 
 # --- A reward of one's own -------------------------------------------------------------------------
@@ -72,8 +72,8 @@ def test_a_built_in_reward_written_as_ones_own_gives_the_same_bits(
     (tmp_path / "own_thesis.py").write_text(OWN_THESIS)
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "own_thesis", raising=False)
-    built_in, own = (train(run_of("team", reward=reward))[0] for reward in ("thesis", "own_thesis:thesis"))
-    assert bits(built_in) == bits(own) and built_in.records.episodes
+    built_in, users = (train(run_of("team", reward=reward))[0] for reward in ("thesis", "own_thesis:thesis"))
+    assert bits(built_in) == bits(users) and built_in.records.episodes
 
 
 # --- A policy for each player ----------------------------------------------------------------------
@@ -82,22 +82,24 @@ def test_a_built_in_reward_written_as_ones_own_gives_the_same_bits(
 def test_each_player_learns_from_its_own_part_as_one_alone_would() -> None:
     run, records = run_of("team"), Records()
     trainer = BatchedTrainer(run)
-    seen, features = rollouts_of(trainer), trainer.collector.slots.observations.shape[1]
-    alone = [Learner(run, features, 5, player) for player in range(2)]
+    rollouts, features = rollouts_of(trainer), trainer.collector.slots.observations.shape[1]
+    learners = [Learner(run, features, 5, player) for player in range(2)]
     for update in range(2):
         trainer.update(update * 128, (update + 1) * 128, records)
-        for player, learner in enumerate(alone):
-            mine = seen[-1].ended["slot"] % 2 == player
-            ended = seen[-1].ended[mine]
+        for player, learner in enumerate(learners):
+            mine = rollouts[-1].ended["slot"] % 2 == player
+            ended = rollouts[-1].ended[mine]
             ended["slot"] //= 2
-            parts = [np.ascontiguousarray(each[player::2]) for each in seen[-1][:6]]  # all but endings
-            own = Rollout._make([*parts, ended, seen[-1].terminal_observations[mine]])
-            learner.learn_from(own, budget_left=1 - (update + 1) * 128 / run.steps)
+            arrays = [np.ascontiguousarray(array[player::2]) for array in rollouts[-1][:6]]  # all but endings
+            rollout = Rollout._make([*arrays, ended, rollouts[-1].terminal_observations[mine]])
+            learner.learn_from(rollout, budget_left=1 - (update + 1) * 128 / run.steps)
     policy = trainer.policy()
     assert policy.players == 2
-    for player, learner in enumerate(alone):
-        for part in ("actor", "critic"):
-            for (weight, bias), layer in zip(learner.networks[part], getattr(policy, part), strict=True):
+    for player, learner in enumerate(learners):
+        for network in ("actor", "critic"):
+            for (weight, bias), layer in zip(
+                learner.networks[network], getattr(policy, network), strict=True
+            ):
                 assert np.array_equal(layer[0][player], weight) and np.array_equal(layer[1][player], bias)
 
 
@@ -119,12 +121,12 @@ def test_each_plays_by_its_own_policy_compiled_or_not(monkeypatch: pytest.Monkey
         policy.best(np.zeros((3, policy.features), np.float32))
     observations = np.random.default_rng(0).normal(size=(10, policy.features)).astype(np.float32)
     for player in range(2):
-        own = [(weight[player], bias[player]) for weight, bias in policy.actor]
-        hidden = np.tanh(observations[player::2] @ own[0][0] + own[0][1])
+        layers = [(weight[player], bias[player]) for weight, bias in policy.actor]
+        hidden = np.tanh(observations[player::2] @ layers[0][0] + layers[0][1])
         np.testing.assert_allclose(
-            policy.logits(observations)[player::2], hidden @ own[1][0] + own[1][1], 1e-4
+            policy.logits(observations)[player::2], hidden @ layers[1][0] + layers[1][1], 1e-4
         )
     compiled = Evaluation(run).evaluate(policy, 0)
     monkeypatch.setattr("pneuma.engines.evaluation.MOST_WEIGHTS", 0)
-    other = Evaluation(run).evaluate(policy, 0)
-    assert compiled == pytest.approx(other, nan_ok=True)
+    by_numpy = Evaluation(run).evaluate(policy, 0)
+    assert compiled == pytest.approx(by_numpy, nan_ok=True)

@@ -35,10 +35,10 @@ def outputs(layers: Layers, rows: int) -> np.ndarray:
     return np.array(mlp.forward(weights[0], widths, code, rows, scratch)[:rows, :5])
 
 
-def floats(low: float, high: float, every: int) -> np.ndarray:
+def floats(low: float, high: float, stride: int) -> np.ndarray:
     """Return one in `every` of the float32 numbers between two positive ones."""
     first, last = np.array([low, high], np.float32).view(np.int32)
-    return np.arange(first, last, every, dtype=np.int32).view(np.float32)
+    return np.arange(first, last, stride, dtype=np.int32).view(np.float32)
 
 
 def tanh(x: np.ndarray) -> np.ndarray:
@@ -47,16 +47,16 @@ def tanh(x: np.ndarray) -> np.ndarray:
     return result
 
 
-def units_off(found: np.ndarray, true: np.ndarray) -> float:
+def units_off(values: np.ndarray, exact: np.ndarray) -> float:
     """Return the greatest error in units in the last place."""
-    return float((np.abs(found.astype("f8") - true) / np.spacing(true.astype("f4"))).max())
+    return float((np.abs(values.astype("f8") - exact) / np.spacing(exact.astype("f4"))).max())
 
 
 def test_tanh_is_accurate_odd_and_monotone() -> None:
     x = np.concatenate([floats(1e-30, 1e-4, 5003), floats(1e-4, 12, 61)])
-    found = tanh(x)
-    assert units_off(found, np.tanh(x.astype("f8"))) < 1.5
-    assert (np.diff(found) >= 0).all() and (tanh(-x) == -found).all()
+    values = tanh(x)
+    assert units_off(values, np.tanh(x.astype("f8"))) < 1.5
+    assert (np.diff(values) >= 0).all() and (tanh(-x) == -values).all()
     seam = floats(0.62, 0.63, 1)
     assert (np.diff(tanh(seam)) >= 0).all()
     special = np.array([0, 10, np.inf, -np.inf, np.nan], np.float32)
@@ -70,9 +70,9 @@ def test_exp_is_accurate_and_monotone() -> None:
             x[i] = mlp.exp(x[i])
 
     x = np.concatenate([-floats(1e-6, 87.3, 61)[::-1], floats(1e-6, 88, 61)])
-    found = x.copy()
-    of_all(found)
-    assert units_off(found, np.exp(x.astype("f8"))) < 1.5 and (np.diff(found) >= 0).all()
+    values = x.copy()
+    of_all(values)
+    assert units_off(values, np.exp(x.astype("f8"))) < 1.5 and (np.diff(values) >= 0).all()
     special = np.array([0, -200, -np.inf, np.nan], np.float32)
     of_all(special)
     assert np.array_equal(special, [1, 0, 0, np.nan], equal_nan=True)
@@ -81,17 +81,19 @@ def test_exp_is_accurate_and_monotone() -> None:
 def test_a_row_has_the_same_bits_alone_in_company_and_summed_one_by_one() -> None:
     layers, rows = LAYERS, observations(9)
     expected = rows
-    for place, (weight, bias) in enumerate(layers):
+    for layer, (weight, bias) in enumerate(layers):
         sums = np.tile(bias, (len(rows), 1))
-        for factors, own in zip(weight, expected.T, strict=True):
-            sums = sums + own[:, None] * factors
-        expected = sums if place == len(layers) - 1 else tanh(sums.reshape(-1)).reshape(sums.shape)
+        for factors, inputs in zip(weight, expected.T, strict=True):
+            sums = sums + inputs[:, None] * factors
+        expected = sums if layer == len(layers) - 1 else tanh(sums.reshape(-1)).reshape(sums.shape)
     for count in (1, 4, 9):
         assert np.array_equal(outputs(layers, count), expected[:count])
 
 
 def test_bits_are_the_same_on_a_processor_without_wide_vectors(tmp_path: Path) -> None:
     """This one may have fused multiply-adds too, which round otherwise."""
-    other = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}
-    told = subprocess.check_output([sys.executable, "-c", PRINT_BITS], env={**os.environ, **other}, text=True)
-    assert told.strip() == outputs(LAYERS, 7).tobytes().hex()
+    generic = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": "", "NUMBA_CACHE_DIR": str(tmp_path)}
+    printed = subprocess.check_output(
+        [sys.executable, "-c", PRINT_BITS], env={**os.environ, **generic}, text=True
+    )
+    assert printed.strip() == outputs(LAYERS, 7).tobytes().hex()

@@ -33,34 +33,36 @@ def vec_normalize(run: Run) -> Any:
 @pytest.mark.parametrize("env", ["CartPole-v1", "Pendulum-v1"])
 def test_slots_show_and_pay_what_vec_normalize_does(env: str) -> None:
     run = normalized(env=env, engine="sb3", slots=3)
-    slots, theirs = GymnasiumSlots(run, slot_seeds(run), training=True), vec_normalize(run)
-    seen, ends, generator = theirs.reset(), 0, np.random.default_rng(0)
+    slots, vec_env = GymnasiumSlots(run, slot_seeds(run), training=True), vec_normalize(run)
+    observations, ends, generator = vec_env.reset(), 0, np.random.default_rng(0)
     for _ in range(450):
-        np.testing.assert_array_equal(slots.observations, seen)
+        np.testing.assert_array_equal(slots.observations, observations)
         continuous = env == "Pendulum-v1"
         actions = generator.random((3, 1), np.float32) if continuous else generator.integers(2, size=3)
         rewards, *_ = slots.step(actions)
-        seen, their_rewards, dones, infos = theirs.step(actions)
-        np.testing.assert_allclose(rewards, their_rewards, rtol=1e-6)
+        observations, expected_rewards, dones, infos = vec_env.step(actions)
+        np.testing.assert_allclose(rewards, expected_rewards, rtol=1e-6)
         for slot in np.flatnonzero(dones):
             np.testing.assert_array_equal(slots.terminal[slot], infos[slot]["terminal_observation"])
             ends += 1
     assert ends == len(slots.finished) >= 6
     assert {row["return"] for row in slots.finished} != {0.0}
     assert slots.scaling is not None
-    np.testing.assert_array_equal(slots.scaling.mean, theirs.obs_rms.mean)
+    np.testing.assert_array_equal(slots.scaling.mean, vec_env.obs_rms.mean)
 
 
 def test_the_engine_trains_as_stable_baselines3_does_with_vec_normalize_and_schedules() -> None:
     linear = {"learning_rate_schedule": "linear", "clip_range_schedule": "linear"}
     run = normalized(engine="sb3", **linear)
-    theirs = vec_normalize(run)
-    model = make_model(run, theirs)
+    vec_env = vec_normalize(run)
+    model = make_model(run, vec_env)
     model.learn(run.steps)
-    ours, policy = train_once(run)[0].policy, extract_policy(model, run)
-    assert isinstance(ours, Policy)
-    np.testing.assert_equal((ours.actor, ours.critic), (policy.actor, policy.critic))
-    np.testing.assert_equal(vars(ours.scaling), {"mean": theirs.obs_rms.mean, "variance": theirs.obs_rms.var})
+    policy, expected = train_once(run)[0].policy, extract_policy(model, run)
+    assert isinstance(policy, Policy)
+    np.testing.assert_equal((policy.actor, policy.critic), (expected.actor, expected.critic))
+    np.testing.assert_equal(
+        vars(policy.scaling), {"mean": vec_env.obs_rms.mean, "variance": vec_env.obs_rms.var}
+    )
 
 
 def test_a_scaling_worked_out_by_hand_clips_at_ten() -> None:
@@ -70,9 +72,9 @@ def test_a_scaling_worked_out_by_hand_clips_at_ten() -> None:
 
 @pytest.mark.parametrize("engine", ["batched", "sb3"])
 def test_a_policy_carries_the_statistics_of_the_last_rollout_and_records_are_as_paid(engine: str) -> None:
-    result, taken = train_once(normalized(engine=engine))
+    result, checkpoints = train_once(normalized(engine=engine))
     assert isinstance(result.policy, Policy) and result.policy.scaling is not None
-    saved = taken[-1].arrays
+    saved = checkpoints[-1].arrays
     np.testing.assert_array_equal(result.policy.scaling.mean, saved["worlds/observed_mean"])
     assert saved["worlds/observed_count"] == pytest.approx(384 + 2, abs=1e-3)
     returns = [row["return"] for row in result.records.episodes]

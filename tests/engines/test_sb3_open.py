@@ -285,7 +285,7 @@ NOISE = {"algorithm": "td3", **NUMBERS}
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ({"algorithm": "sac"}, "sac in CartPole-v1: .*Discrete"),
         ({"algorithm": "dqn", "algorithm_kwargs": {"seed": 1}}, "dqn in .* multiple values .* 'seed'"),
@@ -316,6 +316,6 @@ NOISE = {"algorithm": "td3", **NUMBERS}
         ),
     ],
 )
-def test_what_cannot_learn_is_told_before_training(given: dict[str, Any], told: str) -> None:
-    with pytest.raises(UserError, match=told):
+def test_what_cannot_learn_is_told_before_training(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(UserError, match=message):
         check_environment(make_run({**SHORT, **given}))

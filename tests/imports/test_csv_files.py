@@ -72,9 +72,11 @@ def test_what_selects_data_is_part_of_the_id() -> None:
     write("runs.csv", "step,other,a,b\n10,20,1,5\n20,40,1,5\n")
     ids = set()
     for value in ("a", "b", "b=length", "b --averaged-over 1"):
-        told = described("import", "csv", "runs.csv", "--step", "step", "--value", *value.split(), "--json")
-        assert told["runs"][0]["imported"]
-        ids.add(told["runs"][0]["run_id"])
+        document = described(
+            "import", "csv", "runs.csv", "--step", "step", "--value", *value.split(), "--json"
+        )
+        assert document["runs"][0]["imported"]
+        ids.add(document["runs"][0]["run_id"])
     assert curves("runs")["runs", 0] == {10: 5, 20: 5}
     other = described("import", "csv", "runs.csv", "--step", "other", "--value", "b", "--json")
     assert other["notes"] == ["1 run of study runs had other data before; another --name keeps both"]
@@ -102,25 +104,27 @@ def test_returns_are_averaged_over_a_hundred_episodes_where_it_is_known_what_the
 def test_several_columns_are_several_quantities() -> None:
     write("runs.csv", "step,train,test\n10,1,\n20,,7\n30,3,9\n")
     values = ("--value", "train", "--value", "test=evaluated_return")
-    told = described("import", "csv", "runs.csv", "--step", "step", *values, "--json")
+    document = described("import", "csv", "runs.csv", "--step", "step", *values, "--json")
     run = "runs.csv, runs with seed 0: 1 of 3 rows have no finite"
-    assert told["notes"] == [f"{run} train and are left out", f"{run} test and are left out"]
-    row = stored_row(Store("results"), told["runs"][0]["run_id"])
+    assert document["notes"] == [f"{run} train and are left out", f"{run} test and are left out"]
+    row = stored_row(Store("results"), document["runs"][0]["run_id"])
     assert (row.evaluations("step").tolist(), row.evaluations("return").tolist()) == ([20, 30], [7, 9])
     assert row.curve("return")[[66, 132, 199]].tolist() == [1, 1, 3]  # at steps 10.05, 19.95 and 30
 
 
 def test_without_columns_they_are_listed_with_options_to_copy() -> None:
     write("my runs.csv", "global_step,algo,seed,my return\n10,ppo,0,1\n")
-    told = refused("import", "csv", "my runs.csv")
+    message = refused("import", "csv", "my runs.csv")
     options = "--step global_step --value 'my return' --seed seed"
-    assert told == f"my runs.csv: choose from its columns global_step, algo, seed, my return, as in {options}"
+    assert (
+        message == f"my runs.csv: choose from its columns global_step, algo, seed, my return, as in {options}"
+    )
     write("two.csv", "step,train_return,eval_return\n10,1,2\n")
     assert refused("import", "csv", "two.csv").endswith(" --step step --value COLUMN")
 
 
 @pytest.mark.parametrize(
-    ("rows", "options", "told"),
+    ("rows", "options", "message"),
     [
         ("1.024,5", "", "row 2: '1.024' in column step must be a whole number as 1024, without thousands"),
         ('"1,024",5', "", "'1,024' in column step must be a plain number as 1024 or 0.5, without thousands"),
@@ -139,13 +143,13 @@ def test_without_columns_they_are_listed_with_options_to_copy() -> None:
         ("8,5", "--name activation", "this is the name of a shipped study"),
     ],
 )
-def test_what_could_be_read_in_two_ways_or_none_is_refused(rows: str, options: str, told: str) -> None:
+def test_what_could_be_read_in_two_ways_or_none_is_refused(rows: str, options: str, message: str) -> None:
     write("runs.csv", f"step,return\n{rows}\n")
     words = options.split()
     for option, column in (("--step", "step"), ("--value", "return")):
         if option not in words:
             words += [option, column]
-    assert told in refused("import", "csv", "runs.csv", *words)
+    assert message in refused("import", "csv", "runs.csv", *words)
     assert not Path("results").exists()
 
 
@@ -154,11 +158,11 @@ def test_columns_and_runs_of_one_name_and_what_is_no_text_are_refused() -> None:
     words = ("--step", "step", "--value", "return")
     assert "has two columns named 'return'" in refused("import", "csv", "runs.csv", *words)
     names = [write(f"{name}/runs.csv", f"step,return\n8,{len(name)}\n") for name in ("a", "bc")]
-    told = refused("import", "csv", *names, *words, "--condition", "ppo", "--seed", "1")
-    assert "are two runs of one name, ppo with seed 1: give each another seed" in told
+    message = refused("import", "csv", *names, *words, "--condition", "ppo", "--seed", "1")
+    assert "are two runs of one name, ppo with seed 1: give each another seed" in message
     write("none.csv", "step,return,condition\n8,5,\n")
-    told = refused("import", "csv", "none.csv", *words, "--condition", "condition")
-    assert "row 2: '' in column condition must be a condition" in told
+    message = refused("import", "csv", "none.csv", *words, "--condition", "condition")
+    assert "row 2: '' in column condition must be a condition" in message
     assert "cannot be read: No such file" in refused("import", "csv", "nothing.csv", *words)
     Path("runs.csv").write_bytes(b"step,return\n8,\xff\n")
     assert refused("import", "csv", "runs.csv", *words) == "runs.csv: is not UTF-8 text; save it as UTF-8"
@@ -168,8 +172,8 @@ def test_another_selection_of_a_studys_runs_needs_its_name() -> None:
     runs = {("a", 0): {8: 1.0}, ("b", 0): {8: 2.0}}
     printed("import", "csv", str(write_table(Path("runs.csv"), runs)), *TIDY)
     write_table(Path("runs.csv"), {("c", 0): {8: 3.0}})
-    told = refused("import", "csv", "runs.csv", *TIDY)
-    assert "study runs has other runs; give --name runs to add to them" in told
+    message = refused("import", "csv", "runs.csv", *TIDY)
+    assert "study runs has other runs; give --name runs to add to them" in message
     printed("import", "csv", "runs.csv", *TIDY, "--name", "runs")
     assert curves("runs", "return") == {**runs, ("c", 0): {8: 3.0}}
 
@@ -204,12 +208,12 @@ def test_of_a_wandb_export_of_two_metrics_the_named_one_is_taken() -> None:
 
 def test_two_runs_of_one_display_name_and_a_groups_mean_are_refused() -> None:
     tidy_export(f"Step,ppo_1{RETURN},ppo_1{RETURN}", "5,1,2", "6,3,4")
-    told = refused("import", "csv", "runs.csv", *WANDB)
-    assert "step 5 of ppo with seed 1 is not after the one before: distinguish the runs" in told
+    message = refused("import", "csv", "runs.csv", *WANDB)
+    assert "step 5 of ppo with seed 1 is not after the one before: distinguish the runs" in message
     tidy_export(f"Step,algo: ppo{RETURN},algo: ppo{RETURN}__MIN,algo: ppo{RETURN}__MAX", "5,2,1,3")
     assert "'' in column condition must be a condition" in refused("import", "csv", "runs.csv", *WANDB)
-    told = refused("import", "csv", "wandb.csv", "--step", "Step", "--value", f"algo: ppo{RETURN}")
-    assert "holds means" in told and "of single runs" in told
+    message = refused("import", "csv", "wandb.csv", "--step", "Step", "--value", f"algo: ppo{RETURN}")
+    assert "holds means" in message and "of single runs" in message
 
 
 # --- Monitors of Stable-Baselines3 ----------------------------------------------------------------
@@ -234,8 +238,8 @@ def test_each_monitor_is_a_run_unless_one_run_is_named() -> None:
     printed("import", "csv", *names, *one)  # by their clock: 1, 2, 3, 1, 2, 3
     assert curves("one")["ppo", 0] == {10: 1, 20: 1.5, 30: 2, 40: 1.75, 50: 1.8, 60: 2}
     write(names[1], f"{HEADER}2,10,8\n2,10,3\n")
-    told = refused("import", "csv", *names, *one)
-    assert told.startswith(f"{names[1]}: its clock restarts")
+    message = refused("import", "csv", *names, *one)
+    assert message.startswith(f"{names[1]}: its clock restarts")
 
 
 def test_a_monitors_folder_names_its_run() -> None:
@@ -248,7 +252,7 @@ def test_a_monitors_folder_names_its_run() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "options", "told"),
+    ("text", "options", "message"),
     [
         (HEADER + "1,10,1\n2,1", "", "a row lacks its return r, length l or time t"),
         ("# mine\nr,l,t\n1,10,1\n", "", "Stable-Baselines3 cannot read this monitor"),
@@ -260,5 +264,5 @@ def test_a_monitors_folder_names_its_run() -> None:
         (HEADER + f"1{'0' * 400},10,1\n", "", "Stable-Baselines3 cannot read this monitor"),
     ],
 )
-def test_a_monitor_that_cannot_be_read_whole_is_refused(text: str, options: str, told: str) -> None:
-    assert told in refused("import", "csv", write("a.monitor.csv", text), *options.split())
+def test_a_monitor_that_cannot_be_read_whole_is_refused(text: str, options: str, message: str) -> None:
+    assert message in refused("import", "csv", write("a.monitor.csv", text), *options.split())

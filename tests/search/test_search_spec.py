@@ -80,7 +80,7 @@ def test_a_parameter_is_asked_for_only_where_it_counts(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [  # what is changed, into what, and what is said of it
         ("[space.epochs]", "[space.epoch]", "[space] epoch: unknown parameter 'epoch' (did you"),
         ("[space.epochs]\n", "[space.epochs]\nstep = 2\n", "It will be replaced with [1, 9]"),
@@ -111,11 +111,11 @@ def test_a_parameter_is_asked_for_only_where_it_counts(tmp_path: Path) -> None:
         ("[space.epochs]\nlow = 1\n", "[space.noise]\nlow = 1\n", "noise does nothing"),
     ],
 )  # fmt: skip
-def test_mistakes_are_refused_by_name(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_mistakes_are_refused_by_name(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert GOOD.count(old) >= 1
     with pytest.raises(UserError) as caught:
         load(tmp_path, GOOD.replace(old, new, 1))
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert "mine.toml" in str(caught.value)
 
 

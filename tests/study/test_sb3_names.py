@@ -75,7 +75,7 @@ SAC = 'title = "SAC"\n[run]\nalgorithm = "sac"\nenv = "Pendulum-v1"\n'
 
 
 @pytest.mark.parametrize(
-    ("head", "run", "told"),
+    ("head", "run", "message"),
     [
         (HEAD, zoo("n_steps = 1"), r"line 7: \[run\] n_steps: horizon = 1 is not allowed: must be at"),
         (HEAD, zoo("clip_range = 'lin_x'"), 'clip_range = "lin_x" is not allowed: must be a number'),
@@ -93,10 +93,10 @@ SAC = 'title = "SAC"\n[run]\nalgorithm = "sac"\nenv = "Pendulum-v1"\n'
         (SAC, "n_timesteps = 100\n", "learning_rate does nothing: .* sac as they are set; an argument of"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_told_by_the_name_in_the_file(tmp_path: Path, head: str, run: str, told: str) -> None:
+def test_a_mistake_is_told_by_the_name_in_the_file(tmp_path: Path, head: str, run: str, message: str) -> None:
     path = tmp_path / "zoo.toml"
     path.write_text(head + run + TAIL)
-    with pytest.raises(UserError, match=told) as refused:
+    with pytest.raises(UserError, match=message) as refused:
         load_study(str(path))
     assert "\n" not in str(refused.value)
 
