@@ -57,7 +57,9 @@ class Columns:
     averaged_over: int | None = None
 
 
-def import_csv(paths: Sequence[Path], columns: Columns, store: Store, name: str | None = None) -> Import:
+def import_csv(
+    paths: Sequence[Path], columns: Columns, store: Store, study_name: str | None = None
+) -> Import:
     """Import the runs in some files as one study; all files are read before anything is written.
 
     Each monitor is a run, unless condition and seed name one run, whose environments the monitors are then.
@@ -65,9 +67,11 @@ def import_csv(paths: Sequence[Path], columns: Columns, store: Store, name: str 
     Raises:
         UserError: for whatever could be read in two ways.
     """
-    shared = Path(os.path.commonpath([path.resolve().parent for path in paths]))
+    shared_folder = Path(os.path.commonpath([path.resolve().parent for path in paths]))
     is_single = len(paths) == 1 and paths[0].name != MONITOR
-    study = choose_study_name(name, paths[0].with_suffix("") if is_single else shared, store, SOURCE)
+    chosen_name = choose_study_name(
+        study_name, paths[0].with_suffix("") if is_single else shared_folder, store, SOURCE
+    )
     logs: list[Log] = []
     monitors: dict[Path, str] = {}
     for path in sorted(set(paths)):
@@ -75,61 +79,61 @@ def import_csv(paths: Sequence[Path], columns: Columns, store: Store, name: str 
         if text.startswith("#"):
             monitors[path] = text
         else:
-            logs += _read_runs(path, shared, text, columns)
+            logs += _read_runs(path, shared_folder, text, columns)
     if monitors and (columns.step or columns.values):
         text = f"{next(iter(monitors))}: is a monitor file, which needs no columns: leave out "
         raise UserError(text, Hint("step"), " and ", Hint("values"))
-    runs = [{path: text} for path, text in monitors.items()]
+    monitors_of_runs = [{path: text} for path, text in monitors.items()]
     if monitors and columns.condition and columns.seed:
-        runs = [monitors]
-    for files in runs:
-        logs.append(_read_monitors(files, shared, columns))
-    return store_logs(logs, store, SOURCE, study, adds_runs=name is not None)
+        monitors_of_runs = [monitors]
+    for run_monitors in monitors_of_runs:
+        logs.append(_read_monitors(run_monitors, shared_folder, columns))
+    return store_logs(logs, store, SOURCE, chosen_name, adds_runs=study_name is not None)
 
 
-def _name_parts(path: Path, shared: Path) -> tuple[str, ...]:
+def _name_parts(path: Path, shared_folder: Path) -> tuple[str, ...]:
     """Return the names of a file and its folders, below the folder that all files share."""
-    name = path.name.removesuffix(MONITOR).removesuffix(".csv").rstrip(".")
-    folders = path.resolve().parent.relative_to(shared).parts
-    if name:
-        return folders + (name,)
-    return folders or (shared.name,)
+    file_name = path.name.removesuffix(MONITOR).removesuffix(".csv").rstrip(".")
+    folder_names = path.resolve().parent.relative_to(shared_folder).parts
+    if file_name:
+        return folder_names + (file_name,)
+    return folder_names or (shared_folder.name,)
 
 
 def _make_log(
-    name: str, run: tuple[str, int], points: list[pd.DataFrame], texts: Iterable[str], **selection: Any
+    log_name: str, run: tuple[str, int], points: list[pd.DataFrame], texts: Iterable[str], **selection: Any
 ) -> Log:
     """Return the log of a run; `selection` is what selects its data, which is part of its id."""
-    about = {
+    identity_facts = {
         "import_version": IMPORT_VERSION,
         **selection,
         "files": [file_facts(text.encode()) for text in texts],
     }
     return Log(
-        name=name,
+        name=log_name,
         condition=run[0],
         seed=run[1],
         points=pd.concat(points, ignore_index=True).assign(superseded=False),
-        identity=repr([SOURCE, run, about]),
-        provenance={"imported": SOURCE, **about},
+        identity=repr([SOURCE, run, identity_facts]),
+        provenance={"imported": SOURCE, **identity_facts},
     )
 
 
 # --- Tidy tables ------------------------------------------------------------------------------------
 
 
-def _read_runs(path: Path, shared: Path, text: str, columns: Columns) -> Iterator[Log]:
+def _read_runs(path: Path, shared_folder: Path, file_text: str, columns: Columns) -> Iterator[Log]:
     """Yield the runs of a table."""
-    table = _read_cells(path, text)
+    table = _read_cells(path, file_text)
     if not (columns.step and columns.values):
         raise _columns_to_choose(path, table)
-    quantities = dict(_column_and_quantity(table, value) for value in columns.values)
+    quantities = dict(_column_and_quantity(table, column_option) for column_option in columns.values)
     if len(set(quantities.values())) < len(columns.values):
         raise UserError(
             Hint("values"), ": two columns are given for one quantity; give one, or write COLUMN=QUANTITY"
         )
     steps = _whole_numbers(path, _find_column(table, "step", columns.step))
-    condition, seed = condition_and_seed(_name_parts(path, shared))
+    condition, seed = condition_and_seed(_name_parts(path, shared_folder))
     runs = pd.DataFrame({"condition": columns.condition or condition, "seed": seed}, index=table.index)
     if columns.condition in table:
         runs["condition"] = table[columns.condition].str.strip()
@@ -138,29 +142,29 @@ def _read_runs(path: Path, shared: Path, text: str, columns: Columns) -> Iterato
         runs["seed"] = _whole_numbers(path, table[columns.seed])
     elif columns.seed:
         runs["seed"] = _read_seed(columns.seed, list(table.columns))
-    values = {column: _numbers(path, table[column]) for column in quantities}
-    for _, cells in runs.groupby(["condition", "seed"], sort=False):
-        condition, seed = str(cells["condition"].iloc[0]), int(cells["seed"].iloc[0])
-        rows = cells.index
-        name = f"{condition} with seed {seed}"
+    values_by_column = {column: _numbers(path, table[column]) for column in quantities}
+    for _, run_rows in runs.groupby(["condition", "seed"], sort=False):
+        condition, seed = str(run_rows["condition"].iloc[0]), int(run_rows["seed"].iloc[0])
+        rows = run_rows.index
+        run_name = f"{condition} with seed {seed}"
         notes, points = [], []
         for column, quantity in quantities.items():
-            finite = values[column][rows].replace([math.inf, -math.inf], math.nan).dropna()
+            finite = values_by_column[column][rows].replace([math.inf, -math.inf], math.nan).dropna()
             lost_rows = len(rows) - len(finite)
             if lost_rows:
                 notes.append(
                     f"{lost_rows} of {counted(len(rows), 'row')} have no finite {column} and are left out"
                 )
-            _refuse_two_runs(path, steps[finite.index], name)
+            _refuse_two_runs(path, steps[finite.index], run_name)
             mean_tag, single_tag = QUANTITIES[quantity]
             are_means = quantity in EPISODE_QUANTITIES and columns.averaged_over != 1
             tag = mean_tag if are_means else single_tag
             points.append(pd.DataFrame({"tag": tag, "step": steps[finite.index], "value": finite}))
         log = _make_log(
-            f"{path.name}, {name}",
+            f"{path.name}, {run_name}",
             (condition, seed),
             points,
-            [text],
+            [file_text],
             averaged_over=columns.averaged_over,
             selection=[columns.step, quantities, columns.condition, columns.seed],
         )
@@ -168,55 +172,57 @@ def _read_runs(path: Path, shared: Path, text: str, columns: Columns) -> Iterato
         yield log
 
 
-def _read_cells(path: Path, text: str) -> pd.DataFrame:
+def _read_cells(path: Path, file_text: str) -> pd.DataFrame:
     """Return the cells of a table as text, by the number of their row."""
     try:
-        rows = pd.read_csv(io.StringIO(text), header=None, dtype=str, keep_default_na=False)
+        cell_rows = pd.read_csv(io.StringIO(file_text), header=None, dtype=str, keep_default_na=False)
     except ValueError as error:
         raise UserError(f"{path}: cannot be read as CSV ({str(error).strip()})") from None
-    if len(rows) < 2:
+    if len(cell_rows) < 2:
         raise UserError(f"{path}: has no rows below its header")
-    rows.index += 1
-    header = rows.iloc[0].str.strip()
+    cell_rows.index += 1
+    header = cell_rows.iloc[0].str.strip()
     if header.duplicated().any():
         raise UserError(f"{path}: has two columns named {header[header.duplicated()].iloc[0]!r}; rename one")
-    return rows.iloc[1:].set_axis(list(header), axis="columns")
+    return cell_rows.iloc[1:].set_axis(list(header), axis="columns")
 
 
 def _columns_to_choose(path: Path, table: pd.DataFrame) -> UserError:
     """Return the error that lists a table's columns, with those that their names suggest."""
-    parts: list[str | Hint] = [f"{path}: choose from its columns {', '.join(table.columns)}, as in"]
-    for field, pattern in SUGGESTED.items():
-        names = [name for name in table.columns if re.fullmatch(pattern, name.lower())]
-        if len(names) == 1:
-            parts += [" ", Hint(field, names[0])]
-        elif field in ("step", "values"):
-            parts += [" ", Hint(field, "COLUMN")]
-    return UserError(*parts)
+    message_parts: list[str | Hint] = [f"{path}: choose from its columns {', '.join(table.columns)}, as in"]
+    for argument, pattern in SUGGESTED.items():
+        suggestions = [column for column in table.columns if re.fullmatch(pattern, column.lower())]
+        if len(suggestions) == 1:
+            message_parts += [" ", Hint(argument, suggestions[0])]
+        elif argument in ("step", "values"):
+            message_parts += [" ", Hint(argument, "COLUMN")]
+    return UserError(*message_parts)
 
 
-def _find_column(table: pd.DataFrame, field: str, name: str) -> pd.Series:
-    if name not in table:
-        raise unknown_name(Message("column in ", Hint(field)), name, list(table.columns))
-    return table[name]
+def _find_column(table: pd.DataFrame, argument: str, column: str) -> pd.Series:
+    if column not in table:
+        raise unknown_name(Message("column in ", Hint(argument)), column, list(table.columns))
+    return table[column]
 
 
-def _read_seed(text: str, columns: Sequence[str] = ()) -> int:
+def _read_seed(seed_text: str, columns: Sequence[str] = ()) -> int:
     """Return the seed of all rows."""
-    if re.fullmatch("[0-9]{1,18}", text):
-        return int(text)
+    if re.fullmatch("[0-9]{1,18}", seed_text):
+        return int(seed_text)
     if columns:
-        raise unknown_name(Message("column in ", Hint("seed")), text, columns)
-    raise UserError(Hint("seed", text), ": must be a number, because a monitor file has no column of seeds")
+        raise unknown_name(Message("column in ", Hint("seed")), seed_text, columns)
+    raise UserError(
+        Hint("seed", seed_text), ": must be a number, because a monitor file has no column of seeds"
+    )
 
 
-def _column_and_quantity(table: pd.DataFrame, value: str) -> tuple[str, str]:
-    column, quantity = value, "return"
-    if value not in table and "=" in value:
-        column, _, quantity = value.rpartition("=")
+def _column_and_quantity(table: pd.DataFrame, column_option: str) -> tuple[str, str]:
+    column, quantity = column_option, "return"
+    if column_option not in table and "=" in column_option:
+        column, _, quantity = column_option.rpartition("=")
     _find_column(table, "values", column)
     if quantity not in QUANTITIES:
-        raise unknown_name(Message("quantity in ", Hint("values", value), ":"), quantity, QUANTITIES)
+        raise unknown_name(Message("quantity in ", Hint("values", column_option), ":"), quantity, QUANTITIES)
     min_column, max_column = f"{column}__MIN", f"{column}__MAX"
     if min_column in table and max_column in table and not table[min_column].equals(table[max_column]):
         raise UserError(
@@ -228,68 +234,70 @@ def _column_and_quantity(table: pd.DataFrame, value: str) -> tuple[str, str]:
 def _numbers(path: Path, cells: pd.Series) -> pd.Series:
     """Return the numbers of a column; NaN where there is none."""
     numbers = pd.to_numeric(cells, errors="coerce").astype(float)
-    unclear = numbers.isna() & ~cells.str.strip().str.lower().isin(["", "nan"])
-    _refuse_cells(path, cells[unclear], "a plain number as 1024 or 0.5")
+    is_unclear = numbers.isna() & ~cells.str.strip().str.lower().isin(["", "nan"])
+    _refuse_cells(path, cells[is_unclear], "a plain number as 1024 or 0.5")
     return numbers
 
 
 def _whole_numbers(path: Path, cells: pd.Series) -> pd.Series:
     """Return steps or seeds; refuse others, and such as 1.000, which may be a thousand."""
     numbers = _numbers(path, cells)
-    thousands = cells.str.strip().str.fullmatch(r"[1-9]\d{0,2}(\.\d{3})+")
-    is_integer = numbers.between(0, 2**53) & (numbers % 1 == 0) & ~thousands
+    has_thousands = cells.str.strip().str.fullmatch(r"[1-9]\d{0,2}(\.\d{3})+")
+    is_integer = numbers.between(0, 2**53) & (numbers % 1 == 0) & ~has_thousands
     _refuse_cells(path, cells[~is_integer], "a whole number as 1024")
     return numbers.astype("int64")
 
 
-def _refuse_cells(path: Path, wrong: pd.Series, allowed: str) -> None:
-    if len(wrong):
-        cell = f"{path}, row {wrong.index[0]}: {wrong.iloc[0]!r} in column {wrong.name}"
-        raise UserError(f"{cell} must be {allowed}, without thousands separators")
+def _refuse_cells(path: Path, wrong_cells: pd.Series, allowed: str) -> None:
+    if len(wrong_cells):
+        first_cell = (
+            f"{path}, row {wrong_cells.index[0]}: {wrong_cells.iloc[0]!r} in column {wrong_cells.name}"
+        )
+        raise UserError(f"{first_cell} must be {allowed}, without thousands separators")
 
 
 def _refuse_two_runs(path: Path, steps: pd.Series, run: str) -> None:
     backward = steps.index[steps.diff() <= 0]
     if len(backward):
         again = f"{path}, row {backward[0]}: step {steps[backward[0]]:,} of {run} is not after the one before"
-        names = Hint("condition"), " and ", Hint("seed")
-        raise UserError(f"{again}: distinguish the runs with ", *names, ", or keep one row per step")
+        arguments = Hint("condition"), " and ", Hint("seed")
+        raise UserError(f"{again}: distinguish the runs with ", *arguments, ", or keep one row per step")
 
 
 # --- Monitors of Stable-Baselines3 ------------------------------------------------------------------
 
 
-def _read_monitors(files: Mapping[Path, str], shared: Path, columns: Columns) -> Log:
+def _read_monitors(monitors: Mapping[Path, str], shared_folder: Path, columns: Columns) -> Log:
     """Return the run of one monitor, or of those of its environments, whose rows are ordered by their clock.
 
     The clock begins again where a monitor was appended to after a restart: one has the order of its rows, and
     several are refused.
     """
-    first = next(iter(files))
-    episodes = _load_monitors(files)
-    if len(files) > 1:
-        for path, text in files.items():
-            if not _load_monitors({path: text})["t"].is_monotonic_increasing:
+    first_path = next(iter(monitors))
+    episodes = _load_monitors(monitors)
+    if len(monitors) > 1:
+        for path, file_text in monitors.items():
+            if not _load_monitors({path: file_text})["t"].is_monotonic_increasing:
                 raise UserError(
                     f"{path}: its clock restarts, so it cannot join other monitor files; import it alone"
                 )
         episodes = episodes.sort_values("t", kind="stable")
     is_sound = episodes["l"].between(1, 2**53) & episodes[["r", "t"]].map(math.isfinite).all(axis="columns")
     if not is_sound.all():
-        raise UserError(f"{first}: a row lacks its return r, length l or time t; remove it")
-    condition, seed = condition_and_seed(_name_parts(first, shared))
+        raise UserError(f"{first_path}: a row lacks its return r, length l or time t; remove it")
+    condition, seed = condition_and_seed(_name_parts(first_path, shared_folder))
     if columns.seed:
         seed = _read_seed(columns.seed)
     steps = episodes["l"].cumsum().astype("int64")
     points = []
     for quantity, column in (("return", "r"), ("length", "l")):
         points.append(pd.DataFrame({"tag": TAGS[quantity][1], "step": steps, "value": episodes[column]}))
-    name = ", ".join(path.name for path in files)
-    run = (columns.condition or condition, seed)
-    return _make_log(name, run, points, files.values(), averaged_over=1, selection=["monitors"])
+    log_name = ", ".join(path.name for path in monitors)
+    run_key = (columns.condition or condition, seed)
+    return _make_log(log_name, run_key, points, monitors.values(), averaged_over=1, selection=["monitors"])
 
 
-def _load_monitors(files: Mapping[Path, str]) -> pd.DataFrame:
+def _load_monitors(monitors: Mapping[Path, str]) -> pd.DataFrame:
     """Return the episodes in monitors, by Stable-Baselines3's own reader, in the order of each file's rows.
 
     The reader sorts them by their clock; its column `index` has their order.
@@ -298,12 +306,12 @@ def _load_monitors(files: Mapping[Path, str]) -> pd.DataFrame:
 
     try:
         with TemporaryDirectory() as folder:
-            for number, text in enumerate(files.values()):
-                (Path(folder) / f"{number}.{MONITOR}").write_text(text, encoding="utf-8")
+            for file_number, file_text in enumerate(monitors.values()):
+                (Path(folder) / f"{file_number}.{MONITOR}").write_text(file_text, encoding="utf-8")
             episodes = load_results(folder).sort_values("index", kind="stable")
         return episodes.astype(dict.fromkeys("rlt", float))
     except Exception as error:  # whatever the reader raises of a file that is none
         reason = str(error).partition("\n")[0] or type(error).__name__
         raise UserError(
-            f"{next(iter(files))}: Stable-Baselines3 cannot read this monitor ({reason})"
+            f"{next(iter(monitors))}: Stable-Baselines3 cannot read this monitor ({reason})"
         ) from None

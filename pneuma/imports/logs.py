@@ -69,14 +69,16 @@ Import = tuple[str, list[Log], list[str]]
 """An imported study's name, its runs that were read, and notes for the user."""
 
 
-def store_logs(logs: Sequence[Log], store: Store, source: str, study: str, adds_runs: bool = False) -> Import:
+def store_logs(
+    logs: Sequence[Log], store: Store, log_kind: str, study_name: str, adds_runs: bool = False
+) -> Import:
     """Store logs as the runs of a study.
 
     Args:
         logs: the runs that were read.
         store: where to store them.
-        source: the kind of logs.
-        study: the study's name, as `choose_study_name` returns it.
+        log_kind: the kind of logs.
+        study_name: the study's name, as `choose_study_name` returns it.
         adds_runs: whether other runs that the study has stay in it.
 
     Raises:
@@ -92,8 +94,8 @@ def store_logs(logs: Sequence[Log], store: Store, source: str, study: str, adds_
             continue
         first_log = by_name.setdefault((log.condition, log.seed), log)
         if first_log is not log:
-            names = f"{first_log.name} and {log.name} are two runs of one name, "
-            raise UserError(f"{names}{log.condition} with seed {log.seed}: give each another seed")
+            problem = f"{first_log.name} and {log.name} are two runs of one name, "
+            raise UserError(f"{problem}{log.condition} with seed {log.seed}: give each another seed")
         first_log = by_id.setdefault(log.run_id, log)
         if first_log is not log:
             raise UserError(f"{first_log.name} and {log.name} contain the same data: import one of them")
@@ -102,7 +104,7 @@ def store_logs(logs: Sequence[Log], store: Store, source: str, study: str, adds_
         raise UserError(
             f"{logs[0].name}: has no values at agent steps as Stable-Baselines3 or CleanRL log them"
         )
-    listing = store.listing(study) or {"baseline": kept_logs[0].condition, "runs": []}
+    listing = store.listing(study_name) or {"baseline": kept_logs[0].condition, "runs": []}
     other_runs, replaced = [], 0
     for run in listing["runs"]:
         if (run["condition"], run["seed"]) not in by_name:
@@ -110,24 +112,26 @@ def store_logs(logs: Sequence[Log], store: Store, source: str, study: str, adds_
         elif run["run_id"] not in by_id:
             replaced += 1
     if replaced:
-        text = f"{counted(replaced, 'run')} of study {study} had other data before; another "
+        text = f"{counted(replaced, 'run')} of study {study_name} had other data before; another "
         notes.append(Message(text, Hint("name"), " keeps both"))
     if other_runs and not adds_runs:
-        text = f"study {study} has other runs; give "
-        raise UserError(text, Hint("name", study), " to add to them, or another name")
+        text = f"study {study_name} has other runs; give "
+        raise UserError(text, Hint("name", study_name), " to add to them, or another name")
     store.check_writable()
     for log in kept_logs:
         log.new = not store.status(log.run_id).finished
         if log.new:
-            _store_run(log, store, source)
+            _store_run(log, store, log_kind)
     runs = [{"run_id": log.run_id, "condition": log.condition, "seed": log.seed} for log in kept_logs]
-    store.save_listing(study, {"title": study, "source": source, **listing, "runs": other_runs + runs})
-    return study, kept_logs, notes
+    store.save_listing(
+        study_name, {"title": study_name, "source": log_kind, **listing, "runs": other_runs + runs}
+    )
+    return study_name, kept_logs, notes
 
 
-def _store_run(log: Log, store: Store, source: str) -> None:
-    fields = {"env": f"Imported {LOG_KINDS[source]}", "slots": None, "steps": log.steps}
-    document = {"schema": 1, "run_id": log.run_id, "source": source, "run": fields}
+def _store_run(log: Log, store: Store, log_kind: str) -> None:
+    run_fields = {"env": f"Imported {LOG_KINDS[log_kind]}", "slots": None, "steps": log.steps}
+    document = {"schema": 1, "run_id": log.run_id, "source": log_kind, "run": run_fields}
     files = {
         "run.json": to_json(document),
         "provenance.json": to_json(log.provenance),
@@ -138,20 +142,22 @@ def _store_run(log: Log, store: Store, source: str) -> None:
     store.save_run(log.run_id, status, files)
 
 
-def choose_study_name(name: str | None, source_path: Path, store: Store, source: str) -> str:
+def choose_study_name(study_name: str | None, source_path: Path, store: Store, log_kind: str) -> str:
     """Return the name of the study to import into: by default that of the place where the logs are."""
-    if name is None:
-        name = re.sub(r"[^A-Za-z0-9._-]+", "-", source_path.resolve().name).strip("-.")
-    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", name) or name.endswith(".toml"):
+    if study_name is None:
+        study_name = re.sub(r"[^A-Za-z0-9._-]+", "-", source_path.resolve().name).strip("-.")
+    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", study_name) or study_name.endswith(".toml"):
         raise UserError(
-            Hint("name", name), ": use only letters, digits, dots, - and _, and not the name of a file"
+            Hint("name", study_name), ": use only letters, digits, dots, - and _, and not the name of a file"
         )
-    if name in list_studies():
-        raise UserError(Hint("name", name), ": this is the name of a shipped study; give another")
-    listing = store.listing(name)
-    if listing and listing.get("source") != source:
-        raise UserError(Hint("name", name), f": a study with this name was run in {store.root}; give another")
-    return name
+    if study_name in list_studies():
+        raise UserError(Hint("name", study_name), ": this is the name of a shipped study; give another")
+    listing = store.listing(study_name)
+    if listing and listing.get("source") != log_kind:
+        raise UserError(
+            Hint("name", study_name), f": a study with this name was run in {store.root}; give another"
+        )
+    return study_name
 
 
 def condition_and_seed(folder_names: Sequence[str]) -> tuple[str, int]:
@@ -160,15 +166,15 @@ def condition_and_seed(folder_names: Sequence[str]) -> tuple[str, int]:
     Stable-Baselines3 calls folders CONDITION_SEED, CleanRL CONDITION__SEED__TIME. The seed is that of the
     last name with a number, 0 without one; the condition is all the names without it.
     """
-    names, seed = list(folder_names), 0
-    for position in reversed(range(len(names))):
-        match = re.fullmatch(r"(.+)__([0-9]{1,9})__[0-9]{9,}", names[position])
-        match = match or re.fullmatch(r"(.+)_([0-9]{1,18})", names[position])
+    remaining_names, seed = list(folder_names), 0
+    for position in reversed(range(len(remaining_names))):
+        match = re.fullmatch(r"(.+)__([0-9]{1,9})__[0-9]{9,}", remaining_names[position])
+        match = match or re.fullmatch(r"(.+)_([0-9]{1,18})", remaining_names[position])
         if match:
-            names[position], seed = match[1], int(match[2])
+            remaining_names[position], seed = match[1], int(match[2])
             break
-    return "/".join(names).lstrip("_/ ") or "run", seed  # legends leave out what begins with _
+    return "/".join(remaining_names).lstrip("_/ ") or "run", seed  # legends leave out what begins with _
 
 
-def file_facts(data: bytes) -> dict[str, Any]:
-    return {"bytes": len(data), "sha256": checksum(data)}
+def file_facts(file_bytes: bytes) -> dict[str, Any]:
+    return {"bytes": len(file_bytes), "sha256": checksum(file_bytes)}

@@ -31,21 +31,21 @@ class Scalar(NamedTuple):
     second: float
 
 
-def import_tensorboard(folders: Sequence[Path], store: Store, name: str | None = None) -> Import:
+def import_tensorboard(folders: Sequence[Path], store: Store, study_name: str | None = None) -> Import:
     """Import all runs below some folders as one study.
 
     Each folder contains NAME_1/, NAME_2/, … with event files, at any depth, or event files itself. All files
     are read before anything is written.
     """
-    shared = os.path.commonpath([folder.resolve() for folder in folders])
-    study = choose_study_name(name, Path(shared), store, SOURCE)
+    shared_folder = os.path.commonpath([folder.resolve() for folder in folders])
+    chosen_name = choose_study_name(study_name, Path(shared_folder), store, SOURCE)
     logs = [_read_log(folder_names, paths) for folder_names, paths in find_logs(folders).items()]
-    return store_logs(logs, store, SOURCE, study, adds_runs=name is not None)
+    return store_logs(logs, store, SOURCE, chosen_name, adds_runs=study_name is not None)
 
 
 def find_logs(folders: Sequence[Path]) -> dict[tuple[str, ...], list[Path]]:
     """Return event files by the path of their folder below what all share; the oldest first."""
-    by_folder: dict[Path, list[Path]] = {}
+    paths_by_folder: dict[Path, list[Path]] = {}
     for folder in folders:
         if not folder.is_dir():
             raise UserError(f"{folder}: is not a folder; name the folder that holds NAME_1/, NAME_2/, …")
@@ -56,35 +56,37 @@ def find_logs(folders: Sequence[Path]) -> dict[tuple[str, ...], list[Path]]:
             readable = os.fsencode(path).decode(errors="backslashreplace")
             if readable != str(path):
                 raise UserError(f"{readable}: this name is not UTF-8; rename the file")
-            files = by_folder.setdefault(path.parent, [])
-            if path not in files:  # folders may be given twice
-                files.append(path)
-    shared = os.path.commonpath([folder.parent for folder in by_folder])
-    return {folder.relative_to(shared).parts: by_folder[folder] for folder in sorted(by_folder)}
+            folder_paths = paths_by_folder.setdefault(path.parent, [])
+            if path not in folder_paths:  # folders may be given twice
+                folder_paths.append(path)
+    shared_folder = os.path.commonpath([folder.parent for folder in paths_by_folder])
+    return {
+        folder.relative_to(shared_folder).parts: paths_by_folder[folder] for folder in sorted(paths_by_folder)
+    }
 
 
 def _read_log(folder_names: tuple[str, ...], paths: Sequence[Path]) -> Log:
     files, notes = [], []
-    rows: list[tuple[object, ...]] = []
-    for number, path in enumerate(paths):
+    scalar_rows: list[tuple[object, ...]] = []
+    for file_number, path in enumerate(paths):
         try:
-            data = path.read_bytes()
+            file_bytes = path.read_bytes()
         except OSError as error:
             raise UserError(f"{path}: cannot be read ({error.strerror})") from None
-        files.append(file_facts(data))
-        scalars, sound = read_event_file(path)
-        rows.extend((number, *scalar) for scalar in scalars)
-        lost_bytes = len(data) - sound
+        files.append(file_facts(file_bytes))
+        scalars, sound_bytes = read_event_file(path)
+        scalar_rows.extend((file_number, *scalar) for scalar in scalars)
+        lost_bytes = len(file_bytes) - sound_bytes
         if lost_bytes:
             notes.append(
-                f"{path.name} is damaged: its last {lost_bytes:,} of {len(data):,} bytes are left out"
+                f"{path.name} is damaged: its last {lost_bytes:,} of {len(file_bytes):,} bytes are left out"
             )
-    points = pd.DataFrame(rows, columns=("file",) + Scalar._fields)
+    points = pd.DataFrame(scalar_rows, columns=("file",) + Scalar._fields)
     points["superseded"] = find_superseded(points)
     superseded = int(points["superseded"].sum())
     if superseded:
         notes.append(f"left out {counted(superseded, 'point')} that a restart superseded")
-    contents = "".join(file["sha256"] for file in files)
+    contents = "".join(facts["sha256"] for facts in files)
     condition, seed = condition_and_seed(folder_names)
     return Log(
         name="/".join(folder_names),
@@ -102,9 +104,9 @@ def _times(points: pd.DataFrame) -> dict[str, object]:
     seconds = points["second"][points["second"].between(1, 1e11)]  # a later time is invalid: the year 5138
     if seconds.empty:
         return {"started": None, "wall_seconds": 0.0}
-    first, last = float(seconds.min()), float(seconds.max())
-    started = datetime.fromtimestamp(first, UTC).isoformat(timespec="seconds")
-    return {"started": started, "wall_seconds": round(last - first, 3)}
+    first_second, last_second = float(seconds.min()), float(seconds.max())
+    started = datetime.fromtimestamp(first_second, UTC).isoformat(timespec="seconds")
+    return {"started": started, "wall_seconds": round(last_second - first_second, 3)}
 
 
 def read_event_file(path: Path) -> tuple[list[Scalar], int]:
@@ -121,22 +123,22 @@ def read_event_file(path: Path) -> tuple[list[Scalar], int]:
         needed = f"reading TensorBoard logs needs the tensorboard package: {install_extra('tensorboard')}"
         raise UserError(needed) from None
     scalars: list[Scalar] = []
-    sound = 0
-    plugins: dict[str, str] = {}  # what shows a tag's tensors: some writers name it once
+    sound_bytes = 0
+    plugin_by_tag: dict[str, str] = {}  # what shows a tag's tensors: some writers name it once
     with suppress(Exception):  # any error from an invalid length or message means damage
         for record in RawEventFileLoader(str(path)).Load():
             event = Event.FromString(record)
             for value in event.summary.value:
-                plugin = plugins.setdefault(value.tag, value.metadata.plugin_data.plugin_name)
+                plugin_name = plugin_by_tag.setdefault(value.tag, value.metadata.plugin_data.plugin_name)
                 if value.HasField("simple_value"):
-                    number = value.simple_value
-                elif plugin == "scalars" and not value.tensor.tensor_shape.dim:
-                    number = float(make_ndarray(value.tensor))
+                    scalar_value = value.simple_value
+                elif plugin_name == "scalars" and not value.tensor.tensor_shape.dim:
+                    scalar_value = float(make_ndarray(value.tensor))
                 else:  # a text, a histogram and the like
                     continue
-                scalars.append(Scalar(value.tag, event.step, number, event.wall_time))
-            sound += len(record) + 16  # its length, and two checksums
-    return scalars, sound
+                scalars.append(Scalar(value.tag, event.step, scalar_value, event.wall_time))
+            sound_bytes += len(record) + 16  # its length, and two checksums
+    return scalars, sound_bytes
 
 
 def find_superseded(points: pd.DataFrame) -> pd.Series:
@@ -149,10 +151,12 @@ def find_superseded(points: pd.DataFrame) -> pd.Series:
     superseded = pd.Series(False, index=points.index)
     written = points.groupby("file")["second"].agg(["min", "max"])
     for _, tag_points in points.groupby("tag"):
-        for file, steps in tag_points.groupby("file")["step"]:
-            ended = written.index[(written.index < file) & (written["max"] <= written["min"][file])]
-            before = tag_points["step"][tag_points["file"].isin(ended)]
-            superseded[before.index] |= before >= steps.min()
+        for file_number, steps in tag_points.groupby("file")["step"]:
+            ended_files = written.index[
+                (written.index < file_number) & (written["max"] <= written["min"][file_number])
+            ]
+            earlier_steps = tag_points["step"][tag_points["file"].isin(ended_files)]
+            superseded[earlier_steps.index] |= earlier_steps >= steps.min()
             went_back = steps.where(steps.diff() < 0)[::-1]  # the later first
             superseded[steps.index] |= steps >= went_back.cummin().ffill().shift()[::-1]
     return superseded
