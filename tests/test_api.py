@@ -53,8 +53,8 @@ def run_page(page: str, folder: Path, last: str = "") -> str:
 @pytest.mark.slow
 def test_the_pages_python_runs(tmp_path: Path) -> None:
     run_page("environment.md", tmp_path)
-    told = run_page("python.md", tmp_path, "print(len(data.runs), int(action), env_id)")
-    runs, action, env = told.splitlines()[-1].split()
+    output = run_page("python.md", tmp_path, "print(len(data.runs), int(action), env_id)")
+    runs, action, env = output.splitlines()[-1].split()
     assert (runs, env) == ("4", "pneuma/PneumaArena-v0") and 0 <= int(action) < 5
     figures = {path.name for path in (tmp_path / "figures").iterdir()}
     curves = {f"study-horizon-arena-return-entropy-minmax.{form}" for form in ("png", "svg")}
@@ -83,9 +83,9 @@ def test_the_notebook_runs_and_shows_what_it_should(tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, env=env)
     assert done.returncode == 0, done.stderr
     assert "4/4 runs ended, 100 % of all steps" in done.stderr
-    shown = done.stdout.split("--- ")
-    assert any("<th>tanh</th>\n      <td>2</td>" in cell for cell in shown)  # the runs of a condition
-    assert "final-share-killed" in shown[3] and len(list((tmp_path / "kept" / "runs").iterdir())) == 4
+    outputs = done.stdout.split("--- ")
+    assert any("<th>tanh</th>\n      <td>2</td>" in cell for cell in outputs)  # the runs of a condition
+    assert "final-share-killed" in outputs[3] and len(list((tmp_path / "kept" / "runs").iterdir())) == 4
 
 
 KERNEL = """
@@ -118,9 +118,9 @@ def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(
     save_policy(Store(tmp_path), make_run(settings), stored, "0123456789abcdef")
     with pytest.raises(UserError, match=named):
         load_policy("0123", tmp_path)
-    policy, env, own = load_policy("0123", tmp_path, trust=True)
+    policy, env, env_settings = load_policy("0123", tmp_path, trust=True)
     assert isinstance(policy, Policy) and policy.to_bytes() == stored.to_bytes()
-    assert env == env_id and own.items() >= settings.get("env_kwargs", settings).items()
+    assert env == env_id and env_settings.items() >= settings.get("env_kwargs", settings).items()
 
 
 EXCEPTION = """\
@@ -158,13 +158,13 @@ def test_a_function_is_evaluated_as_the_policy_that_it_asks_is() -> None:
     weights = np.random.default_rng(1).normal(0, 0.5, (60, 5)).astype(np.float32)
     layer = (weights, np.zeros(5, np.float32))
     policy = Policy("tanh", (layer,), (layer,))
-    told = evaluate(policy, seed=3, episodes=12)
-    assert {*EVALUATION_COLUMNS} < {*told} < {*EVALUATION_COLUMNS, *VALUE_COLUMNS}
-    assert told["length"] > 10
+    row = evaluate(policy, seed=3, episodes=12)
+    assert {*EVALUATION_COLUMNS} < {*row} < {*EVALUATION_COLUMNS, *VALUE_COLUMNS}
+    assert row["length"] > 10
     draws = np.random.default_rng(stream_seed(3, "evaluation-actions", 0))
-    asked = evaluate(lambda seen: policy.sample(seen, draws), best=policy.best, seed=3, episodes=12)
-    assert asked == pytest.approx(told)
-    assert evaluate(policy.best, seed=4, episodes=12)["random_share_killed"] != told["random_share_killed"]
+    row_of_function = evaluate(lambda seen: policy.sample(seen, draws), best=policy.best, seed=3, episodes=12)
+    assert row_of_function == pytest.approx(row)
+    assert evaluate(policy.best, seed=4, episodes=12)["random_share_killed"] != row["random_share_killed"]
 
 
 def test_an_agent_without_a_best_is_asked_for_all_worlds_at_every_step_and_keeps_what_it_saw() -> None:

@@ -45,11 +45,15 @@ def _mistake(line: str) -> str:
         if words[0] not in command.commands:
             return f"{words[0]!r} is no command of {command.name}"
         command = command.commands[words.pop(0)]
-    known = {name for own in command.params for name in (*own.opts, *own.secondary_opts)} | {"--help", "-h"}
-    asked = [word.partition("=")[0] for word in words if word.startswith("--")]
-    wrong = [f"{command.name} has no {name}" for name in asked if name not in known]
+    options = {name for own in command.params for name in (*own.opts, *own.secondary_opts)} | {"--help", "-h"}
+    words_of_options = [word.partition("=")[0] for word in words if word.startswith("--")]
+    wrong = [f"{command.name} has no {name}" for name in words_of_options if name not in options]
     needed = [own for own in command.params if own.required and own.param_type_name == "option"]
-    wrong += [f"{command.name} needs {own.opts[0]}" for own in needed if asked and own.opts[0] not in asked]
+    wrong += [
+        f"{command.name} needs {own.opts[0]}"
+        for own in needed
+        if words_of_options and own.opts[0] not in words_of_options
+    ]
     return "; ".join(wrong)
 
 
@@ -162,7 +166,7 @@ def test_the_readme_names_the_pinned_torch() -> None:
 
 def test_every_picture_and_table_is_shown_by_a_page_and_no_link_to_one_is_broken() -> None:
     folder = ROOT / "paper_figures"
-    made = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    files = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     text = "".join(page.read_text() for page in PAGES)
-    assert {*re.findall(r"\]\((?:\.\./)?paper_figures/([^)#]+)\)", text)} == made
-    assert len(made) <= 60 and sum((folder / name).stat().st_size for name in made) <= 8_000_000
+    assert {*re.findall(r"\]\((?:\.\./)?paper_figures/([^)#]+)\)", text)} == files
+    assert len(files) <= 60 and sum((folder / name).stat().st_size for name in files) <= 8_000_000

@@ -47,9 +47,9 @@ def test_what_is_right_is_read(tmp_path: Path) -> None:
 def test_whole_numbers_are_made_of_floats_but_for_code_of_others(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text("steps = 1e6\n[run.env_kwargs]\ng = 2.0\nlarge = 1e25\ndeep = { x = [1.0, 2] }\n")
-    told = repr(read_toml(path).data)
-    kept = "'env_kwargs': {'g': 2.0, 'large': 1e+25, 'deep': {'x': (1.0, 2)}}"
-    assert told == f"{{'steps': 1000000, 'run': {{{kept}}}}}"
+    text = repr(read_toml(path).data)
+    env_kwargs = "'env_kwargs': {'g': 2.0, 'large': 1e+25, 'deep': {'x': (1.0, 2)}}"
+    assert text == f"{{'steps': 1000000, 'run': {{{env_kwargs}}}}}"
     fields = {"env": "Mine-v0", "env_kwargs": {"g": np.float64(2), "n": np.int64(2)}}
     assert make_run(fields).env_kwargs == '{"g": 2.0, "n": 2}'
 

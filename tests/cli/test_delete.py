@@ -24,8 +24,8 @@ def test_a_study_is_removed_but_for_runs_that_another_one_has_too(store: Store) 
     words = ("study", "delete", "activation", "--results", store.root)
     assert "--yes is required because this is not a terminal" in refused(*words)
     code, out, err = call(*words, "--yes")
-    kept = "Note: kept, as clip-range in the arena has them too: 1 run."
-    assert (code, err, out.splitlines()[:2]) == (0, err, [kept, f"Removed 5 runs from {store.root}."])
+    note = "Note: kept, as clip-range in the arena has them too: 1 run."
+    assert (code, err, out.splitlines()[:2]) == (0, err, [note, f"Removed 5 runs from {store.root}."])
     assert {*store.runs()} == {*clip}
 
 

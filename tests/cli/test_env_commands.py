@@ -50,10 +50,10 @@ def frames(path: str | Path) -> int:
 def test_a_gif_ends_two_seconds_after_the_last_kill_or_when_so_many_are_over(here: Path, arena: str) -> None:
     assert "0 of 14 monsters killed, 3 steps, time limit" in render("a.gif", "--set", "episode_steps=3")
     assert 1 < frames("a.gif") <= 3 * 2 + 1  # those that are alike are one
-    told = render("b.gif", "--player", "hunter", "--set", f"level={arena}")
-    assert "1 of 1 monsters killed" in told and "it ends 2 s after the last kill" in told
-    told = render("c.gif", "--seconds", "2", "--set", f"level={arena}")  # 15 steps of 8/60 s
-    assert "0 of 1 monsters killed, 15 steps; the episode goes on: --seconds shows more" in told
+    line = render("b.gif", "--player", "hunter", "--set", f"level={arena}")
+    assert "1 of 1 monsters killed" in line and "it ends 2 s after the last kill" in line
+    line = render("c.gif", "--seconds", "2", "--set", f"level={arena}")  # 15 steps of 8/60 s
+    assert "0 of 1 monsters killed, 15 steps; the episode goes on: --seconds shows more" in line
 
 
 def store_run(results: Path, **fields: object) -> str:
@@ -65,12 +65,12 @@ def store_run(results: Path, **fields: object) -> str:
 
 
 def test_a_run_plays_in_its_own_environment(here: Path, arena: str) -> None:
-    own = {"level": arena, "perceive": "nearest:2", "magic": True, "episode_steps": 9, "reward": "kills"}
-    player = ("--player", store_run(here / "results", **own))
+    settings = {"level": arena, "perceive": "nearest:2", "magic": True, "episode_steps": 9, "reward": "kills"}
+    player = ("--player", store_run(here / "results", **settings))
     words = ("env", "render", "pneuma/Pneuma-v0", "--out", "run.gif")
     assert "add --trust" in refused(*words, *player)  # the run is untrusted, and names a file
-    told = render("run.gif", *player, "--trust")
-    assert "of 1 monsters killed, 9 steps" in told
+    line = render("run.gif", *player, "--trust")
+    assert "of 1 monsters killed, 9 steps" in line
     assert "killed, 4 steps" in render("run.gif", *player, "--trust", "--set", "episode_steps=4")
 
 
@@ -106,8 +106,8 @@ def test_a_run_of_another_environment_plays_there(
     call("env", "render", "CartPole-v1", "--out", "x.png", "--results", "results")
     assert frames("x.png") == 1
     assert capfd.readouterr().err == ""
-    told = refused("env", "render", "pneuma/Pneuma-v0", *words, names[0])
-    assert "was trained in CartPole-v1, not in pneuma/Pneuma-v0" in told
+    message = refused("env", "render", "pneuma/Pneuma-v0", *words, names[0])
+    assert "was trained in CartPole-v1, not in pneuma/Pneuma-v0" in message
     assert "work only in Pneuma's environments" in refused("env", "render", "CartPole-v1", *words, "hunter")
 
 
@@ -119,6 +119,6 @@ def test_a_learners_policy_is_loaded_and_exported(here: Path) -> None:
     loaded, env_id, settings = load_policy(name, "results")
     observation = np.array([0.1, -0.2, 0.05, 0.3], np.float32)
     expected = learned.predict(observation, deterministic=True)[0]
-    theirs = QRDQN.load("x.zip", device="cpu").predict(observation, deterministic=True)[0]
-    assert loaded.predict(observation, deterministic=True)[0] == theirs == expected
+    exported = QRDQN.load("x.zip", device="cpu").predict(observation, deterministic=True)[0]
+    assert loaded.predict(observation, deterministic=True)[0] == exported == expected
     assert (env_id, settings) == ("CartPole-v1", {})

@@ -140,15 +140,15 @@ def test_the_best_run_is_one_of_the_environment(study: Path) -> None:
     cells = make_plan(load_study(str(study)), Query()).cells
     (best,) = (run_id(cell.run) for cell in cells if (cell.condition, cell.seed) == ("pole, ppo", 3))
     assert best in call("env", "render", "CartPole-v1", *words).err  # it has no policy
-    told = call("env", "render", "Pendulum-v1", *words).err
-    assert "was trained in CartPole-v1 and Acrobot-v1, not in Pendulum-v1" in told
+    message = call("env", "render", "Pendulum-v1", *words).err
+    assert "was trained in CartPole-v1 and Acrobot-v1, not in Pendulum-v1" in message
 
 
 def test_a_profile_is_of_the_runs_of_all_environments(study: Path) -> None:
     """Of scores around 1 and 3/4 (ppo), and 1/2 and 1/4 (a2c), eight runs each."""
     data = by_environment(open_data(study))
-    found = profiles(data).set_index("condition")
-    above = {name: of.set_index("x")["share"] for name, of in found.groupby("condition")}
+    shares = profiles(data).set_index("condition")
+    above = {name: of.set_index("x")["share"] for name, of in shares.groupby("condition")}
     for name, at, share in (("ppo", 0.5, 1), ("ppo", 0.9, 0.5), ("a2c", 0.4, 0.5), ("a2c", 0.9, 0)):
         assert above[name][above[name].index >= at].iloc[0] == share
     assert call("study", "plot", study, "--figure", "profile", "--out", "profile.png").code == 0
@@ -156,8 +156,8 @@ def test_a_profile_is_of_the_runs_of_all_environments(study: Path) -> None:
         "0 and 1 are 0 and 100 in CartPole-v1, −500 and −100 in Acrobot-v1."
         in profile_scores(open_data(study)).notes[0]
     )
-    told = call("study", "plot", "activation", "--figure", "profile")
-    assert (told.code, "is over several environments; activation has one" in told.err) == (2, True)
+    called = call("study", "plot", "activation", "--figure", "profile")
+    assert (called.code, "is over several environments; activation has one" in called.err) == (2, True)
 
 
 def test_a_scale_of_nothing_is_refused(study: Path) -> None:
@@ -183,6 +183,6 @@ def test_factors_values_have_labels_and_colours(study: Path) -> None:
 
 
 def test_how_many_seeds_find_a_difference(study: Path) -> None:
-    asked = ("study", "plan", study, "--detect", "2", "--outcome", "evaluated-return", "--json")
-    rows = call(*asked).document["seeds"]
+    words = ("study", "plan", study, "--detect", "2", "--outcome", "evaluated-return", "--json")
+    rows = call(*words).document["seeds"]
     assert {row["runs"] for row in rows} == {"4 and 4"}

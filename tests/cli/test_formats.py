@@ -36,13 +36,13 @@ def mine(tmp_path: Path) -> list[str]:
 
 def test_a_summary_as_a_thesis_prints_it(mine: list[str]) -> None:
     """0.2, 0.4 and 0.6 have a mean of 0.4 and a standard deviation of 0.2; the score's return is the same."""
-    asked = ("--outcome", "final-share-killed", "--outcome", "final-return")
-    assert printed("study", "summary", *mine, *asked, "--format", "markdown") == SUMMARY
-    paper = printed("study", "summary", *mine, *asked, "--format", "latex")
+    outcomes = ("--outcome", "final-share-killed", "--outcome", "final-return")
+    assert printed("study", "summary", *mine, *outcomes, "--format", "markdown") == SUMMARY
+    paper = printed("study", "summary", *mine, *outcomes, "--format", "latex")
     assert r"high & 3 & 0.40 $\pm$ 0.20 & 0.40 $\pm$ 0.20 \\" in paper
     reached = printed("study", "summary", *mine, "--outcome", "steps-to:0.1", "--format", "markdown")
     assert reached.splitlines()[0] == "| condition | runs | steps-to:0.1 (steps), median |"
-    wide = printed("study", "summary", *mine, *asked, "--format", "markdown", "--cells", "interval")
+    wide = printed("study", "summary", *mine, *outcomes, "--format", "markdown", "--cells", "interval")
     assert "| high | 3 | 0.400 |" in wide  # of three runs there is no interval
     assert "--cells requires" in refused("study", "summary", *mine, "--cells", "sd")
 
@@ -59,31 +59,31 @@ def test_a_long_latex_table_is_broken_over_pages_and_a_cell_of_markdown_stays_in
 
 def test_a_comparison_in_every_form(mine: list[str]) -> None:
     name, *rest = mine
-    asked = ["study", "compare", name, "high", "middle", *rest, "--outcome", "final-share-killed"]
-    lines = printed(*asked, "--format", "markdown").splitlines()
+    words = ["study", "compare", name, "high", "middle", *rest, "--outcome", "final-share-killed"]
+    lines = printed(*words, "--format", "markdown").splitlines()
     assert lines[0] == "| outcome | high | middle | difference | P(better) | runs | no value |"
     assert lines[2] == "| final-share-killed (share) | 0.400 | 0.200 | 0.200 | – | 3 and 3 | 0 |"
-    (row,) = csv.DictReader(io.StringIO(printed(*asked, "--format", "csv")))
+    (row,) = csv.DictReader(io.StringIO(printed(*words, "--format", "csv")))
     assert (row["a"], row["b"]) == ("high", "middle") and float(row["difference"]) == pytest.approx(0.2)
-    assert described(*asked, "--json") == described(*asked, "--format", "json")
-    assert "high against middle" in printed(*asked)
+    assert described(*words, "--json") == described(*words, "--format", "json")
+    assert "high against middle" in printed(*words)
 
 
 def test_verdicts_in_every_form(tmp_path: Path) -> None:
     """0.735 against 0.235: a difference of one half in every run."""
     save_runs(Store(tmp_path / "results"), tmp_path, {"high": HIGH, "low": LOW})
-    asked = ["study", "verify", "--claims", write_files(tmp_path), "--results", tmp_path / "results"]
+    words = ["study", "verify", "--claims", write_files(tmp_path), "--results", tmp_path / "results"]
     effect = "kills 74 against 24 % (47 to 53; ±4.0)"
-    lines = printed(*asked, "--format", "markdown").splitlines()
+    lines = printed(*words, "--format", "markdown").splitlines()
     assert lines[0] == "| Section | The thesis's sentence | text |"
     assert lines[2].startswith(f"| 6 | “a quote”<br>high against low | holds [p]<br>{effect} |")
-    assert r"kills 74 against 24 \% (47 to 53; " in printed(*asked, "--format", "latex")
-    (row,) = csv.DictReader(io.StringIO(printed(*asked, "--format", "csv")))
+    assert r"kills 74 against 24 \% (47 to 53; " in printed(*words, "--format", "latex")
+    (row,) = csv.DictReader(io.StringIO(printed(*words, "--format", "csv")))
     assert (row["claim"], row["verdict"], row["seeds_a"]) == ("better", "supported", "8")
     assert float(row["mean_a"]) - float(row["mean_b"]) == pytest.approx(0.5)
-    told = printed(*asked, "better")
-    assert told.startswith("better (section 6)\n  “a quote”\n  high against low\n    text")
-    assert "high against low, 8 and 8 runs: kills 74" in told
+    page = printed(*words, "better")
+    assert page.startswith("better (section 6)\n  “a quote”\n  high against low\n    text")
+    assert "high against low, 8 and 8 runs: kills 74" in page
 
 
 def test_the_thesis_tables_are_printed_as_they_stand_there() -> None:

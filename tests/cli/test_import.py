@@ -55,8 +55,8 @@ def test_logs_are_compared_and_drawn_beside_a_study_in_what_both_have(
     at = ("--results", shutil.copytree(trained, tmp_path / "results"))
     printed("import", "tensorboard", logs, *at)
     words = ("study", "compare", "activation", "--with", "old", *SETTINGS, *at)
-    told = described(*words, "--outcome", "final-return", "--json")["comparisons"]
-    runs = {row["a"]: (row["seeds_a"], row["seeds_b"]) for row in told}
+    comparisons = described(*words, "--outcome", "final-return", "--json")["comparisons"]
+    runs = {row["a"]: (row["seeds_a"], row["seeds_b"]) for row in comparisons}
     assert runs == {"tanh, activation": (2, 2), "relu, activation": (2, 1)}
     outcomes = {row["outcome"] for row in described(*words, "--json")["comparisons"]}
     assert outcomes == {"final-return", "auc-return"}

@@ -41,10 +41,10 @@ def test_a_study_beside_its_environment_is_trained_and_told(tmp_path: Path) -> N
     (trace,) = (tmp_path / "results").glob("runs/*/error.txt")
     assert f'{tmp_path / "corridors.py"}", line' in trace.read_text() and "raise Zero" in trace.read_text()
     table = described("study", "summary", mine, *at, "--json")["summary"]
-    told = {row["outcome"]: row["runs"] for row in table if row["condition"] == "sound"}
-    assert told["evaluated-return"] == told["final-success"] == 1
-    drawn = described("study", "plot", mine, *at, "--format", "svg", "--json")["figures"]
-    assert "random player (−" in Path(drawn[0]).read_text()  # a return, and no share
+    runs_by_outcome = {row["outcome"]: row["runs"] for row in table if row["condition"] == "sound"}
+    assert runs_by_outcome["evaluated-return"] == runs_by_outcome["final-success"] == 1
+    figures = described("study", "plot", mine, *at, "--format", "svg", "--json")["figures"]
+    assert "random player (−" in Path(figures[0]).read_text()  # a return, and no share
     printed("study", "export", mine, *at, "--table", "curves", "--out", tmp_path / "curves.csv")
     assert not any("killed" in row["outcome"] or "hp" in row["outcome"] for row in table)
     printed("study", "export", mine, *at, "--table", "evaluations", "--out", tmp_path / "evaluations.csv")
@@ -82,23 +82,23 @@ def test_an_observation_that_is_not_of_its_space_is_told_once_a_run_and_stored(t
     code, _, err = call("study", "run", mine, *at, "--quiet")
     what = "Corridor-v0: an observation is not of its declared space:"
     why = {"low": "number 0 is 4, and not from -1 to 3", "double": "float64 in place of float32"}
-    told = {name: f"{what} {reason}" for name, reason in why.items()}
+    warnings = {name: f"{what} {reason}" for name, reason in why.items()}
     said = [line for line in err.splitlines() if "declared space" in line]
-    assert code == 0 and sorted(said) == sorted(f"{name} seed 0: {text}" for name, text in told.items())
-    shown = [described("run", "show", run["run_id"], *at, "--json") for run in _runs(*at)]
-    assert {run["provenance"].get("warning") for run in shown} == {*told.values(), None}
+    assert code == 0 and sorted(said) == sorted(f"{name} seed 0: {text}" for name, text in warnings.items())
+    runs = [described("run", "show", run["run_id"], *at, "--json") for run in _runs(*at)]
+    assert {run["provenance"].get("warning") for run in runs} == {*warnings.values(), None}
 
 
 def test_an_engine_that_is_left_open_is_one_that_can_train_what_an_action_is(tmp_path: Path) -> None:
     mine, at = tmp_path / "odd.toml", ("--results", tmp_path / "results")
     mine.write_text(ODD.replace('"double"', '"numbers"'))
     picked = ("--condition", "double", "--condition", "sound")
-    told = call("study", "run", mine, *at, "--quiet", *picked, "--steps", 64)
-    assert told.code == 0
+    called = call("study", "run", mine, *at, "--quiet", *picked, "--steps", 64)
+    assert called.code == 0
     (note,) = (line for line in call("study", "plan", mine, *at).out.splitlines() if "trained by" in line)
     assert note.startswith("Note: double: trained by sb3, because the engine batched cannot train")
-    shown = [described("run", "show", run["run_id"], *at, "--json") for run in _runs(*at)]
-    assert {run["settings"]["engine"] for run in shown} == {"sb3", "batched"}
+    runs = [described("run", "show", run["run_id"], *at, "--json") for run in _runs(*at)]
+    assert {run["settings"]["engine"] for run in runs} == {"sb3", "batched"}
     table = described("study", "summary", mine, *at, "--json", *picked)["summary"]
     assert {row["condition"]: row["runs"] for row in table} == {"double": 1, "sound": 1}
 
@@ -123,8 +123,8 @@ def test_what_cannot_be_made_is_refused_with_its_reason(condition: str, why: str
     (tmp_path / "raising.py").write_text("raise OSError('no such display')\n")
     study = tmp_path / "mine.toml"
     study.write_text(ODD + BROKEN)
-    asked = (study, "--condition", "sound", "--condition", condition, "--results", tmp_path / "results")
+    words = (study, "--condition", "sound", "--condition", condition, "--results", tmp_path / "results")
     for verb in ("plan", "run"):
-        code, out, err = call("study", verb, *asked)
+        code, out, err = call("study", verb, *words)
         assert (code, out) == (2, "") and why in err.splitlines()[-1]
     assert not (tmp_path / "results").exists()

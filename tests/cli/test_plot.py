@@ -35,8 +35,8 @@ def test_a_figure_tells_what_it_shows_by_its_name_and_its_runs(
     note_query(store, plan)
     for cell in plan.cells:
         save_finished(store, cell.run)
-    asked = ("--world", "text", "--set", "gamma=0.5", "--results", store.root, "--out", tmp_path / "there")
-    called = call("study", "plot", "activation", *words.split(), *asked)
+    options = ("--world", "text", "--set", "gamma=0.5", "--results", store.root, "--out", tmp_path / "there")
+    called = call("study", "plot", "activation", *words.split(), *options)
     assert called.code == 0, called.err
     (drawn,) = (tmp_path / "there").glob("*.png")
     assert drawn.name == f"fig-6-5-text-gamma=0.5-{name}.png"

@@ -31,9 +31,9 @@ def make(store: Store, tmp_path: Path) -> Make:
 
     def make_page(*names: str) -> Page:
         out = tmp_path / "report.html"
-        told = described("report", *names, "--out", out, "--results", store.root, "--quiet", "--json")
+        document = described("report", *names, "--out", out, "--results", store.root, "--quiet", "--json")
         page = out.read_bytes()
-        assert (told["schema"], told["file"], told["bytes"]) == (1, str(out), len(page))
+        assert (document["schema"], document["file"], document["bytes"]) == (1, str(out), len(page))
         return Page(page)
 
     return make_page
@@ -53,11 +53,13 @@ def test_without_any_run_studies_say_how_to_get_them_and_verdicts_are_those_of_s
     for command in ("activation", "activation --world text", "activation --world godot", "own-game"):
         assert f"No runs yet. To train what is missing: pneuma study run {command}" in words
     assert "own-game --world text" not in words and page.all("img") == []
-    asked = []
+    claim_names = []
     for claims in shipped_claims():
-        asked += [name for name, claim in claims.claims.items() if claim.study in ("activation", "own-game")]
+        claim_names += [
+            name for name, claim in claims.claims.items() if claim.study in ("activation", "own-game")
+        ]
         assert claims.digest in words
-    document = described("study", "verify", *asked, "--results", store.root, "--json")
+    document = described("study", "verify", *claim_names, "--results", store.root, "--json")
     counted = Counter((claim["world"], claim["word"]) for claim in document["claims"])
     rows = [each.text for each in page.elements if each.tag == "td"][: len(WORDS) * len(WORLDS)]
     assert [int(cell) for cell in rows] == [counted[world, word] for world in WORLDS for word in WORDS]

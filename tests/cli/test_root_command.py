@@ -23,8 +23,8 @@ from .calls import printed, refused
 def _commands(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
     """Yield the words of every group and command, beginning with none."""
     yield path
-    for name, own in getattr(group, "commands", {}).items():
-        yield from _commands(own, (*path, name))
+    for name, options in getattr(group, "commands", {}).items():
+        yield from _commands(options, (*path, name))
 
 
 def test_every_command_has_help_and_no_list_of_commands_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -105,8 +105,8 @@ def test_json_is_one_document_whatever_an_environment_prints(tmp_path: Path) -> 
     (tmp_path / "noisy.py").write_text(NOISY)
     (tmp_path / "mine.toml").write_text(STUDY)
     command = [sys.executable, "-m", "pneuma", "study", "plan", "mine.toml", "--json"]
-    own = {"cwd": tmp_path, "env": worker_environment()}
-    done = subprocess.run(command, **own, capture_output=True, text=True, check=True)  # type: ignore[call-overload]
+    options = {"cwd": tmp_path, "env": worker_environment()}
+    done = subprocess.run(command, **options, capture_output=True, text=True, check=True)  # type: ignore[call-overload]
     assert json.loads(done.stdout)["study"]
     for told in ("imported", "made", "by C", "by another way", "past Python"):
         assert told in done.stderr

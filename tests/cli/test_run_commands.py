@@ -50,8 +50,10 @@ def test_list_tells_every_run_once_with_the_studies_that_ask_for_it(
     (store.run_folder(leaky) / "provenance.json").unlink()
     documents = {row.pop("run_id"): row for row in described("run", "list", "--json")["runs"]}
     held = {"study": "activation", "world": "text", "condition": "relu", "seed": 7}
-    told = documents[relu]
-    assert (told["status"], told["step"], told["seed"]) == ("done", 1024, 7) and held in told["studies"]
+    document = documents[relu]
+    assert (document["status"], document["step"], document["seed"]) == ("done", 1024, 7) and held in document[
+        "studies"
+    ]
     assert documents[alone] == {"status": "done", "step": 256, "seed": 3, "studies": []}
     assert documents[leaky]["status"] == "damaged"
     assert "No run is stored" in printed("run", "list", "--results", tmp_path / "none")
@@ -86,6 +88,6 @@ def test_show_says_which_file_is_not_what_was_written(store: Store, alone: str) 
     document = described("run", "show", alone, "--json")
     assert document["status"] == "damaged"
     states = {"run.json": "damaged", "provenance.json": "missing", "metrics.parquet": "sound"}
-    found = {file["name"]: file["state"] for file in document["files"]}
-    assert found.items() >= {**states, "more.txt": "unlisted"}.items()
+    states_by_file = {file["name"]: file["state"] for file in document["files"]}
+    assert states_by_file.items() >= {**states, "more.txt": "unlisted"}.items()
     assert "Fields" in printed("run", "show", alone)

@@ -72,8 +72,8 @@ def test_a_search_is_told_as_json_and_trains_nothing_twice(
     best = document["trials"][document["best"]]["values"]
     assert best == min(trial["values"] for trial in document["trials"])
     assert {p: p.stat().st_mtime_ns for p in results.glob("runs/*/status.json")} == before
-    told = described("search", "status", "small", "--results", results, "--json")  # its file is here
-    assert told["trials"] == document["trials"]
+    status = described("search", "status", "small", "--results", results, "--json")  # its file is here
+    assert status["trials"] == document["trials"]
     assert f"Best: trial {document['best']}." in printed("search", "status", path, "--results", results)
     again = described("search", "run", "small", "--results", results, "--json")
     assert again["trials"] == document["trials"]
@@ -152,9 +152,9 @@ def test_an_outcome_that_the_environment_cannot_have_is_refused_before_training(
     """In a search, and as one that a study asks about."""
     search, study, at = tmp_path / "search.toml", tmp_path / "study.toml", ("--results", tmp_path / "results")
     search.write_text(SEARCH.replace("[run]", '[run]\nenv = "CartPole-v1"'))
-    told = "unknown outcome of CartPole-v1 'auc-share-killed'"
-    assert told in (line := refused("search", "run", search, *at)) and "return" in line
+    message = "unknown outcome of CartPole-v1 'auc-share-killed'"
+    assert message in (line := refused("search", "run", search, *at)) and "return" in line
     head = 'title = "A"\nbase = "table-6-2"\noutcomes = ["auc-share-killed"]\n[run]\nenv = "CartPole-v1"\n'
     study.write_text(f"{head}[conditions.one]\n[presets.quick]\nseeds = 2\nsteps = 128\n")
-    assert told in refused("study", "run", study, *at)
+    assert message in refused("study", "run", study, *at)
     assert not (tmp_path / "results").exists()

@@ -37,8 +37,8 @@ def test_where_nothing_was_run_the_published_preset_is_shown(store: Store) -> No
     """Tables 300 to 329 of the page: 30 runs of tanh, and 30 of ReLU though 60 are published."""
     code, out, err = call("study", "compare", "activation", *PAIR, "--results", store.root)
     assert code == 0 and "30 and 30" in out
-    shown = "activation in the arena, preset paper, tanh and relu alone: 60 of 60 runs (published)."
-    assert err.splitlines()[-1] == shown
+    coverage = "activation in the arena, preset paper, tanh and relu alone: 60 of 60 runs (published)."
+    assert err.splitlines()[-1] == coverage
 
 
 @pytest.mark.usefixtures("unshipped")
@@ -49,14 +49,14 @@ def test_what_was_run_last_is_shown_exactly_and_other_presets_are_counted(store:
     (tried,) = finish_study(store, seeds=(1000,), steps=2048, conditions=("tanh",), noted=False)
     trials = [{"run_id": tried, "condition": "trial-000", "seed": 1000}]
     store.save_listing("search-x", {"title": "x", "baseline": "trial-000", "runs": trials})
-    asked = "activation in the arena, preset"
-    text = f"{asked} quick, tanh and relu alone, seeds 1..2, 2,048 steps: 4 of 4 runs."
+    beginning = "activation in the arena, preset"
+    text = f"{beginning} quick, tanh and relu alone, seeds 1..2, 2,048 steps: 4 of 4 runs."
     assert show(store, "activation@last") == (last, f"{text} Also: standard (15 runs).")
     assert show(store, "activation")[0] == last
     assert show(store, "activation", steps=512, seeds=(0, 1))[0] == first
-    text = f"{asked} quick: 15 of 15 runs. Also: standard (15 runs)."
+    text = f"{beginning} quick: 15 of 15 runs. Also: standard (15 runs)."
     assert show(store, "activation@quick") == (quick, text)
-    text = f"{asked} paper: 0 of 90 runs. Also: quick (15 runs), standard (15 runs)."
+    text = f"{beginning} paper: 0 of 90 runs. Also: quick (15 runs), standard (15 runs)."
     assert show(store, "activation@paper")[1] == text
     data = open_data("activation", store.root, seeds=[2], conditions="relu")
     assert [run.run_id for run in data.rows] == [last[3]]
@@ -68,8 +68,10 @@ def test_a_query_is_kept_for_each_world(store: Store) -> None:
     arena = finish_study(store, seeds=(0,), steps=1024)
     text = finish_study(store, world="text", seeds=(5,), steps=2048, settings={"gamma": 0.5})
     assert show(store, "activation")[0] == arena
-    shown, line = show(store, "activation", "text")
-    assert shown == text and line.startswith("activation in the text's world with gamma = 0.5, preset quick,")
+    run_ids, line = show(store, "activation", "text")
+    assert run_ids == text and line.startswith(
+        "activation in the text's world with gamma = 0.5, preset quick,"
+    )
     last = last_query(store, "activation", "text")
     assert last is not None and (last.seeds, last.steps, dict(last.settings)) == ((5,), 2048, {"gamma": 0.5})
     assert show(store, "activation", "godot")[0] == []
@@ -78,8 +80,8 @@ def test_a_query_is_kept_for_each_world(store: Store) -> None:
 @pytest.mark.usefixtures("unshipped")
 def test_cells_without_a_run_are_counted_and_no_reason_to_show_others(store: Store) -> None:
     ids = finish_study(store, seeds=(0,), steps=1024, conditions=PAIR)
-    shown, text = show(store, "activation", seeds=(0, 1), steps=1024)
-    assert shown == ids and text.endswith(", seeds 0..1, 1,024 steps: 2 of 4 runs.")
+    run_ids, text = show(store, "activation", seeds=(0, 1), steps=1024)
+    assert run_ids == ids and text.endswith(", seeds 0..1, 1,024 steps: 2 of 4 runs.")
     message = refused("study", "summary", "activation", "--seeds", "7,", "--results", store.root)
     assert ": 0 of 2 runs. Train them with `pneuma study run activation --condition tanh " in message
     called = call("study", "compare", "activation", "tanh", "leaky-relu", "--results", store.root)
@@ -96,8 +98,8 @@ def test_a_run_of_another_version_counts_where_there_is_no_other(
         old = finish_study(store, seeds=(0, 1), steps=1024, conditions=("tanh",))
     assert show(store, "activation")[1].endswith(": 2 of 2 runs (2 by another version).")
     (new,) = finish_study(store, seeds=(0,), steps=1024, conditions=("tanh",))
-    shown, text = show(store, "activation", seeds=(0, 1))
-    assert shown == [new, old[1]] and text.endswith("2 of 2 runs (1 by another version).")
+    run_ids, text = show(store, "activation", seeds=(0, 1))
+    assert run_ids == [new, old[1]] and text.endswith("2 of 2 runs (1 by another version).")
     assert show(store, "activation", settings={"gamma": 0.5})[0] == []
 
 
@@ -112,8 +114,8 @@ def test_a_published_run_has_the_fields_of_its_cell_whatever_fields_have_left_si
 
 def test_own_runs_of_the_published_cells_count_first(store: Store) -> None:
     (own,) = finish_study(store, seeds=(300,), steps=1_000_448, conditions=("tanh",))
-    shown, text = show(store, "activation@paper")
-    assert len(shown) == 90 and own in shown
+    run_ids, text = show(store, "activation@paper")
+    assert len(run_ids) == 90 and own in run_ids
     assert text.endswith("90 of 90 runs (1 trained here, 89 published).")
 
 

@@ -84,8 +84,8 @@ def test_untrusted_nothing_is_written_through_a_link(mark: Path, output: str, li
     Path("theirs").write_text("precious")
     Path(name).symlink_to(name if link == "itself" else link)
     for force in ((), ("--force",)):
-        told = refused(*words, "--out", name, *force, "--results", "results")
-        assert told == f"--out {name}: is a link; name the file itself"
+        message = refused(*words, "--out", name, *force, "--results", "results")
+        assert message == f"--out {name}: is a link; name the file itself"
     assert Path("theirs").read_text() == "precious" and not Path("nothing").exists()
 
 
@@ -107,5 +107,5 @@ def test_untrusted_a_folder_that_is_a_link_to_itself_is_one_line(mark: Path) -> 
     Path("loop").symlink_to("loop")
     for words in (("study", "plot", "activation"), ("search", "plot", "ppo")):
         code, _, err = call(*words, "--out", "loop", "--results", "results")
-        told = [line for line in err.splitlines() if line.startswith("pneuma: ")]
-        assert code == 2 and len(told) == 1 and "Traceback" not in err, err
+        messages = [line for line in err.splitlines() if line.startswith("pneuma: ")]
+        assert code == 2 and len(messages) == 1 and "Traceback" not in err, err

@@ -26,9 +26,9 @@ WILD: dict[str, Any] = {
 def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(case: str) -> None:
     run = run_of(case)
     assert make_run(as_fields(run)) == run
-    whole, taken = train_once(run)
+    whole, checkpoints = train_once(run)
     assert whole.status == "done"
-    for checkpoint in (taken[0], taken[-2]):
+    for checkpoint in (checkpoints[0], checkpoints[-2]):
         np.random.seed(1)
         torch.manual_seed(1)  # whatever other runs drew meanwhile
         resumed, _ = train(run, decode(encode(checkpoint, {}, ""))[0])
@@ -48,20 +48,20 @@ def test_a_run_ends_with_the_same_bits_whoever_was_trained_before_it(case: str) 
 
 @pytest.mark.parametrize("engine", BOTH)
 def test_a_checkpoint_does_not_change_while_its_run_goes_on(engine: str) -> None:
-    kept: list[tuple[Checkpoint, bytes]] = []
+    encoded: list[tuple[Checkpoint, bytes]] = []
 
     def keep(progress: Progress) -> bool:
         assert progress.checkpoint
-        kept.append((checkpoint := progress.checkpoint(), encode(checkpoint, {}, "")))
+        encoded.append((checkpoint := progress.checkpoint(), encode(checkpoint, {}, "")))
         return True
 
     train_run(run_of(engine=engine), keep)
-    assert all(encode(checkpoint, {}, "") == at_once for checkpoint, at_once in kept)
+    assert all(encode(checkpoint, {}, "") == at_once for checkpoint, at_once in encoded)
 
 
 @pytest.mark.parametrize("engine", BOTH)
 @pytest.mark.parametrize("settings", [{"actor": (64,)}, {"optimizer": "sgd", "momentum": 0.9}, {"slots": 2}])
 def test_a_checkpoint_of_another_run_is_refused(settings: dict[str, object], engine: str) -> None:
-    _, taken = train_once(run_of(engine=engine))
+    _, checkpoints = train_once(run_of(engine=engine))
     with pytest.raises(CheckpointError, match="cannot go on from step 64"):
-        train(run_of(**settings, engine=engine), taken[0])
+        train(run_of(**settings, engine=engine), checkpoints[0])

@@ -24,8 +24,8 @@ def test_one_update_of_every_network(actor: tuple[int, ...], critic: tuple[int, 
     """One epoch of one minibatch, so that a mean of squares is the square, from an almost even policy."""
     one = {"horizon": 64, "minibatch": 64, "epochs": 1, "steps": 64, "evaluation_episodes": 1}
     run = make_run({**one, "episode_steps": 30, "actor": actor, "critic": critic, "engine": engine})
-    result, taken = train(run)
-    assert (result.status, result.step, len(taken)) == ("done", 64, 1)
+    result, checkpoints = train(run)
+    assert (result.status, result.step, len(checkpoints)) == ("done", 64, 1)
     assert isinstance(result.policy, Policy)
     for layers, hidden, outputs in ((result.policy.actor, actor, 5), (result.policy.critic, critic, 1)):
         assert [weight.shape for weight, _ in layers] == list(
@@ -54,12 +54,12 @@ def test_episodes_of_slots_add_up_to_the_steps_of_all(engine: str) -> None:
     result, _ = train(run_of(slots=2, horizon=32, episode_steps=40, engine=engine))
     assert [row["step"] for row in result.records.metrics] == [64, 128, 192, 256, 320, 384]
     for slot in range(2):
-        own = [row for row in result.records.episodes if row["slot"] == slot]
-        lengths = np.cumsum([row["length"] for row in own])
+        episodes = [row for row in result.records.episodes if row["slot"] == slot]
+        lengths = np.cumsum([row["length"] for row in episodes])
         # An episode of a slot ends when all slots together have taken twice its slot's steps.
-        assert own and [row["step"] for row in own] == (2 * lengths).tolist()
-        assert [row["episode"] for row in own] == list(range(len(own)))
-        assert max(row["length"] for row in own) <= 40
+        assert episodes and [row["step"] for row in episodes] == (2 * lengths).tolist()
+        assert [row["episode"] for row in episodes] == list(range(len(episodes)))
+        assert max(row["length"] for row in episodes) <= 40
     for row in result.records.episodes:
         assert row["ending"] in ("killed", "time-limit")
         assert (row["hp"] == 0) == (row["ending"] == "killed")

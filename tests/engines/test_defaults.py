@@ -24,30 +24,30 @@ OTHERS: dict[str, dict[str, Any]] = {
 
 def settings(model: Any, kind: type) -> dict[str, Any]:
     """Return all that a learner computes with: its arguments, its networks, and how it descends."""
-    found: dict[str, Any] = {"networks": str(model.policy)}
+    values: dict[str, Any] = {"networks": str(model.policy)}
     for name in inspect.signature(kind.__init__).parameters:  # type: ignore[misc]
         if name not in NOT_COMPARED and name in vars(model):
             value = vars(model)[name]
             is_schedule = callable(value) and not isinstance(value, type)
-            found[name] = [value(left) for left in (1, 0.5)] if is_schedule else value
+            values[name] = [value(left) for left in (1, 0.5)] if is_schedule else value
     for part in (model.policy, *model.policy.children()):
         if optimizer := getattr(part, "optimizer", None):
             rule = {key: value for key, value in optimizer.param_groups[0].items() if key != "params"}
-            found[f"optimizer of {type(part).__name__}"] = type(optimizer), rule
-    return found
+            values[f"optimizer of {type(part).__name__}"] = type(optimizer), rule
+    return values
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_what_nobody_sets_is_the_librarys_default(algorithm: str) -> None:
     run = make_run({"algorithm": algorithm, **GIVEN, **OTHERS.get(algorithm, {})})
     if ALGORITHMS[algorithm].learner:
-        ours: Any = OpenTrainer(run).policy().learner
-        env = ours.env
+        learner: Any = OpenTrainer(run).policy().learner
+        env = learner.env
     else:
         env = make_vec_env(run)
-        ours = make_model(run, env)
+        learner = make_model(run, env)
     kind = learner_class(run)
-    theirs = kind(run.policy or "MlpPolicy", env, device="cpu")
-    expected = settings(theirs, kind)
+    library_learner = kind(run.policy or "MlpPolicy", env, device="cpu")
+    expected = settings(library_learner, kind)
     assert {"learning_rate", "gamma", "networks"} < expected.keys() and len(expected) > 10
-    assert settings(ours, kind) == expected
+    assert settings(learner, kind) == expected

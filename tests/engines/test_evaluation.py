@@ -131,8 +131,11 @@ def test_evaluations_elsewhere_play_few_steps_beside_the_run_s(
     assert len(rows) == count
     assert len(played) <= 0.6 * steps
     assert {row["episodes"] for row in rows} == {1 if env == "Acrobot-v1" else 10}
-    asked = replace(run, evaluation_episodes=20)
-    assert len(evaluation_updates(asked)) == min(20, run.updates) and evaluation_episodes(asked) == 20
+    run_with_episodes = replace(run, evaluation_episodes=20)
+    assert (
+        len(evaluation_updates(run_with_episodes)) == min(20, run.updates)
+        and evaluation_episodes(run_with_episodes) == 20
+    )
 
 
 def test_evenness_is_the_entropy_of_the_players_shares() -> None:
@@ -178,9 +181,9 @@ def test_the_commonest_action_is_counted_over_all_steps_of_the_sampled_episodes(
 
     monkeypatch.setattr(evaluation.worlds, "advance", counting)
     policy = constant([math.log(12), math.log(2), math.log(2), math.log(2), math.log(2)], 60)
-    told = evaluation.evaluate(policy, 7)["commonest_action"]
-    assert told == counts.max() / counts.sum() == counts[0] / counts.sum()
-    assert told == pytest.approx(0.6, abs=0.05)
+    share = evaluation.evaluate(policy, 7)["commonest_action"]
+    assert share == counts.max() / counts.sum() == counts[0] / counts.sum()
+    assert share == pytest.approx(0.6, abs=0.05)
 
 
 @pytest.mark.parametrize("activation", ACTIVATIONS)
@@ -216,7 +219,7 @@ def test_a_constant_reward_is_worth_the_geometric_series(
         return ended
 
     monkeypatch.setattr(values.worlds, "step", paid)
-    told = values.measure(constant([0, 7, 0, 0, 0], 60, critic=(), exploration=0.1))
-    assert told["q_estimate"] == 7.0
-    assert told["q_true"] == pytest.approx(1 / (1 - gamma), rel=0.011)
-    assert told["q_true"] <= 1 / (1 - gamma)
+    row = values.measure(constant([0, 7, 0, 0, 0], 60, critic=(), exploration=0.1))
+    assert row["q_estimate"] == 7.0
+    assert row["q_true"] == pytest.approx(1 / (1 - gamma), rel=0.011)
+    assert row["q_true"] <= 1 / (1 - gamma)

@@ -67,8 +67,8 @@ def policy_of(case: str) -> tuple[Run, Policy]:
 
 
 def test_a_zip_has_its_runs_hyperparameters_and_no_optimizer_of_ours() -> None:
-    own = {"clip": "separate", "gradient_limit": 0.7, "gamma": 0.9, "clip_range": 0.3}
-    settings = {"optimizer": "upgd", "betas": (0.8, 0.9), "weight_decay": 0.01, **own}
+    limits = {"clip": "separate", "gradient_limit": 0.7, "gamma": 0.9, "clip_range": 0.3}
+    settings = {"optimizer": "upgd", "betas": (0.8, 0.9), "weight_decay": 0.01, **limits}
     run = make_run({**settings, "actor": [4], "critic": [4]})
     model = PPO.load(io.BytesIO(to_sb3(random_policy(run, 11, 5), run, SPACE)), device="cpu")
     assert type(model.policy.optimizer) is torch.optim.Adam
@@ -81,14 +81,14 @@ def test_a_zip_has_its_runs_hyperparameters_and_no_optimizer_of_ours() -> None:
 def test_the_zip_acts_as_the_policy_does(case: str) -> None:
     run, policy = policy_of(case)
     learner: Any = A2C if run.algorithm == "a2c" else PPO
-    seen = seen_by(policy)
+    observations = seen_by(policy)
     model = learner.load(io.BytesIO(to_sb3(policy, run, SPACE)), device="cpu")
-    chosen, _ = model.predict(seen, deterministic=True)
-    best = policy.best(seen)
+    chosen, _ = model.predict(observations, deterministic=True)
+    best = policy.best(observations)
     np.testing.assert_allclose(chosen.reshape(best.shape), best, rtol=1e-5, atol=1e-5)
     assert len(np.unique(chosen, axis=0)) > 1
-    values = model.policy.predict_values(torch.from_numpy(seen)).detach().numpy()[:, 0]
-    np.testing.assert_allclose(values, policy.values(seen), rtol=1e-5, atol=1e-5)
+    values = model.policy.predict_values(torch.from_numpy(observations)).detach().numpy()[:, 0]
+    np.testing.assert_allclose(values, policy.values(observations), rtol=1e-5, atol=1e-5)
     if policy.deviation is not None:
         deviation = model.policy.log_std.exp().detach().numpy()
         np.testing.assert_allclose(deviation, policy.deviation, rtol=1e-6)

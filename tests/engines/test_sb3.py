@@ -24,21 +24,21 @@ def test_training_is_what_the_library_does_by_itself_bit_for_bit(case: str) -> N
     run = run_of(case, seed=5)
     alone = sb3_learners.make_model(run, make_vec_env(run))
     alone.learn(run.steps, log_interval=None)
-    ours, other = train(run)[0].policy, train_once(run_of(case))[0].policy
-    assert ours is not None and other is not None
-    assert ours.to_bytes() == sb3.extract_policy(alone, run).to_bytes() != other.to_bytes()
+    policy, of_another_seed = train(run)[0].policy, train_once(run_of(case))[0].policy
+    assert policy is not None and of_another_seed is not None
+    assert policy.to_bytes() == sb3.extract_policy(alone, run).to_bytes() != of_another_seed.to_bytes()
 
 
 def test_a_trained_network_is_let_go() -> None:
     """Hooks on gradients once kept every network of a process in memory."""
     run = run_of("ppo")
     model = sb3_learners.make_model(run, make_vec_env(run))
-    kept = weakref.ref(next(model.policy.parameters()))
+    parameter = weakref.ref(next(model.policy.parameters()))
     with sb3.GradientNorms(model, run) as norms:
         model.learn(64, log_interval=None)
     del model, norms
     gc.collect()
-    assert kept() is None
+    assert parameter() is None
 
 
 @pytest.mark.parametrize("case", LEARNERS)

@@ -59,8 +59,8 @@ class Mine(DQN):
 """
 
 
-def pasted(**given: Any) -> Run:
-    return make_run({**SHORT, **own_fields(given)})
+def pasted(**fields: Any) -> Run:
+    return make_run({**SHORT, **own_fields(fields)})
 
 
 def learned(run: Run) -> LearnedPolicy:
@@ -81,8 +81,8 @@ def test_another_learner_trains_is_evaluated_and_repeats() -> None:
     assert first.records.episodes == second.records.episodes
     lengths = [episode["length"] for episode in first.records.episodes]
     assert 0 < sum(lengths) <= 256 and lengths == [e["return"] for e in first.records.episodes]
-    for one, other in zip(first.records.evaluations, second.records.evaluations, strict=True):
-        assert one == pytest.approx(other, nan_ok=True) and np.isfinite(one["return"])
+    for one, other_run in zip(first.records.evaluations, second.records.evaluations, strict=True):
+        assert one == pytest.approx(other_run, nan_ok=True) and np.isfinite(one["return"])
     assert np.isfinite(first.records.metrics[-1]["value_loss"])
 
 
@@ -100,8 +100,8 @@ def test_the_zoos_entry_of_dqn_is_handed_on_as_it_is() -> None:
     check_environment(run)
     model: Any = OpenTrainer(run).policy().learner
     assert [model.lr_schedule(left) for left in (1, 0.5)] == pytest.approx([2.3e-3, 1.15e-3])
-    named = {key: entry[key] for key in entry if type(entry[key]) is not str and key != "train_freq"}
-    assert {key: getattr(model, key) for key in named} == named
+    arguments = {key: entry[key] for key in entry if type(entry[key]) is not str and key != "train_freq"}
+    assert {key: getattr(model, key) for key in arguments} == arguments
     assert model.train_freq == TrainFreq(256, TrainFrequencyUnit.STEP)
     assert model.policy.net_arch == [256, 256] and model.policy.activation_fn is nn.ReLU
     assert (model.max_grad_norm, model.policy.optimizer.param_groups[0]["eps"]) == (10, 1e-8)
@@ -164,11 +164,11 @@ def test_a_class_of_ones_own_trains_and_its_file_is_part_of_the_id(tmp_path: Pat
 
 
 def test_a_rollout_learners_horizon_is_its_n_steps() -> None:
-    given = {"env": "CartPole-v1", "algorithm": "a2c", "algorithm_kwargs": {"n_steps": 8}}
-    assert make_run(given).horizon == 8
+    fields = {"env": "CartPole-v1", "algorithm": "a2c", "algorithm_kwargs": {"n_steps": 8}}
+    assert make_run(fields).horizon == 8
     assert make_run({"env": "CartPole-v1", "algorithm": "a2c"}).horizon == 5
     with pytest.raises(UserError, match="horizon = 16 is not allowed: algorithm_kwargs has n_steps = 8"):
-        make_run({**given, "horizon": 16})
+        make_run({**fields, "horizon": 16})
 
 
 # --- Pictures --------------------------------------------------------------------------------------
@@ -176,20 +176,20 @@ def test_a_rollout_learners_horizon_is_its_n_steps() -> None:
 
 def test_a_policy_for_pictures_sees_pictures(tmp_path: Path) -> None:
     (tmp_path / "pictures.py").write_text(PICTURES)
-    given = {**SHORT, "env": "Pictures-v0", "env_module": f"{tmp_path}/pictures.py", "steps": 128}
+    fields = {**SHORT, "env": "Pictures-v0", "env_module": f"{tmp_path}/pictures.py", "steps": 128}
     flat: tuple[dict[str, Any], ...] = (
         {}, {"engine": "sb3"}, {"algorithm": "dqn"}, {"policy": "MlpLstmPolicy"},
         {"algorithm_kwargs": {"clip_range_vf": 0.2}},
     )  # fmt: skip
     for own in flat:
-        run = make_run({**given, **own})
+        run = make_run({**fields, **own})
         with pytest.raises(UserError, match=r'pictures, .*: set policy = "CnnPolicy", or wrappers = '):
             check_environment(run)
-    check_environment(make_run({**given, "wrappers": ["FlattenObservation"]}))
-    run = make_run({**given, "policy": "CnnPolicy", "epochs": 1})
+    check_environment(make_run({**fields, "wrappers": ["FlattenObservation"]}))
+    run = make_run({**fields, "policy": "CnnPolicy", "epochs": 1})
     check_environment(run)
     assert train_run(run, lambda _: True).status == "done"
-    small = make_run({**given, "policy": "CnnPolicy", "env_kwargs": {"size": 8}})
+    small = make_run({**fields, "policy": "CnnPolicy", "env_kwargs": {"size": 8}})
     with pytest.raises(UserError, match="ppo in Pictures-v0: RuntimeError: .*Kernel size"):
         check_environment(small)
 
@@ -241,8 +241,8 @@ def test_a_policy_comes_back_without_unpickling(case: str, monkeypatch: pytest.M
     data = policy.to_bytes()
     if case == "sac":
         assert len(data) < 300_000
-        theirs = SAC.load(io.BytesIO(data), device="cpu")
-        np.testing.assert_array_equal(theirs.predict(observations, deterministic=True)[0], raw)
+        library_learner = SAC.load(io.BytesIO(data), device="cpu")
+        np.testing.assert_array_equal(library_learner.predict(observations, deterministic=True)[0], raw)
     monkeypatch.setattr(save_util, "json_to_data", None)  # which unpickles
     loaded, _ = load_learner(run, data).predict(observations, deterministic=True)
     np.testing.assert_array_equal(loaded, expected)
@@ -260,8 +260,8 @@ def test_what_is_no_learners_file_is_refused() -> None:
                 archive.writestr(name, content)
         with pytest.raises(UserError, match="is not a policy of sac"):
             load_learner(run, file.getvalue())
-    other = make_run({**LEARNED["sac"], "algorithm_kwargs": {"policy_kwargs": {"net_arch": [8]}}})
-    for wrong, file_of in ((other, data), (run, b"no zip")):
+    other_run = make_run({**LEARNED["sac"], "algorithm_kwargs": {"policy_kwargs": {"net_arch": [8]}}})
+    for wrong, file_of in ((other_run, data), (run, b"no zip")):
         with pytest.raises(UserError, match="is not a policy of sac"):
             load_learner(wrong, file_of)
 

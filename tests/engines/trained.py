@@ -75,14 +75,14 @@ def run_of(case: str = "", /, **fields: Any) -> Run:
 
 def train(run: Run, checkpoint: Checkpoint | None = None) -> tuple[Result, list[Checkpoint]]:
     """Train a run; return its end and a checkpoint of every update."""
-    taken: list[Checkpoint] = []
+    checkpoints: list[Checkpoint] = []
 
     def keep(progress: Progress) -> bool:
         assert progress.checkpoint
-        taken.append(progress.checkpoint())
+        checkpoints.append(progress.checkpoint())
         return True
 
-    return train_run(run, keep, checkpoint), taken
+    return train_run(run, keep, checkpoint), checkpoints
 
 
 @lru_cache(maxsize=64)
@@ -93,15 +93,15 @@ def train_once(run: Run) -> tuple[Result, list[Checkpoint]]:
 
 def rollouts_of(trainer: Any) -> list[Rollout]:
     """Return the list to which each rollout of the engine `batched` will be added."""
-    seen: list[Rollout] = []
+    rollouts: list[Rollout] = []
     collect = trainer.collector.collect
 
     def collecting(actor: Any) -> Rollout:
-        seen.append(collect(actor))
-        return seen[-1]
+        rollouts.append(collect(actor))
+        return rollouts[-1]
 
     trainer.collector.collect = collecting
-    return seen
+    return rollouts
 
 
 def bits(result: Result) -> tuple[object, ...]:

@@ -30,15 +30,21 @@ def comparison(
     **more: Any,
 ) -> ClaimContrast:
     """Return a contrast of tanh against relu that came to an effect."""
-    own = of or claim()
+    one_claim = of or claim()
     interval = Interval(*ends, "written") if ends else no_interval()
     contrast = Contrast(effect, interval, interval, seeds, means or (0.5 + effect, 0.5))
-    where: dict[str, Any] = {"world": "text", "outcome": own.outcome[0], "a": own.a, "b": own.b, **more}
+    where: dict[str, Any] = {
+        "world": "text",
+        "outcome": one_claim.outcome[0],
+        "a": one_claim.a,
+        "b": one_claim.b,
+        **more,
+    }
     place = "text", where["outcome"]
-    planned: dict[str, Any] = {"value": own.value_of(*place), "margin": own.margin_of(*place)}
-    return ClaimContrast(own, **where, **planned, contrast=contrast, verdict=verdict)
+    planned: dict[str, Any] = {"value": one_claim.value_of(*place), "margin": one_claim.margin_of(*place)}
+    return ClaimContrast(one_claim, **where, **planned, contrast=contrast, verdict=verdict)
 
 
-def judged(own: Claim, **verdicts: tuple[str, str, tuple[ClaimContrast, ...]]) -> dict[str, Verdict]:
+def judged(one_claim: Claim, **verdicts: tuple[str, str, tuple[ClaimContrast, ...]]) -> dict[str, Verdict]:
     """Return a claim with its verdict, reason and contrasts in each world."""
-    return {world: Verdict(own, world, *each, label=PREREGISTERED) for world, each in verdicts.items()}
+    return {world: Verdict(one_claim, world, *each, label=PREREGISTERED) for world, each in verdicts.items()}

@@ -52,6 +52,6 @@ def test_other_ids_give_another_line_in_any_number_and_their_order_does_not() ->
 
 @pytest.mark.parametrize("given", [(5,), (0, 1, 2), (1, 2, 9), (3, 5, 8), (100, 101, 7)])
 def test_seeds_are_told_as_the_option_reads_them(given: tuple[int, ...]) -> None:
-    told = shown_seeds(given)
-    read = seeds("").parser(told if len(given) > 1 else f"{told},")
+    text = shown_seeds(given)
+    read = seeds("").parser(text if len(given) > 1 else f"{text},")
     assert sorted(read) == sorted(given)

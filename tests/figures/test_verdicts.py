@@ -151,17 +151,19 @@ def test_an_interval_is_drawn_in_margins_and_as_claimed_to_the_right(
     """
     claims = {}
     for name, way in (("one", "greater"), ("two", "less")):
-        own = claim(name, section="6.1", direction=way, margin=0.04)
-        row = comparison("supported", 0.02, ENDS, of=own, means=MEANS)
-        claims[name] = judged(own, text=("supported", "", (row,)), arena=("untestable", "A/A: same", ()))
-    own = claim("three", section="6.1", **{**STAY, "margin": np.log(3)})
-    row = comparison("supported", -np.log(3), (-np.log(9), 0.0), of=own, means=(0.2, 0.5))
-    claims["three"] = judged(own, text=("supported", "", (row,)))
-    drawn: list[Figure] = []
-    monkeypatch.setattr(plt, "close", drawn.append)
+        one_claim = claim(name, section="6.1", direction=way, margin=0.04)
+        row = comparison("supported", 0.02, ENDS, of=one_claim, means=MEANS)
+        claims[name] = judged(
+            one_claim, text=("supported", "", (row,)), arena=("untestable", "A/A: same", ())
+        )
+    one_claim = claim("three", section="6.1", **{**STAY, "margin": np.log(3)})
+    row = comparison("supported", -np.log(3), (-np.log(9), 0.0), of=one_claim, means=(0.2, 0.5))
+    claims["three"] = judged(one_claim, text=("supported", "", (row,)))
+    figures: list[Figure] = []
+    monkeypatch.setattr(plt, "close", figures.append)
     (path,), (again,) = (draw_verdicts(claims, tmp_path / name) for name in ("first", "again"))
     assert path.name == "verdicts.png" and path.read_bytes() == again.read_bytes()
-    sentences, text, arena = drawn[0].axes
+    sentences, text, arena = figures[0].axes
     ends = [np.asarray(line.get_xdata(), float).tolist() for line in text.lines[1:]]  # after the zero line
     assert [pair for pair in ends if len(pair) == 2] == [
         pytest.approx(pair) for pair in ([-0.3, 1.3], [-1.3, 0.3], [0.0, 2.0])
@@ -170,4 +172,4 @@ def test_an_interval_is_drawn_in_margins_and_as_claimed_to_the_right(
     assert "“improves performance”" in [one.get_text() for one in sentences.texts]
     with Image.open(path) as image:
         assert image.width / image.info["dpi"][0] == pytest.approx(7.4, abs=0.01)
-    assert min(float(one.get_fontsize()) for axes in drawn[0].axes for one in axes.texts) >= 5.5
+    assert min(float(one.get_fontsize()) for axes in figures[0].axes for one in axes.texts) >= 5.5

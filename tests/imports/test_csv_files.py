@@ -31,11 +31,11 @@ def curves(study: str, column: str = "return_mean_100") -> Mapping[tuple[str, in
     store = Store("results")
     listing = store.listing(study)
     assert listing
-    found = {}
+    curve_by_run = {}
     for run in listing["runs"]:
         frame = record_frame(store, run["run_id"], "episodes")
-        found[run["condition"], run["seed"]] = dict(zip(frame["step"], frame[column], strict=True))
-    return found
+        curve_by_run[run["condition"], run["seed"]] = dict(zip(frame["step"], frame[column], strict=True))
+    return curve_by_run
 
 
 def write(name: str, text: str) -> str:
@@ -49,10 +49,10 @@ def write(name: str, text: str) -> str:
 
 
 def test_each_condition_and_seed_is_a_run() -> None:
-    wanted = {("a2c", 0): {10: 1.0, 20: 2.5}, ("ppo", 3): {10: 3.0, 30: 4.0}}
-    write_table(Path("runs.csv"), wanted)
+    curves_by_run = {("a2c", 0): {10: 1.0, 20: 2.5}, ("ppo", 3): {10: 3.0, 30: 4.0}}
+    write_table(Path("runs.csv"), curves_by_run)
     assert "2 runs, 4 points; 2 imported now, 0 were stored." in printed("import", "csv", "runs.csv", *TIDY)
-    assert curves("runs", "return") == wanted
+    assert curves("runs", "return") == curves_by_run
     assert "0 imported now, 2 were stored." in printed("import", "csv", "runs.csv", *TIDY)
     words = ("env", "render", "CartPole-v1", "--out", "x.gif", "--player", "best:runs")
     assert "was trained in Imported CSV files, not in CartPole-v1" in call(*words).err
@@ -78,9 +78,9 @@ def test_what_selects_data_is_part_of_the_id() -> None:
         assert document["runs"][0]["imported"]
         ids.add(document["runs"][0]["run_id"])
     assert curves("runs")["runs", 0] == {10: 5, 20: 5}
-    other = described("import", "csv", "runs.csv", "--step", "other", "--value", "b", "--json")
-    assert other["notes"] == ["1 run of study runs had other data before; another --name keeps both"]
-    assert len({*ids, other["runs"][0]["run_id"]}) == 5
+    other_steps = described("import", "csv", "runs.csv", "--step", "other", "--value", "b", "--json")
+    assert other_steps["notes"] == ["1 run of study runs had other data before; another --name keeps both"]
+    assert len({*ids, other_steps["runs"][0]["run_id"]}) == 5
 
 
 @pytest.mark.parametrize(

@@ -59,20 +59,20 @@ def test_every_point_is_what_the_csv_logger_wrote_beside(tmp_path: Path) -> None
             model.learn(128)
             logger.close()
     runs, notes = _import(tmp_path)
-    named = [(run.condition, run.seed, run.steps) for run in runs]
-    assert named == [("fast", 1, 128), ("slow", 2, 128)]
+    runs_by_name = [(run.condition, run.seed, run.steps) for run in runs]
+    assert runs_by_name == [("fast", 1, 128), ("slow", 2, 128)]
     for run in runs:
         with (tmp_path / "logs" / run.name / "progress.csv").open() as file:
             rows = list(csv.DictReader(file))
-        wanted = {
+        points = {
             (tag, int(row["time/total_timesteps"]), np.float32(value))
             for row in rows
             for tag, value in row.items()
             if value and tag not in NOT_IN_TENSORBOARD
         }
-        found = _stored(tmp_path, run.run_id)
-        assert {(tag, step, np.float32(value)) for tag, step, value, _ in found} == wanted
-        assert len(found) == len(wanted)
+        stored = _stored(tmp_path, run.run_id)
+        assert {(tag, step, np.float32(value)) for tag, step, value, _ in stored} == points
+        assert len(stored) == len(points)
     assert notes == []
     before = _files(tmp_path / "results")
     assert [run.new for run in runs] == [True] * 2
@@ -133,8 +133,8 @@ def test_a_torn_file_is_imported(tmp_path: Path) -> None:
 
 def test_tags_of_evaluations_are_evaluations_the_last_written_of_a_step(tmp_path: Path) -> None:
     """Those that are called as columns of runs are left out."""
-    named = ("mean_reward", "success_rate", "share_killed", "step", "condition")
-    tags = [RETURN, *map("eval/{}".format, named)]
+    names = ("mean_reward", "success_rate", "share_killed", "step", "condition")
+    tags = [RETURN, *map("eval/{}".format, names)]
     points = [(tag, step, value) for step, value in ((8, 1.0), (16, 2.0), (16, 4.0)) for tag in tags]
     write_events(tmp_path / "logs" / "a_1" / FILE, points)
     (run,), _ = _import(tmp_path)
@@ -223,8 +223,8 @@ def test_of_a_log_with_means_and_single_episodes_the_return_is_the_means(tmp_pat
 )
 def test_what_was_written_anew_counts(files: Sequence[Sequence[tuple[str, int]]], gone: list[int]) -> None:
     rows = [(place, *point, float(place)) for place, points in enumerate(files) for point in points]
-    found = find_superseded(pd.DataFrame(rows, columns=["file", "tag", "step", "second"]))
-    assert found.tolist() == [bool(each) for each in gone]
+    superseded = find_superseded(pd.DataFrame(rows, columns=["file", "tag", "step", "second"]))
+    assert superseded.tolist() == [bool(each) for each in gone]
 
 
 def test_a_second_writer_takes_nothing_from_the_first(tmp_path: Path) -> None:

@@ -68,12 +68,12 @@ def test_a_link_in_a_files_place_is_replaced_and_its_target_left_alone(store: St
 def test_a_folder_that_is_a_link_out_of_the_results_is_not_written_to(store: Store, tmp_path: Path) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
-    other = "f" * 16
-    (store.root / "runs" / other).symlink_to(elsewhere)
+    run_id = "f" * 16
+    (store.root / "runs" / run_id).symlink_to(elsewhere)
     with pytest.raises(UserError, match="leads out of the results folder"):
-        store.save_run(other, Status("done", 1), {"run.json": b"{}\n"})
+        store.save_run(run_id, Status("done", 1), {"run.json": b"{}\n"})
     with pytest.raises(UserError, match="leads out of the results folder"):
-        store.write(store.run_folder(other) / "checkpoints" / "one", b"data")
+        store.write(store.run_folder(run_id) / "checkpoints" / "one", b"data")
     (store.root / "searches").symlink_to(elsewhere)
     with pytest.raises(UserError, match="leads out of the results folder"):
         store.check_writable()
@@ -207,7 +207,7 @@ def test_untrusted_texts_cannot_drive_the_terminal(store: Store) -> None:
     store.plan_run("f" * 16, Identity(NAME, 0, 512))
     store.save_listing("mine", {"title": f"T{wild}", "baseline": f"b{wild}", "runs": [run]})
     for words in (["show", "mine"], ["status", "mine"], ["status", "mine", "--condition", "c"]):
-        code, out, told = call("study", *words, "--results", store.root)
-        told += out
-        assert (code, "owned" in told) == (2 if "c" in words else 0, True)
-        assert "\x1b" not in told and "\x07" not in told
+        code, out, shown = call("study", *words, "--results", store.root)
+        shown += out
+        assert (code, "owned" in shown) == (2 if "c" in words else 0, True)
+        assert "\x1b" not in shown and "\x07" not in shown

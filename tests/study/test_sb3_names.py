@@ -41,14 +41,14 @@ def runs(path: Path, **settings: Any) -> dict[str, Run]:
 
 
 def test_an_entry_of_the_zoo_can_be_pasted(tmp_path: Path) -> None:
-    found = runs(study(tmp_path / "zoo.toml"))
+    run_by_condition = runs(study(tmp_path / "zoo.toml"))
     expected = {
         "env": "CartPole-v1", "slots": 8, "steps": 100_000, "horizon": 32,
         "minibatch": 256, "gae_lambda": 0.8, "gamma": 0.98, "epochs": 20, "entropy_coefficient": 0.0,
         "clip_range": 0.2, "clip_range_schedule": "linear",
     }  # fmt: skip
     falling = {"learning_rate": 1e-3, "learning_rate_schedule": "linear"}
-    assert found == {
+    assert run_by_condition == {
         "learning_rate=lin_1e-3, ppo": make_run({**expected, **falling}),
         "learning_rate=1e-4, ppo": make_run({**expected, "learning_rate": 1e-4}),
     }
@@ -66,9 +66,9 @@ def test_set_takes_the_same_names(tmp_path: Path) -> None:
 def zoo(line: str) -> str:
     """Return the entry with a line in place of the one with its key: n_steps there, others at first."""
     key = line.split()[0]
-    kept = [row for row in CARTPOLE.splitlines() if row.split()[0] != key]
+    lines = [row for row in CARTPOLE.splitlines() if row.split()[0] != key]
     place = 3 if key == "n_steps" else 0
-    return "\n".join([*kept[:place], line, *kept[place:], ""])
+    return "\n".join([*lines[:place], line, *lines[place:], ""])
 
 
 SAC = 'title = "SAC"\n[run]\nalgorithm = "sac"\nenv = "Pendulum-v1"\n'
@@ -103,8 +103,8 @@ def test_a_mistake_is_told_by_the_name_in_the_file(tmp_path: Path, head: str, ru
 
 def test_arguments_of_another_learner_are_kept_as_they_are(tmp_path: Path) -> None:
     arguments = 'learning_rate = "lin_7e-4"\ntau = 1.0\ntrain_freq = [1, "episode"]\n'
-    given = f'algorithm = "td3"\nn_timesteps = 100\n[run.algorithm_kwargs]\n{arguments}'
-    path = study(tmp_path / "zoo.toml", given)
+    entry = f'algorithm = "td3"\nn_timesteps = 100\n[run.algorithm_kwargs]\n{arguments}'
+    path = study(tmp_path / "zoo.toml", entry)
     path.write_text(path.read_text().replace('[factors]\nlearning_rate = ["lin_1e-3", 1e-4]', ""))
     (run,) = runs(path).values()
     assert run.algorithm_kwargs == '{"learning_rate": "lin_7e-4", "tau": 1.0, "train_freq": [1, "episode"]}'

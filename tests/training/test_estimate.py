@@ -90,14 +90,14 @@ def test_training_is_timed_at_the_pace_after_the_first_update(monkeypatch: pytes
     """20 s of compiling and 2 s of the first 100 steps, then 6 s of 300: 2 s each, so 8 s."""
     clock = [1000.0]
     monkeypatch.setattr(time, "perf_counter", lambda: clock[0])
-    own = Attempt(600)
+    attempt = Attempt(600)
     clock[0] += 22
-    own.update(700)
-    assert own.so_far(700)["training_seconds"] == 22  # nothing tells them apart yet
+    attempt.update(700)
+    assert attempt.so_far(700)["training_seconds"] == 22  # nothing tells them apart yet
     clock[0] += 6
-    own.update(1000)
-    told = own.so_far(1000)
-    assert (told["wall_seconds"], told["training_seconds"]) == (28, 8)
-    before = {**told, "started": "then", "wall_seconds": 100.0, "training_seconds": 90.0, "step": 600}
-    about = finished_provenance([before, told])
+    attempt.update(1000)
+    so_far = attempt.so_far(1000)
+    assert (so_far["wall_seconds"], so_far["training_seconds"]) == (28, 8)
+    before = {**so_far, "started": "then", "wall_seconds": 100.0, "training_seconds": 90.0, "step": 600}
+    about = finished_provenance([before, so_far])
     assert (about["wall_seconds"], about["training_seconds"]) == (128, 98)

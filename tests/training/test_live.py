@@ -65,8 +65,8 @@ def test_a_log_that_cannot_be_written_is_told_before_training(tmp_path: Path) ->
     for condition, logs in (("c" * 256, "logs"), ("c", "file")):
         preset = "[presets.quick]\nseeds = 1\nsteps = 64\n"
         study.write_text(f"title = 'Mine'\n{TINY_RUN}[conditions.{condition}]\n{preset}")
-        told = refused("study", "run", study, *at, tmp_path / logs)
-        assert told.startswith("--tensorboard: ") and "cannot be written (" in told
+        message = refused("study", "run", study, *at, tmp_path / logs)
+        assert message.startswith("--tensorboard: ") and "cannot be written (" in message
     assert not outcome(tmp_path / "results")  # nothing was trained
 
 

@@ -47,8 +47,8 @@ def start_nodes(count: int) -> tuple[subprocess.Popen[str], Nodes]:
         start_new_session=True,
     )
     assert process.stdout
-    told = json.loads(process.stdout.readline())
-    return process, Nodes(told["address"], tuple(told["nodes"]))
+    cluster = json.loads(process.stdout.readline())
+    return process, Nodes(cluster["address"], tuple(cluster["nodes"]))
 
 
 def end_nodes(process: subprocess.Popen[str]) -> None:
@@ -98,8 +98,8 @@ def test_a_study_that_loses_a_node_ends_with_the_bytes_of_a_local_one(tmp_path: 
     wait_until(lambda: len(checkpoint_folders(tmp_path)) == 2, seconds=240)
     os.kill(cluster.nodes[0], signal.SIGKILL)
     (tmp_path / "hold").unlink()
-    out, told = process.communicate(timeout=300)
-    assert process.returncode == 0, told
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == 0, err
     assert {run["status"] for run in json.loads(out)["runs"]} == {"done"}
     assert not checkpoint_folders(tmp_path)
     (tmp_path / "results").rename(tmp_path / "away")
