@@ -58,10 +58,11 @@ def save_run(
     status: str = "done",
     fields: Fields | None = None,
     config_id: str = UNKNOWN,
+    policy_files: Mapping[str, bytes] = {},
     **provenance: object,
 ) -> None:
     """Store a run of rows, each of which tells its step and what is not usual; none after the end."""
-    files = {}
+    files = dict(policy_files)
     for (name, (columns, usual)), rows in zip(_USUAL.items(), (episodes, updates, evaluations), strict=True):
         told = [{**usual, **row} for row in rows if row["step"] <= end]
         every = dict.fromkeys((*columns, *(key for row in told for key in row)))

@@ -33,8 +33,8 @@ BLOCK = re.compile(
 """A fenced block: its language and text, and the file that it is, where a line before it names one."""
 
 
-def run_page(page: str, folder: Path, last: str = "") -> str:
-    """Write a page's files, run its Python in order, and return what that prints."""
+def write_page(page: str, folder: Path) -> str:
+    """Write a page's files, and return its Python in order."""
     code = []
     for block in BLOCK.finditer((DOCS / page).read_text(encoding="utf-8")):
         if block["file"]:
@@ -43,7 +43,12 @@ def run_page(page: str, folder: Path, last: str = "") -> str:
             path.write_text(block["text"])
         elif block["language"] == "python":
             code.append(block["text"])
-    (folder / "page.py").write_text("\n".join([*code, last]))
+    return "\n".join(code)
+
+
+def run_page(page: str, folder: Path, last: str = "") -> str:
+    """Run a page's Python, and return what that prints."""
+    (folder / "page.py").write_text("\n".join([write_page(page, folder), last]))
     command = [sys.executable, "-W", "error", "page.py"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -61,12 +66,51 @@ def test_the_pages_python_runs(tmp_path: Path) -> None:
     assert figures == {*curves, "study-horizon-arena-summary.pdf"}
 
 
+def store_runs(query: Query) -> None:
+    """Store a query's runs in ./results, as if trained, each with a policy."""
+    policy = policy_of(observed=64)
+    for cell in make_plan(load_study(query.study), query).cells:
+        save_finished(Store("results"), cell.run, policy_files={policy.file: policy.to_bytes()})
+
+
+def test_the_pages_python_runs_on_stored_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Up to where it trains an agent of its own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PNEUMA_RESULTS", raising=False)
+    code, _, agents_of_your_own = write_page("python.md", tmp_path).partition("from pneuma.env.sb3 import")
+    assert agents_of_your_own
+    store_runs(Query("horizon.toml", seeds=(0, 1), steps=1_024))
+    names: dict[str, Any] = {}
+    exec(code, names)
+    assert list(names["curve"].frame("ci")) == ["x", "mean", "low", "high", "runs"]
+    assert len([*Path("figures").iterdir()]) == 3
+
+
+@pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # of the figure that a notebook shows
+def test_the_notebooks_python_runs_on_stored_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PNEUMA_RESULTS", raising=False)
+    store_runs(Query("activation", conditions=("tanh", "relu"), seeds=(0, 1), steps=8_192))
+    names: dict[str, Any] = {}
+    for cell in notebook_cells():
+        exec(cell, names)
+    assert [path.name for path in Path("figures").iterdir()] == ["fig-6-5-arena.png"]
+
+
+def notebook_cells() -> list[str]:
+    notebook = json.loads((DOCS / "first_study.ipynb").read_text(encoding="utf-8"))
+    assert not any(cell.get("outputs") for cell in notebook["cells"])
+    return ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+
+
 @pytest.mark.slow
 def test_a_users_script_passes_strict_types(tmp_path: Path) -> None:
-    """A policy is a `PolicyPredictor`, and an answer has tables."""
+    """A policy is a `PolicyPredictor`, and an answer has tables; docs/python.md is such a script."""
     script = shutil.copy(Path(__file__).with_name("user_script.py"), tmp_path)
+    page = tmp_path / "page.py"
+    page.write_text(write_page("python.md", tmp_path))
     options = ["--strict", "--follow-imports=silent", "--cache-dir", str(ROOT / ".mypy_cache")]
-    command = [sys.executable, "-m", "mypy", *options, str(script)]
+    command = [sys.executable, "-m", "mypy", *options, str(script), str(page)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
 
@@ -74,10 +118,7 @@ def test_a_users_script_passes_strict_types(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_notebook_runs_and_shows_what_it_should(tmp_path: Path) -> None:
     """As plain Python: a cell's last expression is printed as a notebook shows it."""
-    notebook = json.loads((DOCS / "first_study.ipynb").read_text(encoding="utf-8"))
-    cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
-    assert not any(cell.get("outputs") for cell in notebook["cells"])
-    (tmp_path / "cells.json").write_text(json.dumps(cells))
+    (tmp_path / "cells.json").write_text(json.dumps(notebook_cells()))
     (tmp_path / "kernel.py").write_text(KERNEL)
     command, env = [sys.executable, "kernel.py"], {**os.environ, "PNEUMA_RESULTS": "kept"}
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, env=env)
