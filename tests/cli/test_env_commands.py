@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from pneuma.engines.sb3_open import OpenTrainer
 from pneuma.env.worlds import Worlds
 from pneuma.store.store import Store
 
+from ..env.arena import EMPTY
 from .calls import call, policy_of, printed, refused, save_policy
 
 
@@ -30,12 +32,9 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def arena(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A field of 20 x 20 tiles with a start place and a monster."""
-    folder = tmp_path_factory.mktemp("home") / "arena"
-    folder.mkdir()
-    (folder / "obstacles.csv").write_text("\n".join([",".join(["-1"] * 20)] * 20) + "\n")
-    (folder / "objects.csv").write_text("code,x,y\n400,0,0\n390,250,0\n")
-    return str(folder)
+    """A field with a start place and a monster."""
+    level = replace(EMPTY, monsters=(("bamboo", 250.0, 0.0),))
+    return level.write(tmp_path_factory.mktemp("home") / "arena")
 
 
 def render(out: str, *words: str) -> str:

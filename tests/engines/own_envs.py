@@ -36,6 +36,8 @@ OBSERVED: dict[str, spaces.Space[Any]] = {
     "double": spaces.Box(-1, 3, (2,), np.float32),
     "sequence": spaces.Sequence(spaces.Discrete(2)),
     "text": spaces.Dict({"a": BOX, "mission": spaces.Text(9)}),
+    "picture": spaces.Box(0, 255, (36, 36, 3), np.uint8),
+    "small picture": spaces.Box(0, 255, (8, 8, 3), np.uint8),
     "strange": spaces.Tuple([spaces.Space((), str)]),  # of another package, as MiniGrid's missions are
 }
 
@@ -65,6 +67,8 @@ class Corridor(gymnasium.Env[Any, Any]):
         self.taken = 0
 
     def _seen(self) -> Any:
+        if "picture" in self.kind:
+            return np.full(self.observation_space.shape or (), 50 * self.cell, np.uint8)
         seen = np.array([self.cell, CHANCES.get(self.kind, self.np_random.random)()])
         if self.kind == "short" and self.taken == 3:
             return seen[:1]

@@ -1,11 +1,14 @@
-"""A learner that nobody sets anything of is what its class is by itself, from its rate to its networks."""
+"""Learners have all settings of Stable-Baselines3: its defaults, and those of the example's plain script."""
 
 from __future__ import annotations
 
 import inspect
+import runpy
+from pathlib import Path
 from typing import Any
 
 import pytest
+from stable_baselines3 import PPO
 
 from pneuma.algorithms import ALGORITHMS
 from pneuma.config import make_run
@@ -51,3 +54,17 @@ def test_what_nobody_sets_is_the_librarys_default(algorithm: str) -> None:
     expected = settings(library_learner, kind)
     assert {"learning_rate", "gamma", "networks"} < expected.keys() and len(expected) > 10
     assert settings(learner, kind) == expected
+
+
+EXAMPLE = runpy.run_path(str(Path(__file__).parents[2] / "studies/examples/plain_sb3.py"))
+
+
+@pytest.mark.parametrize("env", ["CartPole-v1", "pneuma/PneumaArena-v0"])
+def test_the_plain_script_and_the_engine_have_the_same_settings(env: str) -> None:
+    run = EXAMPLE["run_of"](env, 0, 20_000, "sb3")
+    learner = make_model(run, make_vec_env(run))
+    assert settings(learner, PPO) == settings(EXAMPLE["plain_learner"](env, 0), PPO)
+
+
+def test_the_plain_script_trains() -> None:
+    assert EXAMPLE["late_return"]("CartPole-v1", 0, 512, "plain") > 5

@@ -28,29 +28,11 @@ from pneuma.errors import UserError
 from pneuma.sb3_names import own_fields
 from pneuma.study.identity import describe_user_code, run_id
 
+from .trained import CORRIDOR
+
 SHORT = {"env": "CartPole-v1", "slots": 2, "horizon": 64, "steps": 256, "evaluation_episodes": 2}
 NUMBERS: dict[str, Any] = {"env": "Pendulum-v1", "horizon": 50, "steps": 100, "evaluation_episodes": 1}
 PICTURE, VECTOR = spaces.Box(0, 255, (36, 36, 3), np.uint8), spaces.Box(-1, 1, (3,))
-PICTURES = """
-import gymnasium, numpy as np
-
-class Pictures(gymnasium.Env):
-    action_space = gymnasium.spaces.Discrete(2)
-
-    def __init__(self, size=36):
-        self.observation_space = gymnasium.spaces.Box(0, 255, (size, size, 3), np.uint8)
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        self.left = 20
-        return self.observation_space.sample(), {}
-
-    def step(self, action):
-        self.left -= 1
-        return self.observation_space.sample(), float(action), self.left == 0, False, {}
-
-gymnasium.register("Pictures-v0", Pictures)
-"""
 OWN_LEARNER = """
 from stable_baselines3 import DQN
 
@@ -174,23 +156,22 @@ def test_a_rollout_learners_horizon_is_its_n_steps() -> None:
 # --- Pictures --------------------------------------------------------------------------------------
 
 
-def test_a_policy_for_pictures_sees_pictures(tmp_path: Path) -> None:
-    (tmp_path / "pictures.py").write_text(PICTURES)
-    fields = {**SHORT, "env": "Pictures-v0", "env_module": f"{tmp_path}/pictures.py", "steps": 128}
+def test_a_policy_for_pictures_sees_pictures() -> None:
+    fields = {**SHORT, **CORRIDOR, "env_kwargs": {"kind": "picture"}, "steps": 128}
     flat: tuple[dict[str, Any], ...] = (
         {}, {"engine": "sb3"}, {"algorithm": "dqn"}, {"policy": "MlpLstmPolicy"},
         {"algorithm_kwargs": {"clip_range_vf": 0.2}},
     )  # fmt: skip
-    for own in flat:
-        run = make_run({**fields, **own})
+    for flattening in flat:
+        run = make_run({**fields, **flattening})
         with pytest.raises(UserError, match=r'pictures, .*: set policy = "CnnPolicy", or wrappers = '):
             check_environment(run)
     check_environment(make_run({**fields, "wrappers": ["FlattenObservation"]}))
     run = make_run({**fields, "policy": "CnnPolicy", "epochs": 1})
     check_environment(run)
     assert train_run(run, lambda _: True).status == "done"
-    small = make_run({**fields, "policy": "CnnPolicy", "env_kwargs": {"size": 8}})
-    with pytest.raises(UserError, match="ppo in Pictures-v0: RuntimeError: .*Kernel size"):
+    small = make_run({**fields, "policy": "CnnPolicy", "env_kwargs": {"kind": "small picture"}})
+    with pytest.raises(UserError, match="ppo in Corridor-v0: RuntimeError: .*Kernel size"):
         check_environment(small)
 
 
