@@ -299,19 +299,23 @@ class Band(NamedTuple):
     Attributes:
         label: its words in a legend.
         least_runs: with fewer, there is no band.
-        enough_runs: with fewer, the runs are drawn too, because a band that estimates the mean covers it less
-            often than 90 % for some of the distributions in docs/claims.md. 0 for bands that show how far
-            runs lie apart.
+        enough_runs: with fewer, the runs are drawn too.
     """
 
     label: str
     least_runs: int = 2
-    enough_runs: float = 0
+    enough_runs: int = LEAST_RUNS
 
+
+LEAST_INSIDE = 7
+"""With fewer runs, the interval of the mean is wider than ± 1 SD, as Student's t is above their root."""
+ENOUGH_FOR_INTERVAL = 20
+"""With fewer runs, the interval covers the mean less often than 90 % for some of the distributions in
+docs/claims.md."""
 
 BANDS = {
-    "sd": Band("± 1 SD between runs", least_runs=3),
-    "ci": Band("95 % interval of the mean", LEAST_RUNS, 20),
+    "sd": Band("± 1 SD between runs", least_runs=3, enough_runs=LEAST_INSIDE),
+    "ci": Band("95 % interval of the mean", LEAST_RUNS, ENOUGH_FOR_INTERVAL),
     "minmax": Band("least to greatest run"),
     "runs": Band("every run"),
     "none": Band("", least_runs=0),

@@ -23,6 +23,12 @@ class Quantity:
     kind: str = VALUES
     bounds: tuple[float, float] = (-np.inf, np.inf)
 
+    @property
+    def title_with_unit(self) -> str:
+        """The title, with the unit that the label has in brackets."""
+        _, bracket, unit = self.label.partition(" (")
+        return self.title + bracket + unit
+
 
 def _read_quantities() -> dict[str, Quantity]:
     declarations = tomllib.loads(files(__package__).joinpath("quantities.toml").read_text(encoding="utf-8"))

@@ -13,6 +13,7 @@ from pneuma.analysis import BAND_NAMES
 from pneuma.analysis.curves import (
     BANDS,
     EPISODES,
+    LEAST_INSIDE,
     STEPS,
     WALL_CLOCK,
     Curve,
@@ -31,7 +32,7 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.answers.answer import Answer
 from pneuma.answers.notes import merge_notes, notes_on_runs
 from pneuma.errors import Hint, UserError, counted
-from pneuma.store.quantities import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.store.quantities import UPDATE_QUANTITIES, WINDOWS
 from pneuma.store.series import GRID_POINTS
 
 DEFAULT_QUANTITIES, EVALUATED = ("return", "share_killed", "success"), "evaluated_return"
@@ -39,6 +40,13 @@ DEFAULT_BAND, INTERVAL = BAND_NAMES[0], "ci"
 TRAILING_WINDOW = WINDOWS[1]
 LEAST_POINTS = GRID_POINTS // 2
 """With a mean of all runs at fewer points, a curve of training is stubs."""
+EPISODE_WORDS = {
+    "return": "returns in training",
+    "length": "lengths of episodes",
+    "kills": "kills in training",
+    "hp": "HP left in training",
+}
+"""What notes call the `EPISODE_QUANTITIES`."""
 OF_BUDGET = "mean of the last 5 % of the budget at each point"
 X_NOTES = {
     STEPS: "",
@@ -52,7 +60,8 @@ class CurveOptions:
     """Which curves are computed.
 
     Attributes:
-        band: one of `BANDS`; None for the deviation, and inside it the interval of the mean.
+        band: one of `BANDS`; None for the deviation, and inside it, from `LEAST_INSIDE` runs on, the interval
+            of the mean.
         window: of the study's windows; None for the first.
         x: one of `X_AXES`.
         log: whether all curves are of logarithms, and not only those of quantities that go through powers of
@@ -66,9 +75,15 @@ class CurveOptions:
 
     @property
     def bands(self) -> list[str]:
-        """What is drawn around means: in the deviation there is their interval."""
+        """What tables have around means: beside the deviation their interval."""
         band = checked_band(self.band or DEFAULT_BAND)
         return [band, INTERVAL] if band == DEFAULT_BAND else [band]
+
+    def drawn_bands(self, run_count: int) -> list[str]:
+        """Return what is drawn around the mean of so many runs: an interval only inside the deviation."""
+        if self.bands[0] == DEFAULT_BAND and run_count < LEAST_INSIDE:
+            return [DEFAULT_BAND]
+        return self.bands
 
     def averaging(self, study_data: StudyData) -> str:
         """Return what a point of a study's returns is the mean of."""
@@ -274,6 +289,11 @@ def _notes(column: Column, options: CurveOptions) -> list[str]:
     least_runs = BANDS[options.bands[0]].least_runs
     for curve in column.all_curves:
         curve_text = f"{curve.condition} ({counted(curve.run_count, 'run')})"
+        if options.bands[0] == DEFAULT_BAND and least_runs <= curve.run_count < LEAST_INSIDE:
+            notes.append(
+                f"Of fewer than {LEAST_INSIDE} runs, the 95 % interval of the mean is wider than ± 1 SD and "
+                "not drawn."
+            )
         if curve.stops:
             notes.append("×: a run diverged, and its curve ends there.")
         elif _has_gaps(curve):
@@ -288,10 +308,15 @@ def _notes(column: Column, options: CurveOptions) -> list[str]:
             )
         if curve.values.isna().all().any():
             notes.append(f"Some of {curve_text} have no value in a panel and are left out of its means.")
-    if not column.curves.keys().isdisjoint(EPISODE_QUANTITIES):
-        notes.append(f"Returns and lengths: {options.averaging(study_data)}.")
-    if not column.curves.keys().isdisjoint(UPDATE_QUANTITIES):
-        notes.append(f"Updates: {OF_BUDGET}.")
+    averaged: dict[str, list[str]] = {}
+    for quantity in column.curves:
+        if quantity in EPISODE_WORDS:
+            averaged.setdefault(options.averaging(study_data), []).append(EPISODE_WORDS[quantity])
+        elif quantity in UPDATE_QUANTITIES:
+            averaged.setdefault(OF_BUDGET, []).append("values of updates")
+    for averaging, averaged_words in averaged.items():
+        averaged_text = " and ".join(dict.fromkeys(averaged_words))
+        notes.append(f"{averaged_text[0].upper()}{averaged_text[1:]}: {averaging}.")
     if beside and beside.averaged_over is not None:
         beside_name = beside.study.name
         notes.append(

@@ -69,7 +69,9 @@ class Drawing:
     ] = None
     band: Annotated[
         str | None,
-        opt.choice(BAND_NAMES, "What the band shows (default: sd, with the mean's interval inside)."),
+        opt.choice(
+            BAND_NAMES, "What the band shows (default: sd; in it, from 7 runs on, the mean's interval)."
+        ),
     ] = None
     window: Annotated[str | None, opt.choice(WINDOWS, "Episodes averaged at each point.")] = None
     x: Annotated[str | None, opt.choice(X_AXES, "Horizontal axis of curves (default: steps).")] = None

@@ -19,10 +19,17 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from pneuma.analysis.curves import BANDS, EPISODES, STEPS, WALL_CLOCK, Curve, reach
-from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import is_foreign
 from pneuma.analysis.quantities import POWERS, QUANTITIES, SHARES, VALUES
-from pneuma.answers.curves import DEFAULT_BAND, EVALUATED, INTERVAL, TRAILING_WINDOW, Column, CurvesAnswer
+from pneuma.answers.curves import (
+    DEFAULT_BAND,
+    EVALUATED,
+    INTERVAL,
+    TRAILING_WINDOW,
+    Column,
+    CurveOptions,
+    CurvesAnswer,
+)
 from pneuma.errors import Hint, UserError
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel
@@ -69,12 +76,12 @@ def curves_page(answer: CurvesAnswer, basename: str = "") -> Page:
         for title, column in columns.items():
             panel = _panel(answer, column, quantity_name, looks) if quantity_name in column.curves else None
             if panel and len(columns) > 1:
-                panel = replace(panel, title=title, y=QUANTITIES[quantity_name].title)
+                panel = replace(panel, title=title, y=QUANTITIES[quantity_name].title_with_unit)
             panel_row.append(panel)
         panel_rows.append(panel_row)
     entries: dict[str, Any] = {}
     for column in columns.values():
-        entries |= _legend(column, answer.options.bands)
+        entries |= _legend(column, answer.options)
     beside = dict.fromkeys(column.beside for column in columns.values() if column.beside)
     notes = list(answer.notes)
     basename = basename or first_data.basename(*_differences(answer))
@@ -152,7 +159,7 @@ def _draw(answer: CurvesAnswer, column: Column, quantity_name: str, looks: Looks
     run_count = sum(curve.run_count for curve in curves)
     for curve in curves:
         look = looks[curve.condition]
-        for band in options.bands:
+        for band in options.drawn_bands(curve.run_count):
             frame, opacity = curve.frame(band), PALE
             if band == INTERVAL:  # where some runs have no value, the remaining ones are no fair sample
                 edges = frame[["low", "high"]].where(frame["runs"] == curve.run_count)
@@ -223,14 +230,15 @@ def _shows_runs(curve: Curve, band: str) -> bool:
     run_count = curve.run_count
     if band in (NO_BAND, RUNS):
         return band == RUNS
-    return 1 < run_count < LEAST_RUNS or run_count < BANDS[band].enough_runs
+    return 1 < run_count < BANDS[band].enough_runs
 
 
-def _legend(column: Column, bands: Sequence[str]) -> dict[str, Any]:
+def _legend(column: Column, options: CurveOptions) -> dict[str, Any]:
     """Return the artists of the legend that describe means, bands and runs, by their words."""
     curves = column.all_curves
     largest_group = max(curve.run_count for curve in curves)
     entries: dict[str, Any] = {"mean of (n) runs": Line2D([], [], color=style.INK, linewidth=1.6)}
+    bands = options.drawn_bands(largest_group)
     for band in bands:
         if BANDS[band].label and largest_group >= BANDS[band].least_runs:
             opacity = PALE

@@ -11,9 +11,9 @@ import PIL
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
+from scipy import stats
 
 from pneuma import __version__
-from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.runs import open_study
 from pneuma.answers.curves import find_curves
 from pneuma.errors import UserError
@@ -132,22 +132,46 @@ def test_lines_are_the_means_of_runs(study: HandMade, tmp_path: Path, figures: l
     assert killed.get_xlim() == returned.get_xlim() == (0, BUDGET)
 
 
-def test_few_runs_are_drawn_themselves_and_enough_have_an_interval_inside_the_deviation(
+@pytest.mark.parametrize("run_count", [5, 6, 7, 30])
+def test_the_interval_is_drawn_only_where_it_is_inside_the_deviation(
+    tmp_path: Path, figures: list[Figure], run_count: int
+) -> None:
+    """Of 5 runs it has 1.24 times the deviation's width, of 6 1.05 times, and of 7 0.92 times."""
+    study = HandMade(tmp_path)
+    for seed in range(run_count):
+        study.add("tanh", seed, evaluations=(0.1, 0.4 + 0.2 * (-1) ** seed), random=0.01)
+    study.draw(tmp_path)
+    bands = [band.get_paths()[0].get_extents() for band in figures[0].axes[1].collections]
+    drawn = ["± 1 SD between runs", "95 % interval of the mean"]
+    if run_count < 7:
+        drawn[1] = "every run"
+    assert legend(figures[0])[1:4] == ["mean of (n) runs", *drawn]
+    assert _lines_of_runs(figures[0], 1) == (run_count if run_count < 7 else 0)
+    assert ("Of fewer than 7 runs, the 95 % interval" in words(figures[0])) == (run_count < 7)
+    last = np.array([0.4 + 0.2 * (-1) ** seed for seed in range(run_count)])
+    deviation = last.std(ddof=1)
+    assert bands[0].y1 == pytest.approx(last.mean() + deviation)
+    if run_count >= 7:
+        half_width = stats.t.ppf(0.975, run_count - 1) * deviation / run_count**0.5
+        assert half_width < deviation
+        assert bands[1].y1 == pytest.approx(last.mean() + half_width)
+    assert len(bands) == 1 + (run_count >= 7)
+
+
+def test_conditions_of_few_and_of_many_runs_are_drawn_each_in_its_way(
     tmp_path: Path, figures: list[Figure]
 ) -> None:
-    few, enough = HandMade(tmp_path / "few"), HandMade(tmp_path / "enough")
-    for study, runs in ((few, LEAST_RUNS - 1), (enough, LEAST_RUNS)):
-        for seed in range(runs):
-            study.add("tanh", seed, evaluations=(0.0, 0.1 + 0.8 * (seed == 0)), random=0.01)
-        study.draw(tmp_path)
-    assert [len(figure.axes[1].collections) for figure in figures] == [1, 2]
-    assert [_lines_of_runs(figure, 1) for figure in figures] == [LEAST_RUNS - 1, 0]
-    assert legend(figures[0])[1:4] == ["mean of (n) runs", "± 1 SD between runs", "every run"]
-    assert legend(figures[1])[1:4] == ["mean of (n) runs", "± 1 SD between runs", "95 % interval of the mean"]
-    pale, dark = (band.get_paths()[0].get_extents() for band in figures[1].axes[1].collections)
-    # of 0.9 and four times 0.1 the mean is 0.26 and the deviation 0.36: a share is 0 at least
-    assert (pale.y0, pale.y1) == (0, pytest.approx(0.26 + 0.8 / 5**0.5))
-    assert dark.y1 == pytest.approx(0.26 + 2.7764 * 0.8 / 5, abs=1e-4)  # Student's t with 4 degrees
+    """Where not all runs have a value, no interval is drawn either."""
+    study = HandMade(tmp_path)
+    for seed in range(8):
+        study.add("tanh", seed, evaluations=(0.1 + 0.1 * (seed % 2),) * (4 if seed < 5 else 2))
+    for seed in range(5):
+        study.add("relu", seed, evaluations=(0.5 + 0.1 * (seed % 2),) * 4)
+    study.draw(tmp_path)
+    ends = [band.get_paths()[0].get_extents().x1 for band in figures[0].axes[1].collections]
+    assert ends == [1000, 500, 1000]  # tanh's deviation and interval, ReLU's deviation
+    assert _lines_of_runs(figures[0], 1) == 5
+    assert "Of fewer than 7 runs, the 95 % interval of the mean is wider" in words(figures[0])
 
 
 def test_a_band_that_was_asked_for_is_drawn_or_named_as_lacking(
