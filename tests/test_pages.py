@@ -45,15 +45,15 @@ def _mistake(line: str) -> str:
         if words[0] not in command.commands:
             return f"{words[0]!r} is no command of {command.name}"
         command = command.commands[words.pop(0)]
-    options = {name for own in command.params for name in (*own.opts, *own.secondary_opts)} | {"--help", "-h"}
-    words_of_options = [word.partition("=")[0] for word in words if word.startswith("--")]
-    wrong = [f"{command.name} has no {name}" for name in words_of_options if name not in options]
-    needed = [own for own in command.params if own.required and own.param_type_name == "option"]
-    wrong += [
-        f"{command.name} needs {own.opts[0]}"
-        for own in needed
-        if words_of_options and own.opts[0] not in words_of_options
-    ]
+    known = {"--help", "-h"}
+    for parameter in command.params:
+        known.update(parameter.opts, parameter.secondary_opts)
+    options = [word.partition("=")[0] for word in words if word.startswith("--")]
+    wrong = [f"{command.name} has no {option}" for option in options if option not in known]
+    for parameter in command.params:
+        is_needed = options and parameter.required and parameter.param_type_name == "option"
+        if is_needed and parameter.opts[0] not in options:
+            wrong.append(f"{command.name} needs {parameter.opts[0]}")
     return "; ".join(wrong)
 
 
