@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+import tomllib
 from pathlib import Path
 from textwrap import dedent
 from typing import Any
@@ -13,11 +14,13 @@ import pytest
 from typer.main import get_command
 
 from pneuma.algorithms import ALGORITHMS, OPTIMIZERS
+from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.outcomes import OUTCOMES
 from pneuma.cli import app
 from pneuma.config import ACTIVATIONS
 from pneuma.errors import UserError
 from pneuma.search.samplers import PRUNERS, SAMPLERS
+from pneuma.search.spec import load_search
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 from tools.pages import PAGES, ROOT, renewed, rewrite
@@ -149,6 +152,43 @@ def test_the_study_to_save_from_a_page_can_be_run(
     cells = make_plan(load_study(str(path)), Query()).cells
     assert {cell.condition: cell.run.horizon for cell in cells} == horizons
     assert {cell.seed for cell in cells} == set(range(seeds))
+
+
+_INDENTED = re.compile(r"(?:^ {4}.*\n|^\n(?= {4}))+", re.MULTILINE)
+_FENCED = re.compile(r"^```toml\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+_IS_TOML = re.compile(r"title = |\[[\w.-]+\] *(#.*)?$", re.MULTILINE)
+_REST_OF_A_STUDY = "\n[conditions.usual]\n[presets.quick]\nseeds = 1\nsteps = 1_000\n"
+
+
+def _toml_blocks(page: Path) -> list[str]:
+    """Return a page's files of TOML, and parts of them, as text."""
+    text = page.read_text(encoding="utf-8")
+    blocks = [dedent(block).lstrip("\n") for block in _INDENTED.findall(text)] + _FENCED.findall(text)
+    return [block for block in blocks if _IS_TOML.match(block)]
+
+
+def test_files_on_pages_are_allowed(tmp_path: Path) -> None:
+    """Of studies, also parts; of searches and claims, whole files."""
+    loaded: list[str] = []
+    for page in PAGES:
+        for block in _toml_blocks(page):
+            contents = tomllib.loads(block)
+            path = tmp_path / f"{page.stem}-{len(loaded)}.toml"
+            if contents.keys() <= {"run", "factors"}:
+                block = f'title = "A part"\n{block}{_REST_OF_A_STUDY}'
+            path.write_text(block, encoding="utf-8")
+            if "claims" in contents:
+                load_claims(path)
+            elif "space" in contents:
+                load_search(str(path))
+            elif "presets" in tomllib.loads(block):
+                load_study(str(path))
+            else:
+                continue
+            loaded.append(page.stem)
+    assert {"README", "claims", "environments", "paper", "python", "search", "studies", "tutorial"} <= {
+        *loaded
+    }
 
 
 def test_pages_stay_short() -> None:

@@ -19,7 +19,7 @@ from pydantic import BeforeValidator
 from pneuma.config import Run
 from pneuma.env.fields import read_field
 from pneuma.errors import unknown_name
-from pneuma.schema import plain, wrong
+from pneuma.schema import plain, shown, wrong
 from pneuma.study.spec import PLANNED
 
 SEARCHABLE = tuple(item.name for item in fields(Run) if item.name not in PLANNED and item.name != "engine")
@@ -47,6 +47,14 @@ class Parameter:
         if isinstance(self.distribution, IntDistribution | FloatDistribution):
             return [self.distribution.low, self.distribution.high]
         return list(self.choices)
+
+    @property
+    def allowed(self) -> str:
+        """Its range or its values, for messages."""
+        if self.choices:
+            return shown(list(self.choices.values()))
+        low, high = self.extremes
+        return f"{low:g} to {high:g}"
 
     def contains(self, parameter: Any) -> bool:
         try:

@@ -154,6 +154,14 @@ class Search(Table):
             for parameter_name, value in params.items()
         )
 
+    def _allowed(self, field_name: str) -> str:
+        """Return what the space allows for a field."""
+        if field_name not in self.space:
+            return f"there is no [space.{field_name}]"
+        parameter = self.space[field_name]
+        allowed = f"[space.{field_name}] allows {parameter.allowed}"
+        return f"{allowed}, when {shown(parameter.when)}" if parameter.when else allowed
+
     def corners(self) -> Iterator[tuple[dict[str, Any], Run]]:
         """Yield trials at the ends of ranges, always the same ones, each with its run."""
         generator = random.Random(0)
@@ -176,7 +184,8 @@ class Search(Table):
         for start in self.start:
             params = self.params_of(start)
             if isinstance(start, dict) and params.keys() < start.keys():
-                raise UserError(f"start: {shown(start)} is not in the space")
+                outside = next(field_name for field_name in start if field_name not in params)
+                raise UserError(f"start: {shown(start)} is not in the space: {self._allowed(outside)}")
         corners = list(self.corners())
         every_run = [run for _, run in corners]
         for field_name in unread_fields(every_run, shared_fields):
