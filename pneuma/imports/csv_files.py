@@ -142,6 +142,7 @@ def _read_runs(path: Path, shared_folder: Path, file_text: str, columns: Columns
         runs["seed"] = _whole_numbers(path, table[columns.seed])
     elif columns.seed:
         runs["seed"] = _read_seed(columns.seed, list(table.columns))
+    missing_column = "" if columns.condition in table else columns.condition
     values_by_column = {column: _numbers(path, table[column]) for column in quantities}
     for _, run_rows in runs.groupby(["condition", "seed"], sort=False):
         condition, seed = str(run_rows["condition"].iloc[0]), int(run_rows["seed"].iloc[0])
@@ -155,7 +156,7 @@ def _read_runs(path: Path, shared_folder: Path, file_text: str, columns: Columns
                 notes.append(
                     f"{lost_rows} of {counted(len(rows), 'row')} have no finite {column} and are left out"
                 )
-            _refuse_two_runs(path, steps[finite.index], run_name)
+            _refuse_two_runs(path, steps[finite.index], run_name, missing_column)
             mean_tag, single_tag = QUANTITIES[quantity]
             are_means = quantity in EPISODE_QUANTITIES and columns.averaged_over != 1
             tag = mean_tag if are_means else single_tag
@@ -174,6 +175,9 @@ def _read_runs(path: Path, shared_folder: Path, file_text: str, columns: Columns
 
 def _read_cells(path: Path, file_text: str) -> pd.DataFrame:
     """Return the cells of a table as text, by the number of their row."""
+    header_line = file_text.partition("\n")[0]
+    if ";" in header_line and "," not in header_line:
+        raise UserError(f"{path}: has semicolons between its columns; write it with commas")
     try:
         cell_rows = pd.read_csv(io.StringIO(file_text), header=None, dtype=str, keep_default_na=False)
     except ValueError as error:
@@ -256,11 +260,14 @@ def _refuse_cells(path: Path, wrong_cells: pd.Series, allowed: str) -> None:
         raise UserError(f"{first_cell} must be {allowed}, without thousands separators")
 
 
-def _refuse_two_runs(path: Path, steps: pd.Series, run: str) -> None:
+def _refuse_two_runs(path: Path, steps: pd.Series, run: str, missing_column: str) -> None:
     backward = steps.index[steps.diff() <= 0]
     if len(backward):
         again = f"{path}, row {backward[0]}: step {steps[backward[0]]:,} of {run} is not after the one before"
         arguments = Hint("condition"), " and ", Hint("seed")
+        if missing_column:
+            reason = f"all rows have the condition {missing_column}, because no column is called so"
+            raise UserError(f"{again}: {reason}")
         raise UserError(f"{again}: distinguish the runs with ", *arguments, ", or keep one row per step")
 
 

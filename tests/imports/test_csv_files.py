@@ -134,6 +134,11 @@ def test_without_columns_they_are_listed_with_options_to_copy() -> None:
         (",5", "", "'' in column step must be a whole number"),
         ("8,5\n8,6", "", "row 3: step 8 of runs with seed 0 is not after the one before: distinguish"),
         ("8,5\n16,6\n8,5", "", "row 4: step 8 of runs with seed 0 is not after the one before"),
+        (
+            "8,5\n8,6",
+            "--condition algo",
+            "all rows have the condition algo, because no column is called so",
+        ),
         ("8,", "", "has no values at agent steps"),
         ("", "", "has no rows below its header"),
         ("8,5", "--step steps", "unknown column in --step 'steps' (did you mean step?)"),
@@ -157,6 +162,8 @@ def test_columns_and_runs_of_one_name_and_what_is_no_text_are_refused() -> None:
     write("runs.csv", "step,return,return\n8,5,6\n")
     words = ("--step", "step", "--value", "return")
     assert "has two columns named 'return'" in refused("import", "csv", "runs.csv", *words)
+    write("runs.csv", "step;return\n10;1,5\n")
+    assert "runs.csv: has semicolons between its columns" in refused("import", "csv", "runs.csv", *words)
     names = [write(f"{name}/runs.csv", f"step,return\n8,{len(name)}\n") for name in ("a", "bc")]
     message = refused("import", "csv", *names, *words, "--condition", "ppo", "--seed", "1")
     assert "are two runs of one name, ppo with seed 1: give each another seed" in message
