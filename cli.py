@@ -5,9 +5,9 @@ import sys
 try:
     from pneuma.cli import run
 except ModuleNotFoundError as missing:
-    mend = f"{missing.name} is not installed: pip install -c constraints.txt ."
+    mend = f"{missing.name} is not installed: pip install -c constraints.txt -e ."
     if sys.platform == "win32":
-        mend = "Windows has no file locks as runs need them: use Linux, macOS or WSL"
+        mend = "Windows has no file locks as runs need them: use Linux, as in WSL"
     print(f"pneuma: {mend}", file=sys.stderr)
     raise SystemExit(2) from None
 

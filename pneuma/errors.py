@@ -102,7 +102,7 @@ class RunWarning(UserWarning):
 
 def install_extra(extra_name: str) -> str:
     """Return the command that installs an extra from Pneuma's folder; PyPI's `pneuma` is another project."""
-    return f"pip install '.[{extra_name}]' in Pneuma's folder"
+    return f"pip install -c constraints.txt -e '.[{extra_name}]' in Pneuma's folder"
 
 
 def plain(text: str) -> str:
