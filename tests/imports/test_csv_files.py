@@ -207,18 +207,18 @@ def test_of_a_wandb_export_of_two_metrics_the_named_one_is_taken() -> None:
     columns += [f"{run} - losses/value_loss" for run in runs]
     header = ",".join(f'"{column}"' for column in ("Step", *columns))
     tidy_export(header, "5,1,0,2,3,3,3,,,,70,80,90", "6,,,,4,4,4,8,8,8,70,80,90")
-    printed("import", "csv", "runs.csv", *WANDB)
-    assert curves("runs", "return") == {
+    printed("import", "csv", "logs.csv", *WANDB)
+    assert curves("logs", "return") == {
         ("ppo", 1): {5: 1}, ("ppo", 2): {5: 3, 6: 4}, ("a2c_big", 1): {6: 8},
     }  # fmt: skip
 
 
 def test_two_runs_of_one_display_name_and_a_groups_mean_are_refused() -> None:
     tidy_export(f"Step,ppo_1{RETURN},ppo_1{RETURN}", "5,1,2", "6,3,4")
-    message = refused("import", "csv", "runs.csv", *WANDB)
+    message = refused("import", "csv", "logs.csv", *WANDB)
     assert "step 5 of ppo with seed 1 is not after the one before: distinguish the runs" in message
     tidy_export(f"Step,algo: ppo{RETURN},algo: ppo{RETURN}__MIN,algo: ppo{RETURN}__MAX", "5,2,1,3")
-    assert "'' in column condition must be a condition" in refused("import", "csv", "runs.csv", *WANDB)
+    assert "'' in column condition must be a condition" in refused("import", "csv", "logs.csv", *WANDB)
     message = refused("import", "csv", "wandb.csv", "--step", "Step", "--value", f"algo: ppo{RETURN}")
     assert "holds means" in message and "of single runs" in message
 
