@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from pneuma.env.fields import SPELL_NAMES, make_env_config
 from pneuma.env.players import Hunter
 from pneuma.env.render import GIF_FACTOR, Renderer
 from pneuma.env.rules import RIGHT
-from pneuma.env.watch import encode_gif, episode_frames, smooth
+from pneuma.env.watch import FRAMES_PER_STEP, encode_gif, episode_frames, smooth
 from pneuma.env.worlds import Worlds
 from pneuma.figures.origin import origin_text
 from pneuma.figures.style import house_style, save_figure
@@ -182,9 +183,9 @@ def _training(episodes: Sequence[Mapping[str, Any]]) -> Figure:
     return page
 
 
-def replay(episode: Mapping[str, Any], **settings: object) -> tuple[Worlds, Callable[[Worlds], np.ndarray]]:
+def replay(episode: Mapping[str, Any]) -> tuple[Worlds, Callable[[Worlds], np.ndarray]]:
     """Return the world of a recorded episode, and who plays it again."""
-    worlds = Worlds(1, make_env_config(settings, episode["env"]))
+    worlds = Worlds(1, make_env_config({}, episode["env"]))
     worlds.seed([episode["seed"]])
     worlds.reset()
     actions = map(int, episode["actions"])
@@ -193,7 +194,8 @@ def replay(episode: Mapping[str, Any], **settings: object) -> tuple[Worlds, Call
 
 def _move(episode: Mapping[str, Any], path: Path) -> Path:
     """Write the first steps of an episode as a moving picture."""
-    worlds, act = replay(episode, episode_steps=SHOWN)
+    worlds, act = replay(episode)
     renderer = Renderer(worlds, "follow", zoom=GIF_FACTOR)
-    path.write_bytes(encode_gif(episode_frames(worlds, act, renderer)))
+    first_frames = islice(episode_frames(worlds, act, renderer), SHOWN * FRAMES_PER_STEP + 1)
+    path.write_bytes(encode_gif(first_frames))
     return path

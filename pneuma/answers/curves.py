@@ -38,6 +38,8 @@ from pneuma.store.series import GRID_POINTS
 DEFAULT_QUANTITIES, EVALUATED = ("return", "share_killed", "success"), "evaluated_return"
 DEFAULT_BAND, INTERVAL = BAND_NAMES[0], "ci"
 TRAILING_WINDOW = WINDOWS[1]
+LEAST_EVALUATIONS = 3
+"""With fewer, a curve of evaluations is a dot or two."""
 LEAST_POINTS = GRID_POINTS // 2
 """With a mean of all runs at fewer points, a curve of training is stubs."""
 EPISODE_WORDS = {
@@ -179,6 +181,10 @@ def find_curves(
         curve_tables.append(curves_table(column.curves, curve_options.bands).assign(**environment_column))
         reference_tables.append(column.reference.assign(**environment_column))
         notes_by_title[title] = _notes(column, curve_options)
+        is_return_in_training = not quantities and "return" in column.curves
+        if is_return_in_training and is_foreign(column.data) and _has_few_evaluations(column.data):
+            few_text = f"With fewer than {LEAST_EVALUATIONS} evaluations, the return is that in training."
+            notes_by_title[title].insert(0, few_text)
     shown_studies = {title: column.data for title, column in columns.items()}
     run_counts = first_data.runs["condition"].value_counts(sort=False).rename_axis("condition")
     return CurvesAnswer(
@@ -202,12 +208,16 @@ def find_curves(
 def default_quantities(study_data: StudyData, beside: StudyData | None = None) -> list[str]:
     """Return the quantities of a study's default figure, or of that with another study beside.
 
-    The return is that of evaluations, where both have it, in environments that are not Pneuma's, and where
-    episodes are so long for the budget that a training curve has gaps.
+    The return is that of evaluations, where both have it at three steps or more, in environments that are not
+    Pneuma's, and where episodes are so long for the budget that a training curve has gaps.
     """
     recorded = curve_names(study_data)
     first_quantity, *alternatives = DEFAULT_QUANTITIES
-    has_evaluations = EVALUATED in recorded and (beside is None or EVALUATED in curve_names(beside))
+    has_evaluations = (
+        EVALUATED in recorded
+        and (beside is None or EVALUATED in curve_names(beside))
+        and not (first_quantity in recorded and _has_few_evaluations(study_data))
+    )
     if not have_one_return(study_data):
         first_quantity = "length"
     elif has_evaluations and (
@@ -219,6 +229,10 @@ def default_quantities(study_data: StudyData, beside: StudyData | None = None) -
         or recorded[:1]
         or ["return"]
     )
+
+
+def _has_few_evaluations(study_data: StudyData) -> bool:
+    return max(len(run.evaluations("step")) for run in study_data.rows) < LEAST_EVALUATIONS
 
 
 def _has_stubs(study_data: StudyData, quantity: str) -> bool:

@@ -167,10 +167,19 @@ def _draw(answer: CurvesAnswer, column: Column, quantity_name: str, looks: Looks
             grid.draw_band(axes, frame, bounds, color=look["color"], alpha=opacity)
         if _shows_runs(curve, options.bands[0]):
             line_width, opacity = 0.3 * mpl.rcParams["lines.linewidth"], 0.4 * min(1.0, MANY_RUNS / run_count)
-            axes.plot(curve.runs, color=look["color"], linewidth=line_width, alpha=opacity, zorder=1.4)
+            axes.plot(
+                curve.runs, color=look["color"], linewidth=line_width, alpha=opacity, zorder=1.4,
+                marker=_single_marker(curve), markersize=3 * line_width,
+            )  # fmt: skip
         _draw_mean(axes, curve, look)
     if column.beside:
+        # Logs do not contain their environment, and may be of another panel's.
+        is_foreign_there = len(answer.columns) > 1 and column.beside.averaged_over is not None
+        limits = axes.get_ylim()
         _draw_beside(axes, beside_curves, column, looks)
+        if is_foreign_there:
+            axes.set_ylim(limits)
+            beside_curves = []
     low, high = reach([*curves, *beside_curves])
     if axis_kind == SHARES:
         low = 0.0
@@ -221,8 +230,13 @@ def _draw_beside(axes: Axes, curves: Sequence[Curve], column: Column, looks: Loo
             label = f"{label_text}, {title} ({curve.run_count})"
         axes.plot(
             curve.runs, label=label, color=colour, alpha=fading * opacity, linewidth=0.7,
-            linestyle=(0, (3, 1)), zorder=1.3,
+            linestyle=(0, (3, 1)), zorder=1.3, marker=_single_marker(curve), markersize=4,
         )  # fmt: skip
+
+
+def _single_marker(curve: Curve) -> str:
+    """Return a marker for runs with one point, of which a line shows nothing."""
+    return "o" if len(curve.runs.dropna(how="all")) == 1 else ""
 
 
 def _shows_runs(curve: Curve, band: str) -> bool:

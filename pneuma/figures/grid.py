@@ -45,6 +45,8 @@ NARROW = 2.0
 """Inches of a panel in which the labels of three ticks fit, and no more."""
 LONG_AXIS = 5000
 """An axis longer than this has numbers with a k."""
+SINGLE_BAND = 6.0
+"""Width in points of a band at a single point."""
 RANDOM_PLAYER = "random player"
 RANDOM_LOOK: Any = {"color": GREY, "linestyle": (0, (1, 2)), "linewidth": 0.9, "zorder": 1.2}
 ROW_INCHES, LEAST_ROW_INCHES, LONGEST_INCHES = 0.28, 0.1, 7.6
@@ -312,9 +314,12 @@ def draw_random_player(
 
 
 def draw_band(axes: Axes, frame: pd.DataFrame, bounds: tuple[float, float], **look: Any) -> None:
-    """Draw the band of a frame of x, low and high within bounds, if it has one."""
-    if frame["low"].notna().any():
-        low, high = frame["low"].clip(*bounds), frame["high"].clip(*bounds)
+    """Draw the band of a frame of x, low and high within bounds, if it has one; at a single point a bar."""
+    low, high = frame["low"].clip(*bounds), frame["high"].clip(*bounds)
+    if low.notna().sum() == 1:
+        colour, opacity = look["color"], look["alpha"]
+        axes.vlines(frame["x"], low, high, colour, linewidth=SINGLE_BAND, alpha=opacity, clip_on=False)
+    elif low.notna().any():
         axes.fill_between(frame["x"], low, high, linewidth=0, **look)
 
 

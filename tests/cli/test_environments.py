@@ -108,7 +108,9 @@ def test_a_figure_that_cannot_be_drawn_or_written_is_refused(study: Path) -> Non
 
 def test_panels_have_the_evaluated_return_and_their_own_names_of_conditions(study: Path) -> None:
     parts = by_environment(open_data(study))
-    usual, trained = curves_page(find_curves(parts)), curves_page(find_curves(parts, ["return"]))
+    usual, trained = (
+        curves_page(find_curves(parts, [quantity])) for quantity in ("evaluated_return", "return")
+    )
     summary = summary_page(show_outcomes(parts))
     assert [panel.title for panel in _panels(usual)[:2]] == ["CartPole-v1", "Acrobot-v1"]
     assert _panels(usual)[0].y == "Return in evaluation" and _panels(trained)[0].y == "Return in training"

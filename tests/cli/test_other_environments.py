@@ -43,7 +43,9 @@ def test_a_study_beside_its_environment_is_trained_and_told(tmp_path: Path) -> N
     table = described("study", "summary", mine, *at, "--json")["summary"]
     runs_by_outcome = {row["outcome"]: row["runs"] for row in table if row["condition"] == "sound"}
     assert runs_by_outcome["evaluated-return"] == runs_by_outcome["final-success"] == 1
-    figures = described("study", "plot", mine, *at, "--format", "svg", "--json")["figures"]
+    figures = described(
+        "study", "plot", mine, *at, "--quantity", "evaluated_return", "--format", "svg", "--json"
+    )["figures"]
     assert "random player (−" in Path(figures[0]).read_text()  # a return, and no share
     printed("study", "export", mine, *at, "--table", "curves", "--out", tmp_path / "curves.csv")
     assert not any("killed" in row["outcome"] or "hp" in row["outcome"] for row in table)

@@ -107,6 +107,22 @@ def test_a_return_of_few_episodes_is_that_of_evaluations(
     assert figures[0].axes[0].get_title(loc="left") == title
 
 
+def test_few_evaluations_elsewhere_are_replaced_by_training_and_are_seen_where_asked_for(
+    tmp_path: Path, figures: list[Figure]
+) -> None:
+    study = HandMade(tmp_path, "CartPole-v1")
+    for seed in range(3):
+        study.add("tanh", seed, evaluations=(float("nan"),), returned=22.0 + seed)
+    study.draw(tmp_path)
+    assert figures[0].axes[0].get_title(loc="left") == "Return in training"
+    assert "With fewer than 3 evaluations, the return is that in training." in words(figures[0])
+    study.draw(tmp_path, "evaluated_return", beside=study.data)
+    (bar,) = figures[1].axes[0].collections
+    assert [segment.tolist() for segment in bar.get_segments()] == [[[250, 22], [250, 24]]]
+    beside = [line for line in figures[1].axes[0].lines if line.get_linestyle() == "--"]
+    assert {line.get_marker() for line in beside} == {"o"}
+
+
 def test_no_word_reaches_over_the_edge(study: HandMade, tmp_path: Path, figures: list[Figure]) -> None:
     study.add("learning_rate=1e-4, reward=thesis, scale=unit, stationary", 0, status="diverged")
     (path,) = study.draw(tmp_path, formats=("png",))
