@@ -37,6 +37,8 @@ FAR = 2.0
 BELOW_ZERO = 0.02
 """How far an axis of shares extends below 0 and above 1, so that points at the ends are seen."""
 CAPTION_LINES = 5
+LETTERS_OF_HANDLE, LETTERS_OF_NARROW_HANDLE = 8, 6
+"""How wide a sign in a legend is, with the space around it, in letters."""
 LONGEST_LABEL = 40
 """Most letters in a line of a row's label."""
 AXIS_INCHES = 0.4
@@ -227,12 +229,18 @@ def _put_texts(figure: Figure, page: Page, look: Look, x_label: str) -> Figure:
     heading = textwrap.wrap(headline, characters(1.2 * type_points, look.width))
     labels: dict[str, Any] = {}
     for label, artist in _legend_entries(figure, page.entries).items():
-        labels[textwrap.fill(label, line_letters - 8)] = artist
+        labels[textwrap.fill(label, line_letters - LETTERS_OF_HANDLE)] = artist
     longest = max(map(len, labels), default=0)
-    columns = max(1, min(len(labels), line_letters // (longest + 8)))  # a handle is as wide as 8 letters
-    legend_rows = math.ceil(len(labels) / columns)
+    columns, legend_share = line_letters // (longest + LETTERS_OF_HANDLE), 1.0
+    legend_look: dict[str, Any] = {}
+    if columns < 2:  # in small print with narrow spaces, more fit beside each other
+        columns, legend_share = int(line_letters / CAPTION) // (longest + LETTERS_OF_NARROW_HANDLE), CAPTION
+        legend_look = {"handlelength": 1.5, "columnspacing": 1.0, "fontsize": CAPTION * type_points}
+    columns = max(1, min(len(labels), columns))
+    legend_rows: float = math.ceil(len(labels) / columns)
     if columns == 1:
         legend_rows += sum(label.count("\n") for label in labels)
+    legend_rows *= legend_share
     caption_lines = textwrap.wrap(
         caption, characters(CAPTION * type_points, look.width), max_lines=CAPTION_LINES, placeholder=" …"
     )
@@ -263,7 +271,7 @@ def _put_texts(figure: Figure, page: Page, look: Look, x_label: str) -> Figure:
         figure.legend(
             labels.values(), labels.keys(), loc="upper left", ncols=columns, alignment="left",
             bbox_to_anchor=(left_edge, 1 - (1.2 * line_inches * len(heading) + 0.05) / height),
-            labelspacing=0.3, borderpad=0, borderaxespad=0,
+            labelspacing=0.3, borderpad=0, borderaxespad=0, **legend_look,
         )  # fmt: skip
     figure.text(
         left_edge, 0.05 / height, "\n".join(caption_lines), fontsize=CAPTION * type_points, color="#444444",
