@@ -87,7 +87,7 @@ SEARCHES = {("ppo", "arena"): (), ("ppo", "text"): ("values",), ("godot", None):
 """The published searches that a page shows, each with its world if it has several; () is all its pictures."""
 ELSEWHERE = {"CartPole": "cartpole", "Acrobot": "acrobot", "MinAtar's Breakout": "breakout"}
 """Studies that ask the same of other environments, by the titles of their panels."""
-WHOLE = ("architecture", "activation", "actor-size", "breakout", "robustness")
+WHOLE = ("architecture", "activation", "actor-size", "breakout", "cartpole", "robustness")
 """Studies of which another figure shows every condition, or a table all that there is to see."""
 EARLIER: Mapping[str, tuple[str, dict[str, Any]]] = {"fig-6-2": ("one-environment", {"slots": 1})}
 """Figures that show earlier runs too: the preset and the changed fields that these have."""
