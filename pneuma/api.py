@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 from pneuma.config import OF_WORLDS, Run, as_fields, is_gymnasium_id, make_run
 from pneuma.env.fields import ENVIRONMENTS, make_env_config, read_field
 from pneuma.errors import Message, Say, UserError, counted, silent
-from pneuma.schema import plain
+from pneuma.schema import plain, read_toml
 from pneuma.store.last_queries import on_top_of_last
 from pneuma.store.provenance import available_cores, project
 from pneuma.store.store import Store
@@ -96,7 +96,12 @@ def run_study(
 
 def plan_study(query: plan.Query, store: Store, say: Say = silent) -> plan.Plan:
     """Plan the runs of a query to train, after `say` was called with the user's own code that they run."""
-    study = spec.load_study(query.study, query.world, copies=store.studies)
+    try:
+        study = spec.load_study(query.study, query.world, copies=store.studies)
+    except UserError:
+        if store.listing(query.study):
+            raise UserError(f"study {query.study}: its runs were imported and cannot be trained") from None
+        raise
     if query.preset == spec.LAST:
         query = on_top_of_last(store, study.name, study.world, query)
     fields = [study.fields(condition, query.settings) for condition in study.conditions]
@@ -109,10 +114,20 @@ def plan_study(query: plan.Query, store: Store, say: Say = silent) -> plan.Plan:
         study = with_claims(study, query.steps)
     planned = plan.make_plan(study, query)
     if study.outcomes:
-        from pneuma.analysis.outcomes import check_outcomes
-
-        check_outcomes(study.outcomes, {cell.run.env for cell in planned.cells})
+        _check_outcomes(study, {cell.run.env for cell in planned.cells})
     return planned
+
+
+def _check_outcomes(study: spec.Study, environments: Collection[str]) -> None:
+    """Refuse outcomes of a study's file that its runs cannot have, before anything is trained."""
+    from pneuma.analysis.outcomes import check_outcome
+
+    try:
+        for outcome in study.outcomes:
+            check_outcome(outcome, environments)
+    except UserError as error:
+        assert study.path is not None
+        raise read_toml(study.path).mistake((), f"outcomes: {error}", "outcomes") from None
 
 
 def train_plan(

@@ -24,7 +24,7 @@ from pneuma.analysis.measures import NAN, Measure
 from pneuma.analysis.study_data import StudyData
 from pneuma.config import is_gymnasium_id
 from pneuma.env.fields import ENVIRONMENTS
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import unknown_name
 from pneuma.store.rows import Row
 
 PRIMARY, PRIMARY_ELSEWHERE = "final-share-killed", "evaluated-return"
@@ -139,15 +139,6 @@ def check_outcome(outcome_name: str, environments: Collection[str]) -> None:
     raise unknown_name(
         f"outcome of {environment_names}", outcome_name, (*recorded_outcomes, "steps-to-return:X")
     )
-
-
-def check_outcomes(outcome_names: Iterable[str], environments: Collection[str]) -> None:
-    """Refuse such outcomes of a study's file before anything is trained."""
-    for outcome_name in outcome_names:
-        try:
-            check_outcome(outcome_name, environments)
-        except UserError as error:
-            raise UserError(f"the study's file, outcomes: {error}") from None
 
 
 def with_unit(outcome_name: str) -> str:

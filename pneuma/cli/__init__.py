@@ -58,6 +58,8 @@ class _Root(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find a command; of one that is in a group, such as `plot`, name the group."""
+        if args[0] == "run" and "".join(args[1:2]).endswith(".toml"):
+            raise UserError(f"`pneuma run` is about single stored runs: `pneuma study run {args[1]}`")
         try:
             return super().resolve_command(ctx, args)
         except typer.TyperException:

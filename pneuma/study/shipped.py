@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError, nearest_name
 from pneuma.files import shipped_folder
 
 CLAIMS_FILE = "claims.toml"
@@ -102,7 +102,9 @@ def _by_figure(category: str, name: str, folder: Path, known_names: list[str]) -
             return folder / f"{figures[name]}.toml"
         if name in shipped_names(folder / "search"):
             raise UserError(f"{name} is a search, not a study: `pneuma search run {name}`")
-    raise unknown_name(category, name, known_names + shipped_names(folder / "examples"))
+    own_names = [own_file.stem for own_file in Path().glob("*.toml")]
+    hint = nearest_name(name, known_names + shipped_names(folder / "examples") + own_names)
+    raise UserError(f"unknown {category} {name!r}{hint}; `pneuma {category} list` lists the shipped ones")
 
 
 def refuse_taken_name(own_file: Path, shipped_file: Path, category: str) -> None:

@@ -98,6 +98,8 @@ def _read_fields(run_table: Any) -> Any:
         try:
             if field_name in PLANNED:
                 raise UserError(f"{field_name} is not allowed here: use {PLANNED[field_name]}")
+            if field_name == "outcomes":
+                raise UserError("outcomes is not allowed here: it stands above [run], at the top of the file")
             if field_name not in Run.__dataclass_fields__:
                 hint = "put a learner's arguments in algorithm_kwargs"
                 raise UserError(f"{unknown_name('key', field_name, Run.__dataclass_fields__)}; {hint}")
@@ -473,8 +475,8 @@ def does_nothing(field_name: str, runs: Iterable[Run]) -> str:
             reader_names[run.optimizer] = None
     hint = ""
     if "ppo" not in algorithms:
-        hint = f"; an argument of {next(iter(algorithms))} stands in algorithm_kwargs, by the library's name"
-    return f"{field_name} does nothing: it is read by none of {', '.join(reader_names)} as they are set{hint}"
+        hint = f". Arguments of {next(iter(algorithms))} stand in algorithm_kwargs"
+    return f"{field_name} does nothing: with these settings none of {', '.join(reader_names)} reads it{hint}"
 
 
 def asked_words(study: Study) -> list[str]:

@@ -34,6 +34,8 @@ RUN = "study run activation"
 MISTAKES = {
     "study run activaton": "'activaton' (did you mean activation?)",
     "study run ppo": "ppo is a search, not a study: `pneuma search run ppo`",
+    "study run nothing-like-it": "unknown study 'nothing-like-it'; `pneuma study list`",
+    "run shorter.toml": "`pneuma study run shorter.toml`",
     "plot activation": "no such command 'plot': `pneuma study plot`",
     f"{RUN} --steps 100k": "--steps 100k: must be a whole number of at least 1, as 100_000 or 1e5",
     f"{RUN} --set optimizer=sdg": "did you mean sgd?",
@@ -66,6 +68,34 @@ MISTAKES = {
 def test_a_mistake_is_one_line_and_nothing_is_written(words: str, here: Path) -> None:
     assert MISTAKES[words] in refused(*words.split())
     assert os.listdir(here) == []
+
+
+def test_a_file_here_is_suggested_for_a_mistyped_study(here: Path) -> None:
+    (here / "shorter.toml").touch()
+    assert "unknown study 'shortr' (did you mean shorter?)" in refused("study", "run", "shortr")
+
+
+CARTPOLE = """\
+title = "CartPole"
+{above}
+[run]
+env = "CartPole-v1"
+{below}
+[conditions.usual]
+[presets.quick]
+seeds = 1
+steps = 1_000
+"""
+
+
+def test_an_outcome_that_runs_cannot_have_is_told_with_its_line(here: Path) -> None:
+    outcomes = 'outcomes = ["final-share-killed"]'
+    (here / "cartpole.toml").write_text(CARTPOLE.format(above=outcomes, below=""))
+    message = refused("study", "run", "cartpole.toml")
+    assert "cartpole.toml, line 2: outcomes: unknown outcome of CartPole-v1 'final-share-killed'" in message
+    (here / "cartpole.toml").write_text(CARTPOLE.format(above="", below=outcomes))
+    message = refused("study", "run", "cartpole.toml")
+    assert "line 5: [run] outcomes is not allowed here: it stands above [run]" in message
 
 
 def test_of_an_endless_message_both_ends_are_printed(here: Path) -> None:

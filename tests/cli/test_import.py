@@ -47,6 +47,13 @@ def test_an_import_is_drawn_and_published_and_drawn_again(
         assert (clone / "figures" / name).read_bytes() == (results / "figures" / name).read_bytes()
 
 
+def test_two_conditions_of_logs_are_compared_in_what_they_have_and_not_trained(results: Path) -> None:
+    compared = described("study", "compare", "old", "tanh", "relu", "--results", results, "--json")
+    assert [row["outcome"] for row in compared["comparisons"]] == ["final-return", "auc-return"]
+    message = refused("study", "run", "old", "--results", results)
+    assert message == "study old: its runs were imported and cannot be trained"
+
+
 @pytest.mark.usefixtures("unshipped")
 def test_logs_are_compared_and_drawn_beside_a_study_in_what_both_have(
     trained: Path, logs: Path, tmp_path: Path
