@@ -148,8 +148,9 @@ def _compare_pairs(
     for pair_key, (a, b) in pairs.items():
         for outcome in dict.fromkeys([*first_outcomes, *(outcomes or outcomes_to_compare(a, b))]):
             row = compare_groups(a, b, outcome)
-            # What one of two studies lacks, as imports do, is left out.
-            if outcomes or a.data is b.data or (row["seeds_a"] and row["seeds_b"]):
+            # What one of two studies lacks, as imports do, or both conditions of one, is left out.
+            counts = row["seeds_a"], row["seeds_b"]
+            if outcomes or all(counts) or (a.data is b.data and any(counts)):
                 comparison_rows.append({**row, "shared": pair_key})
         notes += _notes_on_pair(a, b)
     if not comparison_rows:

@@ -167,6 +167,7 @@ def test_the_overview_has_five_columns_and_what_never_happens_is_a_line(tmp_path
     for (_, seed), run_id in cells.items():
         save_collapse(store, run_id, healthy(), learning(), end=BUDGET // 2 if seed < 2 else BUDGET)
     answer = summarize(study_of(store, cells))
+    assert all(answer.notes)
     heads = ["condition", "runs", "final-share-killed (share)", "auc-share-killed (share)"]
     assert [*answer.cells[0]] == [*heads, "diverged"]
     assert answer.legend[0] == "No run collapsed."
