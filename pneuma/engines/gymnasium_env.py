@@ -22,6 +22,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.error import DeprecatedEnv, VersionNotFound
 
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run
@@ -308,6 +309,8 @@ def make_env(run: Run, render_mode: str = "") -> gymnasium.Env[Any, Any]:
         with blamed(f"env = {run.env}"):
             env = gymnasium.make(run.env, disable_env_checker=True, **arguments)
     except UserError as error:
+        if isinstance(error.__cause__, VersionNotFound | DeprecatedEnv):  # which name other versions
+            raise
         raise UserError(f"{error}{_how_to_register(run)}") from None
     for wrapper in run.wrappers:
         class_name, brace, arguments_text = wrapper.partition("{")

@@ -10,12 +10,13 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
+from gymnasium.error import DependencyNotInstalled
 
 from pneuma.config import Run
 from pneuma.engines.gymnasium_env import actions_in, blamed, flattening, make_env
 from pneuma.engines.policy import Policy
 from pneuma.engines.sb3_open import LearnedPolicy
-from pneuma.errors import UserError
+from pneuma.errors import UserError, install_extra
 
 FRAMES_PER_SECOND = 30
 """Of an environment that does not say how fast it is."""
@@ -35,8 +36,14 @@ def episode_frames(run: Run, policy: Policy | LearnedPolicy | None, seed: int) -
     with closing(make_env(run, "rgb_array")) as env, blamed(f"{run.env} when it is drawn"):
         env.action_space.seed(seed)
         choose_action = _acting(run, policy, env, seed)
-        observation, _ = env.reset(seed=seed)
-        yield _frame(run, env)
+        try:
+            observation, _ = env.reset(seed=seed)
+            first_frame = _frame(run, env)
+        except DependencyNotInstalled as error:
+            if "pygame" not in str(error):
+                raise
+            raise UserError(f"{run.env} is drawn by pygame: {install_extra('play')}") from None
+        yield first_frame
         has_ended = False
         while not has_ended:
             observation, _, terminated, truncated, _ = env.step(choose_action(observation))

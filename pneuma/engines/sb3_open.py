@@ -12,6 +12,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
 import warnings
 from contextlib import closing
 from inspect import signature
@@ -146,10 +147,24 @@ def _make_learner(run: Run, env: VecEnv, to_play: bool = False) -> Any:
         if to_play and "buffer_size" in signature(learner_type).parameters:
             arguments["buffer_size"] = 1
         seed = None if to_play else stream_seed(run.seed, "weights") % 2**31
-        learner = learner_type(policy_name, env, seed=seed, device="cpu", **arguments)
+        try:
+            learner = learner_type(policy_name, env, seed=seed, device="cpu", **arguments)
+        except AssertionError as error:
+            _refuse_actions(run, env, str(error))
+            raise
     if isinstance(env, VecNormalize):
         env.gamma = learner.gamma
     return learner
+
+
+def _refuse_actions(run: Run, env: VecEnv, library_message: str) -> None:
+    """Refuse an environment whose actions a learner lacks, as the library's message says."""
+    supported, text, _ = library_message.partition(" as action spaces but ")
+    if text:
+        spaces_needed = " or ".join(re.findall(r"(\w+)'>", supported))
+        raise UserError(
+            f"{run.algorithm} needs {spaces_needed} actions, but {run.env} has {env.action_space}"
+        )
 
 
 def _pace(learner: OnPolicyAlgorithm | OffPolicyAlgorithm) -> int:

@@ -49,6 +49,11 @@ def promotion_study(record: Record, trial: FrozenTrial, seeds: Sequence[int], st
         if field_name in trial.params
     }
     base_run, tuned_run = search.make_run({}), search.make_run(trial.params)
+    if base_run == tuned_run:
+        problem = f"trial {trial.number} is the base itself"
+        if trial.number == record.best:
+            problem = f"no trial is better than the base (trial {trial.number})"
+        raise UserError(f"search {search.name}: {problem}, so that there is nothing to confirm")
     for field_name in unread_fields([base_run, tuned_run], shared_fields):
         del shared_fields[field_name]
     for field_name in unread_fields([tuned_run], tuned_fields):

@@ -121,3 +121,10 @@ def test_a_learners_policy_is_loaded_and_exported(here: Path) -> None:
     exported = QRDQN.load("x.zip", device="cpu").predict(observation, deterministic=True)[0]
     assert loaded.predict(observation, deterministic=True)[0] == exported == expected
     assert (env_id, settings) == ("CartPole-v1", {})
+
+
+@pytest.mark.usefixtures("here")
+def test_a_picture_that_needs_pygame_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    message = refused("env", "render", "CartPole-v1", "--out", "a.png")
+    assert message.startswith("CartPole-v1 is drawn by pygame: pip install") and "'.[play]'" in message

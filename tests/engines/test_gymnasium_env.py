@@ -69,6 +69,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
         {"env": "Cartpole-v1"},
         "CartPole.*install its package, or name the module that registers it",
     ),
+    "version": ({"env": "CartPole-v9"}, r"VersionNotFound: .*`v1` \]\.$"),
     "module": ({"env_module": "no_such_module"}, "module no_such_module cannot be imported"),
     "argument": ({"env_kwargs": {"speed": 2}}, "env = Corridor-v0: TypeError: .*speed"),
     "wrapper": ({"wrappers": "tests.engines.own_envs:Halved"}, "wrappers = .*Halved"),

@@ -268,7 +268,7 @@ NOISE = {"algorithm": "td3", **NUMBERS}
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"algorithm": "sac"}, "sac in CartPole-v1: .*Discrete"),
+        ({"algorithm": "sac"}, r"^sac needs Box actions, but CartPole-v1 has Discrete\(2\)$"),
         ({"algorithm": "dqn", "algorithm_kwargs": {"seed": 1}}, "dqn in .* multiple values .* 'seed'"),
         ({"algorithm_kwargs": {"policy_kwargs": {"activation_fn": "no"}}}, "'no': is not a class"),
         ({"algorithm_kwargs": {"ent_coef": 0.1}}, "ent_coef is not allowed: ppo has the field entropy_coeff"),
