@@ -9,6 +9,7 @@ import matplotlib as mpl
 import numpy as np
 import PIL
 import pytest
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from PIL import Image
 from scipy import stats
@@ -118,9 +119,10 @@ def test_few_evaluations_elsewhere_are_replaced_by_training_and_are_seen_where_a
     assert "With fewer than 3 evaluations, the return is that in training." in words(figures[0])
     study.draw(tmp_path, "evaluated_return", beside=study.data)
     (bar,) = figures[1].axes[0].collections
-    assert [segment.tolist() for segment in bar.get_segments()] == [[[250, 22], [250, 24]]]
+    assert isinstance(bar, LineCollection)
+    assert [np.asarray(segment).tolist() for segment in bar.get_segments()] == [[[250, 22], [250, 24]]]
     beside = [line for line in figures[1].axes[0].lines if line.get_linestyle() == "--"]
-    assert {line.get_marker() for line in beside if len(line.get_xdata()) == 1} == {"o"}
+    assert {line.get_marker() for line in beside if np.size(line.get_xdata()) == 1} == {"o"}
 
 
 def test_no_word_reaches_over_the_edge(study: HandMade, tmp_path: Path, figures: list[Figure]) -> None:
