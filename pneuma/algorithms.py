@@ -19,10 +19,12 @@ class Optimizer:
     Attributes:
         defaults: the fields that it reads, with torch's defaults, or UPGD's authors'.
         torch_class: its class in `torch.optim`, by which the engine `sb3` has it; empty if there is none.
+        decays_weights_itself: its step uses `weight_decay`, which is not added to its gradients then.
     """
 
     defaults: Mapping[str, Any]
     torch_class: str = ""
+    decays_weights_itself: bool = False
 
     @property
     def engines(self) -> tuple[str, ...]:
@@ -33,7 +35,10 @@ OPTIMIZERS = {
     "adam": Optimizer({"betas": (0.9, 0.999), "epsilon": 1e-8}, "Adam"),
     "sgd": Optimizer({"momentum": 0.0, "dampening": 0.0}, "SGD"),
     "rmsprop": Optimizer({"smoothing": 0.99, "epsilon": 1e-8, "momentum": 0.0}, "RMSprop"),
-    "upgd": Optimizer({"betas": (0.9, 0.999), "epsilon": 1e-5, "utility_decay": 0.999, "noise": 0.001}),
+    "upgd": Optimizer(
+        {"betas": (0.9, 0.999), "epsilon": 1e-5, "utility_decay": 0.999, "noise": 0.001},
+        decays_weights_itself=True,
+    ),
 }
 
 

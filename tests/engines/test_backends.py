@@ -82,6 +82,32 @@ def test_an_optimizer_takes_the_first_step_that_it_should(name: str) -> None:
     assert np.asarray(moved) == pytest.approx([-FIRST_STEPS[name], FIRST_STEPS[name]], abs=1e-3)
 
 
+DECAYS = {"adam": 0.1, "sgd": 0.1, "rmsprop": 1.0, "upgd": 0.1}
+"""How far a weight of 2 moves for no gradient but a decay of 0.5, at a rate of 0.1. Torch's take it as a
+gradient of 1, UPGD as a share of the weight."""
+
+
+@pytest.mark.parametrize("name", OPTIMIZERS)
+def test_an_optimizer_decays_weights_once(name: str) -> None:
+    """No advantage and no weight of the values and the entropy: no gradient."""
+    fields = {"optimizer": name, "learning_rate": 0.1, "weight_decay": 0.5, "minibatch": 4}
+    fields |= {"value_coefficient": 0.0, "entropy_coefficient": 0.0}
+    if "noise" in OPTIMIZERS[name].defaults:
+        fields["noise"] = 0.0
+    run = make_run(fields)
+    layers = {
+        part: ((np.full((3, 2), 2, np.float32), np.zeros(2, np.float32)),) for part in ("actor", "critic")
+    }
+    batch = {column: np.zeros(4, np.float32) for column in ("log_probabilities", "advantages", "returns")}
+    batch |= {"observations": np.ones((4, 3), np.float32), "actions": np.zeros(4, np.int32)}
+    state = optimizers.initial_state(name, layers)
+    orders = np.arange(4)[None]
+    moved, _, _ = update.learn(layers, state, batch, orders, run_numbers(run), update.program(run))
+    for ((weight, bias),) in moved.values():
+        assert np.asarray(weight) == pytest.approx(np.full((3, 2), 2 - DECAYS[name]), abs=1e-4)
+        assert not np.asarray(bias).any()
+
+
 def test_an_optimizers_torch_class_is_one() -> None:
     assert OPTIMIZERS.keys() == optimizers.OPTIMIZERS.keys()
     for optimizer in OPTIMIZERS.values():

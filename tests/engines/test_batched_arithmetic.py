@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -16,6 +17,7 @@ import pytest
 import torch
 from stable_baselines3 import PPO
 
+from pneuma.algorithms import OPTIMIZERS
 from pneuma.config import Run, make_run
 from pneuma.engines import sb3, sb3_learners
 from pneuma.engines.batched.learner import Learner
@@ -33,7 +35,7 @@ CASES: dict[str, dict[str, object]] = {
     "a minibatch of all and more": {"minibatch": 4096},
     "momentum": {"optimizer": "sgd", "momentum": 0.9, "learning_rate": 1e-2},
     "the thesis's momentum": {"optimizer": "sgd", "momentum": 0.9, "dampening": 0.9, "learning_rate": 1e-2},
-    "plain descent": {"optimizer": "sgd", "learning_rate": 1e-2},
+    "L2 with plain descent": {"optimizer": "sgd", "learning_rate": 1e-2, "weight_decay": 0.01},
     "RMSProp": {"optimizer": "rmsprop"},
     "L2": {"weight_decay": 0.01},
     "L2 with RMSProp and momentum": {"optimizer": "rmsprop", "momentum": 0.5, "weight_decay": 0.01},
@@ -129,6 +131,15 @@ def test_updates_are_those_of_stable_baselines3(case: str, monkeypatch: pytest.M
     arrays, expected_arrays = (sum((*one.actor, *one.critic), ()) for one in (policy, expected))
     for array, expected_array in zip(arrays, expected_arrays, strict=True):
         assert np.allclose(array, expected_array, rtol=1e-3, atol=2e-5)
+
+
+@pytest.mark.parametrize("name", OPTIMIZERS)
+def test_an_optimizers_later_steps_are_compared_with_torchs_or_in_a_file_of_its_own(name: str) -> None:
+    if OPTIMIZERS[name].torch_class:
+        runs = [make_run({**SMALL, **fields}) for fields in CASES.values()]
+        assert {bool(run.weight_decay) for run in runs if run.optimizer == name} == {False, True}
+    else:
+        assert Path(__file__).with_name(f"test_{name}.py").exists()
 
 
 @pytest.mark.parametrize("trainer", [BatchedTrainer, sb3.Sb3Trainer])

@@ -62,7 +62,7 @@ class Program(NamedTuple):
 
 
 def program(run: Run) -> Program:
-    decays = bool(run.weight_decay) and run.optimizer != "upgd"  # which shrinks weights by itself
+    decays = bool(run.weight_decay) and not OPTIMIZERS[run.optimizer].decays_weights_itself
     minibatch = min(run.minibatch, run.steps_per_update // run.policies)
     return Program(run.activation, run.optimizer, minibatch, decays, run.normalize_advantage)
 
