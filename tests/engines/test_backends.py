@@ -20,6 +20,12 @@ DEFINITIONS: dict[str, Callable[[float], float]] = {
     "relu": lambda x: max(x, 0.0),
     "leaky-relu": lambda x: x if x > 0 else 0.01 * x,  # thesis section 6.2
 }
+DEAD: dict[str, tuple[float, ...]] = {
+    "tanh": (-30, 30),
+    "relu": (-30, -2.5, -0.5, 0),
+    "leaky-relu": (-30, -2.5, -0.5, 0),
+}
+"""The `INPUTS` whose outputs are those of a dead unit; tanh of 2.5 is 0.987."""
 INPUTS = np.array([-30, -2.5, -0.5, 0, 0.5, 2.5, 30], np.float32)
 
 
@@ -52,6 +58,15 @@ def test_an_activation_is_what_its_name_says(
 ) -> None:
     expected = [DEFINITIONS[activation](x) for x in INPUTS.tolist()]
     assert backend(activation, INPUTS) == pytest.approx(expected, rel=1e-6, abs=1e-7)  # float32 may cancel
+
+
+@pytest.mark.parametrize("backend", [by_numpy, by_jax])
+@pytest.mark.parametrize("activation", ACTIVATIONS)
+def test_a_unit_is_dead_at_the_outputs_that_its_activation_has(
+    activation: str, backend: Callable[[str, np.ndarray], np.ndarray]
+) -> None:
+    is_dead = policy.NUMPY_ACTIVATIONS[activation].is_dead(backend(activation, INPUTS))
+    assert tuple(INPUTS[is_dead].tolist()) == DEAD[activation]
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
