@@ -106,7 +106,8 @@ def open_study(index: RunIndex, query: Query, say: Say = silent) -> StudyData:
     if study_data.plan is None:
         raise UserError(f"study {study_data.study.name} has no finished run in {index.store.root}")
     hint = study_data.call("run_study", index.store.root)
-    raise UserError(*study_data.coverage.parts, " Train them with `", hint, "`.", *problems)
+    where = f" None is in {index.store.root.resolve()}. Train them with `"
+    raise UserError(*study_data.coverage.parts, where, hint, "`.", *problems)
 
 
 def finished_rows(index: RunIndex, study_data: StudyData) -> StudyData:
