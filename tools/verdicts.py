@@ -34,13 +34,15 @@ from pneuma.presets import WORLDS
 STEM = "verdicts"
 WIDTH_INCHES, SENTENCES_INCHES, TEXT_INCHES = 7.4, 3.4, 0.3
 """The width, that of the column of sentences, and where they begin."""
-HEAD_INCHES, FOOT_INCHES = 0.25, 0.62
+HEAD_INCHES, FOOT_INCHES = 0.25, 0.78
 TYPE = 5.8
 LINE_INCHES = 1.16 * TYPE / 72
 MOST_LINES, GAP_LINES = 3, 0.28
 """Of a sentence, which is shortened; and between rows."""
 MOST_MARGINS = 8.0
-"""Intervals are cut there."""
+"""Intervals are cut there, with an arrow."""
+BESIDE_ARROW = 0.7 * MOST_MARGINS
+"""Where a mark stands that lies further out."""
 TICKS = {-5: "−5", -1: "−1", 0: "0", 1: "1", 5: "5"}
 LOOKS: dict[str, dict[str, Any]] = {
     HOLDS: {"marker": "o", "color": "C0"},
@@ -101,6 +103,8 @@ def _rows(claims: ByClaim) -> list[Row]:
     for (section, text), verdicts in zip(texts, claims.values(), strict=True):
         sentence, compared = text.rsplit("\n", 1)
         top = rows[-1].bottom if rows else 0.0
+        while len(wrap(sentence, width)) > MOST_LINES and ". " in sentence:
+            sentence = sentence.rpartition(". ")[0] + "."
         wrapped = wrap(sentence, width, max_lines=MOST_LINES, placeholder=" …")
         is_apart = len(wrapped) == 1 or len(f"{wrapped[-1]}  {compared}") > width
         rows.append(Row(section, wrapped, compared, is_apart, dict(verdicts), top))
@@ -152,6 +156,11 @@ def _draw_verdict(axes: Axes, row: Row, verdict: Verdict) -> None:
         low, centre, high = _in_margins(contrast)
         axes.plot([low, high], [height, height], color=look["color"], linewidth=1.0, zorder=2)
         axes.plot(centre, height, markersize=3.2, markeredgewidth=0.7, zorder=3, clip_on=False, **look)
+        for end in {low, high} & {-MOST_MARGINS, MOST_MARGINS}:
+            arrow = "<" if end < 0 else ">"
+            axes.plot(
+                end, height, arrow, markersize=2.6, markeredgewidth=0, color=look["color"], clip_on=False
+            )
     where = axes.get_yaxis_transform()  # a share of the width, and a line
     axes.text(1.02, middle, letter(verdict), transform=where, va="center", ha="left", color=GREY)
 
@@ -160,9 +169,12 @@ def _in_margins(row: ClaimContrast) -> tuple[float, float, float]:
     """Return the low end, the effect and the high end in margins, positive as the sentence says."""
     scale = _scale(row)
     numbers = [row.contrast.simultaneous.low, row.contrast.effect, row.contrast.simultaneous.high]
-    low, centre, high = sorted(number / scale for number in numbers)
-    limits = [min(max(number, -MOST_MARGINS), MOST_MARGINS) for number in (low, centre, high)]
-    return limits[0], limits[1], limits[2]
+    low, centre, high = (
+        min(max(number, -MOST_MARGINS), MOST_MARGINS)
+        for number in sorted(number / scale for number in numbers)
+    )
+    centre = min(max(centre, -BESIDE_ARROW), BESIDE_ARROW)
+    return low, centre, high
 
 
 def _scale(row: ClaimContrast) -> float:
@@ -181,7 +193,8 @@ def _draw_legend(figure: Figure, words: set[str]) -> None:
     text = (
         "Differences with their intervals, in margins: to the right as the sentence says;\n"
         "grey: too small to count. “Little to no effect” and “similar” hold within the grey.\n"
-        "A mark alone has no interval. p: preregistered; 3: same runs as list 3; d: descriptive; *: changed."
+        "The axis is compressed beyond ±1; an arrow: the interval goes on beyond its end. A mark alone\n"
+        "has no interval. p: preregistered; 3: same runs as list 3; d: descriptive; *: changed."
     )
     figure.text(0.99, 0.01, text, ha="right", va="bottom", color=GREY, linespacing=1.25)
 

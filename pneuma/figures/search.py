@@ -12,8 +12,10 @@ from typing import Any
 
 import matplotlib.style
 import numpy as np
+from matplotlib import colormaps
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
 from matplotlib.ticker import LogLocator, NullLocator
 from optuna.importance import PedAnovaImportanceEvaluator
 from optuna.trial import TrialState
@@ -29,6 +31,9 @@ from pneuma.search.log import Record
 
 TABLES = {"table-6-1": ("s", ":"), "table-6-2": ("D", "--")}
 """The thesis's bases, whose trials and values are marked, with the marker and the line of each."""
+TABLE_LABELS = {"table-6-1": "Table 6.1", "table-6-2": "Table 6.2"}
+LATE_BLUES = ListedColormap(colormaps["Blues"](np.linspace(0.2, 1, 256)))
+"""Colours of trials in their order, of which the first is no white."""
 COLUMNS, ROW_INCHES = 4, 1.75
 LEAST_TRIALS, BEST_TRIALS, BEST_SHARE = 10, 5, 0.1
 """Share of the trials that importances treat as the best, though never fewer than five trials."""
@@ -55,7 +60,9 @@ def draw_search(
             try:
                 figure.set_layout_engine("constrained")
                 headline = f"{search.full_title}: {title}. {_amount(record)}"
-                figure.suptitle(textwrap.fill(headline, style.characters(1.2 * style.TYPE_POINTS)))
+                figure.suptitle(
+                    _in_lines(f"{search.full_title}: {title}", _amount(record)), x=0.01, ha="left"
+                )
                 for axes in panels:
                     axes.set_title("")
                 basename, origin = f"search-{search.label}-{picture_name}", origin_text(headline, [run_line])
@@ -77,6 +84,11 @@ def _optuna_in_our_style() -> Iterator[None]:
             yield
     finally:
         library["ggplot"] = ggplot_style
+
+
+def _in_lines(title: str, amount: str) -> str:
+    letters = style.characters(1.2 * style.TYPE_POINTS)
+    return "\n".join(textwrap.fill(part, letters, break_on_hyphens=False) for part in (title, amount))
 
 
 Draw = Callable[[Record], Any]
@@ -149,6 +161,9 @@ def _importances(record: Record) -> Axes:
         target=lambda trial: sign * trial.values[0],
         target_name=_target_names(record)[0],
     )
+    names = [tick_label.get_text().replace("_", " ") for tick_label in axes.get_yticklabels()]
+    axes.set_yticks(axes.get_yticks(), names)
+    axes.set(xlabel="Importance", ylabel="")
     return axes
 
 
@@ -159,7 +174,8 @@ def _history(record: Record) -> Axes:
     for number, base in _tables(record):
         if number in value_by_trial:
             marker, _ = TABLES[base]
-            axes.plot(number, value_by_trial[number], marker, color=INK, zorder=4, label=base)
+            axes.plot(number, value_by_trial[number], marker, color=INK, zorder=4, label=TABLE_LABELS[base])
+    axes.lines[0].set_label("best so far")
     axes.legend()
     return axes
 
@@ -182,6 +198,8 @@ def _slices(record: Record) -> Any:
                 lines_by_table[base] = axes.axvline(
                     value, color=INK, linewidth=0.8, linestyle=line, zorder=1.2
                 )
+        for points in axes.collections:
+            points.set_cmap(LATE_BLUES)
         row, column = divmod(position, COLUMNS)
         axes.set_subplotspec(panel_grid[row, column])
         axes.tick_params(labelleft=column == 0)
@@ -192,9 +210,9 @@ def _slices(record: Record) -> Any:
         elif axes.get_xscale() == "log":
             axes.xaxis.set(major_locator=LogLocator(numticks=5), minor_locator=NullLocator())
             axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    figure.supylabel(_target_names(record)[0])
+    figure.supylabel(_target_names(record)[0], fontsize=style.TYPE_POINTS)
     if lines_by_table:
-        table_names = list(lines_by_table)
+        table_names = [TABLE_LABELS[base] for base in lines_by_table]
         figure.legend(
             lines_by_table.values(), table_names, loc="outside lower center", ncols=len(table_names)
         )
