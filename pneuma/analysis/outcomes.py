@@ -55,6 +55,7 @@ class Outcome:
         source: a table, a quantity, 'signs' of collapse, or 'times'.
         measure: the function that computes it.
         column: of the evaluations, from which it is taken; empty if it is not.
+        is_return: whether it is a return, or about one, which has the unit of its reward.
         short: fewer words, for verdicts.
     """
 
@@ -68,6 +69,7 @@ class Outcome:
     alike: float = ALIKE[""]
     requires_learning: bool = False
     short: str = ""
+    is_return: bool = False
 
     def is_recorded_in(self, env: str) -> bool:
         elsewhere = ONLY_ELSEWHERE if env in ENVIRONMENTS else ONLY_IN_PNEUMA
@@ -125,6 +127,7 @@ def find_outcome(outcome_name: str) -> Outcome:
         better="lower",
         bounds=BOUNDS["positive"],
         column=column,
+        is_return=column == "return",
     )
 
 
@@ -194,11 +197,6 @@ def is_foreign(study_data: StudyData) -> bool:
 
 def primary(study_data: StudyData) -> str:
     return PRIMARY_ELSEWHERE if is_foreign(study_data) else PRIMARY
-
-
-def is_return(outcome_name: str) -> bool:
-    """Return whether an outcome is a return, or about one, which has the unit of its reward."""
-    return outcome_name.endswith("-return") or outcome_name.startswith("steps-to-return:")
 
 
 def have_one_return(study_data: StudyData) -> bool:

@@ -22,7 +22,6 @@ from pneuma.analysis.outcomes import (
     PRIMARY,
     find_outcome,
     is_foreign,
-    is_return,
     kinds_of_return,
     known_values,
     outcome_values,
@@ -141,7 +140,8 @@ def outcomes_to_compare(a: Group, b: Group) -> list[str]:
     default_outcomes = a.data.study.outcomes or (primary(a.data), *COMPARED)
     if len(_units_of_return(a, b)) <= 1:
         return list(default_outcomes)
-    return [outcome for outcome in default_outcomes if not is_return(outcome)] or list(default_outcomes)
+    others = [outcome for outcome in default_outcomes if not find_outcome(outcome).is_return]
+    return others or list(default_outcomes)
 
 
 def _units_of_return(a: Group, b: Group) -> set[str]:
@@ -160,7 +160,7 @@ def compare_groups(a: Group, b: Group, outcome: str) -> dict[str, Any]:
         UserError: for an unknown outcome, or returns that have different units.
     """
     declared = find_outcome(outcome)
-    if is_return(outcome) and len(_units_of_return(a, b)) > 1:
+    if declared.is_return and len(_units_of_return(a, b)) > 1:
         raise UserError(
             f"outcome {outcome}: returns with different rewards or numbers of players cannot be compared; "
             "name another, such as final-share-killed"

@@ -11,7 +11,7 @@ import pandas as pd
 
 from pneuma.analysis.curves import curve_names, random_levels, random_returns
 from pneuma.analysis.intervals import LEAST_RUNS
-from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_foreign, is_return, known_values, primary
+from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_foreign, known_values, primary
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.answers.answer import Answer
@@ -136,7 +136,7 @@ def _random_levels(study_data: StudyData, outcome: str) -> dict[str, float]:
 
 def _notes(column: OutcomeColumn) -> list[str]:
     study_data = column.data
-    notes = [*notes_on_runs(study_data, is_return(column.outcome)), study_data.ends]
+    notes = [*notes_on_runs(study_data, find_outcome(column.outcome).is_return), study_data.ends]
     value_counts = [len(values) for values in column.values.values()]
     for condition, value_count in zip(column.values, value_counts, strict=True):
         run_count = len(study_data.of_condition(condition))

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from pneuma.analysis.intervals import LEAST_RUNS
-from pneuma.analysis.outcomes import find_outcome, is_return
+from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.quantities import SHARES, VALUES
 from pneuma.answers.outcomes import OutcomeColumn, OutcomesAnswer
 from pneuma.figures import grid, style
@@ -43,9 +43,9 @@ def summary_page(answer: OutcomesAnswer, basename: str = "") -> Page:
     largest_group = 0
     for title, column in answer.columns.items():
         outcome = column.outcome
-        unit = find_outcome(outcome).unit
-        axis_label, axis_kind = capital(unit), SHARES if unit == "share" else VALUES
-        if is_return(outcome):
+        declared = find_outcome(outcome)
+        axis_label, axis_kind = capital(declared.unit), SHARES if declared.unit == "share" else VALUES
+        if declared.is_return:
             axis_label = "Return of an episode"
         elif outcome.endswith("share-killed"):
             axis_label = "Share killed"

@@ -247,6 +247,22 @@ def test_outcomes_lie_within_their_bounds(data: StudyData) -> None:
         assert np.isnan(values).all() == (name in none_has), name
 
 
+def test_returns_are_the_outcomes_that_have_the_unit_of_the_reward(store: Store) -> None:
+    """Of two runs that are alike but for a reward of twice as much."""
+    for run_id, unit in (("a0" * 8, 1), ("a1" * 8, 2)):
+        episodes = [{**episode(k), "return": unit * k} for k in range(1, 21)]
+        evaluations = [
+            {**evaluation(k, share), "return": unit * share, "argmax_return": unit * share}
+            for k, share in enumerate(SHARES, start=1)
+        ]
+        hand_made.save_run(store, run_id, episodes, [update(k) for k in range(1, 11)], evaluations, BUDGET)
+    once, twice = stored_row(store, "a0" * 8), stored_row(store, "a1" * 8)
+    values = {name: (outcome(once, name), outcome(twice, name)) for name in OUTCOMES}
+    doubled = {name for name, (low, high) in values.items() if low < high == 2 * low}
+    assert doubled == {name for name, declared in OUTCOMES.items() if declared.is_return}
+    assert find_outcome("steps-to-return:0.5").is_return and not find_outcome("steps-to:0.5").is_return
+
+
 def test_a_forks_time_is_of_the_steps_after_it(tmp_path: Path) -> None:
     """8 seconds for the 500 steps from its fork at 500."""
     save(store := Store(tmp_path / "results"), "a0" * 8, fields={"fork_step": 500})

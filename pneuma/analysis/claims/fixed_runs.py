@@ -16,7 +16,7 @@ import numpy as np
 
 from pneuma.analysis.claims.claim_list import Claim, ClaimList, load_claims
 from pneuma.analysis.intervals import mean_interval
-from pneuma.analysis.outcomes import is_return, outcome, reason, unit_of_return
+from pneuma.analysis.outcomes import find_outcome, outcome, reason, unit_of_return
 from pneuma.analysis.runs import finished_rows, runs_of_plan
 from pneuma.analysis.study_data import StudyData
 from pneuma.config import Run, round_up
@@ -103,7 +103,7 @@ class ClaimRuns:
             return f"trained by different engines: {', '.join(engine_by_arm)}"
         if missing_runs:
             return f"{'; '.join(missing_runs)}; {TRAIN_WITH} {self.training_command}"
-        if is_return(outcome_name) and len(set(map(unit_of_return, rows))) > 1:
+        if find_outcome(outcome_name).is_return and len(set(map(unit_of_return, rows))) > 1:
             return "returns of unlike rewards"
         for condition in conditions:
             for row, value in zip(self.rows[condition], self._outcomes(outcome_name, condition), strict=True):
