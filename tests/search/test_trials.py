@@ -19,6 +19,7 @@ from pneuma.engines import loop
 from pneuma.engines.loop import evaluation_updates
 from pneuma.search import trials, values
 from pneuma.search.log import read_record
+from pneuma.search.samplers import PRUNERS, SAMPLERS
 from pneuma.search.spec import OVER_SEEDS, Objective
 from pneuma.search.values import combine, read_rows, trial_value
 from pneuma.store.store import Status, Store
@@ -28,6 +29,8 @@ from pneuma.training.execute import CellResult
 from .conftest import MEDIAN, Formula, FormulaRow, MakeTask, Task, height, open_log
 
 RANGE = "[space.gamma]\nlow = 0.8\nhigh = 1.0\n[run]\nhorizon = 64\n"
+ARGUMENTS = {"nsga-ii": "population_size = 4", "median": "n_startup_trials = 2"}
+"""Of samplers and pruners that do nothing in as few trials as here, otherwise."""
 
 
 @pytest.fixture(autouse=True)
@@ -43,9 +46,9 @@ class Killed(Exception):
 @pytest.mark.parametrize(
     "more",
     [
-        MEDIAN,
+        *(f'[sampler]\nname = "{name}"\n{ARGUMENTS.get(name, "")}' for name in SAMPLERS),
+        *(f'[pruner]\nname = "{name}"\n{ARGUMENTS.get(name, "")}' for name in PRUNERS),
         '[pruner]\nname = "optuna.pruners:HyperbandPruner"\nmax_resource = 20',
-        '[sampler]\nname = "nsga-ii"\npopulation_size = 4',
         '[sampler]\nname = "optuna.samplers:GPSampler"',
         '[sampler]\nname = "optuna.samplers:QMCSampler"\nqmc_type = "halton"',
     ],
