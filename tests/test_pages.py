@@ -17,6 +17,7 @@ from pneuma.algorithms import ALGORITHMS, OPTIMIZERS
 from pneuma.analysis.claims.claim_list import load_claims
 from pneuma.analysis.outcomes import OUTCOMES
 from pneuma.cli import app
+from pneuma.cli.study_files import FIGURE_KINDS
 from pneuma.config import ACTIVATIONS
 from pneuma.errors import UserError
 from pneuma.search.samplers import PRUNERS, SAMPLERS
@@ -84,7 +85,7 @@ def test_files_that_contributing_names_exist() -> None:
 @pytest.mark.parametrize(
     ("page", "names"),
     [
-        ("studies.md", [*OPTIMIZERS, *ACTIVATIONS]),
+        ("studies.md", [*OPTIMIZERS, *ACTIVATIONS, *FIGURE_KINDS]),
         ("search.md", [*SAMPLERS, *PRUNERS]),
         ("outcomes.md", [name for name in OUTCOMES if not name.startswith("final-action-")]),
         ("environments.md", [*ALGORITHMS]),

@@ -56,7 +56,7 @@ class Drawing:
         str | None,
         opt.choice(
             FIGURE_KINDS,
-            "Curves (default for up to 7 conditions), a summary, profiles, or one-action runs.",
+            "What it draws (default: curves of up to 7 conditions, else a summary).",
         ),
     ] = None
     quantity: Annotated[
@@ -183,9 +183,11 @@ def _draw(study_data: StudyData, drawing: Drawing, beside_data: StudyData | None
         return shares.one_action_page(find_one_action(study_data))
     if figure_kind == SUMMARY:
         page = summary_page(show_outcomes(columns))
-    else:
+    elif figure_kind == CURVES:
         quantities = _quantities(study_data, drawing)
         page = curves_page(find_curves(columns, quantities, beside_data, **drawing.curve_options))
+    else:
+        raise NotImplementedError(f"a figure of kind {figure_kind}")
     if len(columns) > 1:  # under the names that contain the environment
         page = replace(page, runs=lines_of_runs(*filter(None, [study_data, beside_data])))
     return page
