@@ -23,6 +23,7 @@ from pneuma.analysis.collapse import diagnose
 from pneuma.analysis.measures import NAN, Measure
 from pneuma.analysis.study_data import StudyData
 from pneuma.config import is_gymnasium_id
+from pneuma.engines.records import WORLD_COLUMNS
 from pneuma.env.fields import ENVIRONMENTS
 from pneuma.errors import unknown_name
 from pneuma.store.rows import Row
@@ -40,11 +41,11 @@ ALIKE = {"": 1e-9, "monsters": 0.5 / 14}
 LARGEST = 1e70
 """Greater numbers count as none: their fourth powers could not be summed."""
 ONLY_IN_PNEUMA = (
-    "share_killed", "argmax_share_killed", "score", "died", "steps_to_clear", "hp_lost", "commonest_action",
-    "kill_evenness", "hp",
+    *WORLD_COLUMNS, "steps_to_clear", "hp_lost", "commonest_action", "kill_evenness", "q_estimate", "q_true",
+    "hp",
 )  # fmt: skip
-"""What only runs in Pneuma's worlds record."""
-ONLY_ELSEWHERE = ("success",)
+"""What only runs in Pneuma's worlds record: of evaluations, and `hp` of training's episodes."""
+ONLY_ELSEWHERE = ("success", "random_return", "random_spread")
 
 
 @dataclass(frozen=True)

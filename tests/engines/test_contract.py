@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from pneuma.algorithms import ALGORITHMS
+from pneuma.analysis.outcomes import ONLY_ELSEWHERE, ONLY_IN_PNEUMA
 from pneuma.config import make_run
+from pneuma.engines import evaluation, gymnasium_evaluation
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS
+from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS, VALUE_COLUMNS
 
-from .trained import run_of, train
+from .trained import constant, run_of, train
 
 ENGINES = ALGORITHMS["ppo"].engines
 BIG = pytest.param((1024, 1024), (4096, 4096, 4096, 4096), marks=pytest.mark.slow)
@@ -64,3 +66,16 @@ def test_episodes_of_slots_add_up_to_the_steps_of_all(engine: str) -> None:
         assert row["ending"] in ("killed", "time-limit")
         assert (row["hp"] == 0) == (row["ending"] == "killed")
     assert [row["step"] for row in result.records.evaluations] == [64, 128, 192, 256, 320, 384]
+
+
+def test_evaluations_have_the_declared_columns_and_each_is_of_the_worlds_that_record_it() -> None:
+    """Two players have all columns of Pneuma's worlds but those of learners that estimate values."""
+    five, values = constant([0, 1, 0, 0, 0], 60), constant([0, 1, 0, 0, 0], 60, critic=(), exploration=0.1)
+    in_pneuma = {*evaluation.Evaluation(run_of("players")).evaluate(five, 0)}
+    in_pneuma |= {*evaluation.Evaluation(run_of("dqn")).evaluate(values, 0)}
+    corridor = run_of(env="Corridor-v0", env_module="tests.engines.own_envs")
+    row = gymnasium_evaluation.Evaluation(corridor).evaluate(constant([-9, 9], 2), 0)
+    elsewhere = {column for column, value in row.items() if not math.isnan(value)}
+    assert in_pneuma | {*row} == {*EVALUATION_COLUMNS, *VALUE_COLUMNS}
+    assert in_pneuma - elsewhere == {*ONLY_IN_PNEUMA} - {"hp"}  # which is of training's episodes
+    assert elsewhere - in_pneuma == {*ONLY_ELSEWHERE}
