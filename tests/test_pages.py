@@ -86,6 +86,7 @@ def test_files_that_contributing_names_exist() -> None:
     ("page", "names"),
     [
         ("studies.md", [*OPTIMIZERS, *ACTIVATIONS, *FIGURE_KINDS]),
+        ("engines.md", [name for name, optimizer in OPTIMIZERS.items() if not optimizer.torch_class]),
         ("search.md", [*SAMPLERS, *PRUNERS]),
         ("outcomes.md", [name for name in OUTCOMES if not name.startswith("final-action-")]),
         ("environments.md", [*ALGORITHMS]),
