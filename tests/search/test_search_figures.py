@@ -33,7 +33,7 @@ def test_the_tables_values_are_marked_and_importances_are_of_enough_trials(
     assert {*texts} == {f"search-formula-text-{name}" for name in pictures}
     for name in ("history", "values"):
         text = texts[f"search-formula-text-{name}"]
-        assert "table-6-2" in text and "table-6-1" not in text
+        assert "Table 6.2" in text and "Table 6.1" not in text
         assert f"{trials} trials ({trials} complete); 2 seeds" in text
     assert "learning rate" in texts["search-formula-text-values"]
     assert _settings() == before
