@@ -170,12 +170,13 @@ def _importances(record: Record) -> Axes:
 def _history(record: Record) -> Axes:
     """Draw every trial's value and the best so far, with the trials of the thesis's tables."""
     axes: Axes = pictures.plot_optimization_history(record.study, **_target(record))
+    for line in axes.lines:  # none for several objectives
+        line.set_label("best so far")
     value_by_trial = {trial.number: trial.values[0] for trial in record.ended if trial.values}
     for number, base in _tables(record):
         if number in value_by_trial:
             marker, _ = TABLES[base]
             axes.plot(number, value_by_trial[number], marker, color=INK, zorder=4, label=TABLE_LABELS[base])
-    axes.lines[0].set_label("best so far")
     axes.legend()
     return axes
 
