@@ -205,6 +205,8 @@ def _quantity_cells(recorded: series.Recorded, quantity: str, grid: np.ndarray, 
 def _curves(recorded: series.Recorded, quantity: str, grid: np.ndarray, end: int) -> dict[str, np.ndarray]:
     """Return a quantity's curves by their columns, the default one first."""
     step, values = recorded.series[quantity]
+    if recorded.averaged_over:
+        step, values = series.joined_points(step, values, grid)
     if quantity in UPDATE_QUANTITIES:
         return {quantity: series.update_curve(step, values, grid, end)}
     if recorded.averaged_over:

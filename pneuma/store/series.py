@@ -1,8 +1,9 @@
 """Resample a run's records to 200 points, and find where signs of collapse hold.
 
 Every function takes values with their steps. A curve is an array (points,) with NaN where there is no value.
-No point uses later values, and nothing is extrapolated past the run's end. A sign of collapse is stored as
-the stretches of updates in which it holds, which is short enough to be published.
+No point uses later values, except where those of an imported log are further apart than the grid's. Nothing
+is extrapolated past the run's end. A sign of collapse is stored as the stretches of updates in which it
+holds, which is short enough to be published.
 """
 
 from __future__ import annotations
@@ -111,6 +112,20 @@ def held_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, end: int)
     values_before = np.concatenate([[np.nan], values])
     curve = values_before[np.searchsorted(step, grid, side="right")]
     return np.where(np.isfinite(curve) & (grid <= end), curve, np.nan)
+
+
+def joined_points(step: np.ndarray, values: np.ndarray, grid: np.ndarray) -> Series:
+    """Return the points of a log, with points on the lines between them where the grid is finer.
+
+    Each grid point that no value precedes since the grid point before gets one, except before the first value
+    and after the last. A line to a value that is NaN is NaN.
+    """
+    logged_counts = np.searchsorted(step, grid, side="right")
+    is_between = (np.diff(logged_counts, prepend=0) == 0) & (logged_counts > 0) & (logged_counts < len(step))
+    all_steps = np.concatenate([step, grid[is_between]])
+    all_values = np.concatenate([values, np.interp(grid[is_between], step, values)])
+    order = np.argsort(all_steps, kind="stable")
+    return all_steps[order], all_values[order]
 
 
 def finite_points(step: np.ndarray, values: np.ndarray) -> Series:

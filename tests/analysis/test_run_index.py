@@ -111,7 +111,7 @@ def test_logs_give_what_was_logged(store: Store, tmp_path: Path) -> None:
     at = {int(step): place for place, step in enumerate(data.grid)}
     curve = data.curve(a, "return")
     places = [at[95], at[100], at[195], at[200], at[300]]
-    np.testing.assert_array_equal(curve[places], [np.nan, 0.25, 0.25, np.nan, 0.75])
+    np.testing.assert_array_equal(curve[places], [np.nan, 0.25, np.nan, np.nan, 0.75])
     assert data.curve(a, "entropy")[at[100]] == 0.125 and a.signs == {"no entropy": [(200, 200)]}
     table = export_records(data, "metrics", store).table
     assert list(table.columns)[3:] == ["step", "return_mean_100", "entropy", "approx_kl", "logged/own"]

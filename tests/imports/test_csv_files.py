@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -109,7 +110,21 @@ def test_several_columns_are_several_quantities() -> None:
     assert document["notes"] == [f"{run} train and are left out", f"{run} test and are left out"]
     row = stored_row(Store("results"), document["runs"][0]["run_id"])
     assert (row.evaluations("step").tolist(), row.evaluations("return").tolist()) == ([20, 30], [7, 9])
-    assert row.curve("return")[[66, 132, 199]].tolist() == [1, 1, 3]  # at steps 10.05, 19.95 and 30
+
+
+def test_between_rows_that_are_far_apart_a_curve_is_a_line() -> None:
+    """Once it had flat steps. At step 15 of rows at 5, 25 and 30: halfway from 1 to 3.
+
+    The entropy at 27 is the mean of the last twentieth, steps 25.65 to 27, whose middle is 26.325.
+    """
+    write("runs.csv", "step,return,entropy\n5,1,1\n25,3,3\n30,2,2\n")
+    values = ("--value", "return", "--value", "entropy=entropy")
+    document = described("import", "csv", "runs.csv", "--step", "step", *values, "--json")
+    row = stored_row(Store("results"), document["runs"][0]["run_id"])
+    places = [round(step / 0.15) - 1 for step in (4.5, 15, 24, 27, 30)]
+    assert row.curve("return")[places] == pytest.approx([math.nan, 2, 2.9, 2.6, 2], abs=0.002, nan_ok=True)
+    assert [row.statistic("return", name) for name in ("last", "best")] == [2, 3]
+    assert row.curve("entropy")[places[3]] == pytest.approx(2.735, abs=0.01)
 
 
 def test_without_columns_they_are_listed_with_options_to_copy() -> None:
