@@ -21,7 +21,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pneuma.config import OF_WORLDS, Run, as_fields, is_gymnasium_id, make_run
+from pneuma.config import WORLD_FIELDS, Run, as_fields, is_gymnasium_id, make_run
 from pneuma.env.fields import ENVIRONMENTS, make_env_config, read_field
 from pneuma.errors import Message, Say, UserError, counted, silent
 from pneuma.schema import plain, read_toml
@@ -330,7 +330,7 @@ def load_policy(
         settings = json.loads(run_settings.get("env_kwargs") or "{}")
     else:
         settings = {
-            field_name: run_settings[field_name] for field_name in OF_WORLDS if field_name in run_settings
+            field_name: run_settings[field_name] for field_name in WORLD_FIELDS if field_name in run_settings
         }
     return policy, env_id, settings
 

@@ -30,9 +30,9 @@ from pneuma.env.fields import ENVIRONMENTS, MODULE, EnvConfig, read_fields, reso
 from pneuma.errors import UserError
 from pneuma.schema import plain
 from pneuma.values import (
-    OF_GYMNASIUM_ENV,
-    OF_OPEN_LEARNER,
-    OF_OPTIMIZER,
+    GYMNASIUM,
+    OPEN_LEARNER,
+    OPTIMIZER,
     OneOf,
     Reads,
     Share,
@@ -159,30 +159,30 @@ class Run(EnvConfig):
 
     env: Annotated[str, Reads(_read_env, _ENV_ALLOWED, ENVIRONMENTS)] = declare(ENVIRONMENTS[0], paces=True)
     env_module: Annotated[str, matching(rf"|{MODULE}", "a module that registers environments")] = declare(
-        "", read_by=OF_GYMNASIUM_ENV
+        "", read_by=GYMNASIUM
     )
     """Imported before the environment is made: a module, or the path of its file."""
     env_kwargs: Annotated[str, Reads(_read_arguments, "a table of keyword arguments")] = declare(
-        "", read_by=OF_GYMNASIUM_ENV
+        "", read_by=GYMNASIUM
     )
     wrappers: Annotated[
         tuple[str, ...], Reads(_read_wrappers, "module:Class, or a list of such, or of { name, arguments }")
-    ] = declare((), read_by=OF_GYMNASIUM_ENV)
+    ] = declare((), read_by=GYMNASIUM)
     """Wrapper classes, the innermost first; followed by their arguments as JSON, if they have some."""
-    normalize_observations: bool = declare(False, read_by=OF_GYMNASIUM_ENV)
+    normalize_observations: bool = declare(False, read_by=GYMNASIUM)
     """By their running mean and variance in training, as Stable-Baselines3's VecNormalize does."""
-    normalize_rewards: bool = declare(False, read_by=OF_GYMNASIUM_ENV)
+    normalize_rewards: bool = declare(False, read_by=GYMNASIUM)
     """By the running deviation of the discounted return, for the learner only; likewise."""
     engine: Annotated[str, OneOf(ENGINES)] = declare(ENGINES[0], paces=True)
     algorithm: Annotated[str, Reads(_read_algorithm, _ALGORITHM_ALLOWED, tuple(ALGORITHMS))] = declare(
         "ppo", paces=True
     )
     policy: Annotated[str, matching(r"|\w+Policy", "a policy of the learner, as CnnPolicy")] = declare(
-        "", read_by=OF_OPEN_LEARNER
+        "", read_by=OPEN_LEARNER
     )
     """Stable-Baselines3's name of the learner's policy, if it is not MlpPolicy."""
     algorithm_kwargs: Annotated[str, Reads(_read_arguments, "a table of arguments of the learner")] = declare(
-        "", read_by=OF_OPEN_LEARNER
+        "", read_by=OPEN_LEARNER
     )
     seed: Annotated[int, Interval(ge=0, le=2**32 - 1)] = 0
     steps: Steps = declare(50_000, arguments="n_timesteps", paces=True)
@@ -258,18 +258,16 @@ class Run(EnvConfig):
     """Agent steps between copies to the target network; 1 is as good as no target network."""
 
     optimizer: Annotated[str, OneOf(tuple(OPTIMIZERS))] = declare("adam", read_by=_WITH_FIELDS, paces=True)
-    betas: Annotated[tuple[Fraction, ...], Len(2, 2)] | None = declare(None, read_by=OF_OPTIMIZER)
-    epsilon: Annotated[float, Interval(gt=0, le=1)] | None = declare(
-        None, read_by=OF_OPTIMIZER, arguments="eps"
-    )
-    momentum: Fraction | None = declare(None, read_by=OF_OPTIMIZER)
-    dampening: Share | None = declare(None, read_by=OF_OPTIMIZER)
+    betas: Annotated[tuple[Fraction, ...], Len(2, 2)] | None = declare(None, read_by=OPTIMIZER)
+    epsilon: Annotated[float, Interval(gt=0, le=1)] | None = declare(None, read_by=OPTIMIZER, arguments="eps")
+    momentum: Fraction | None = declare(None, read_by=OPTIMIZER)
+    dampening: Share | None = declare(None, read_by=OPTIMIZER)
     """Equal to `momentum`, it weighs a new gradient by 1 - beta as the thesis does (torch: but the first)."""
-    smoothing: Fraction | None = declare(None, read_by=OF_OPTIMIZER, arguments="alpha")
+    smoothing: Fraction | None = declare(None, read_by=OPTIMIZER, arguments="alpha")
     """Decay of RMSProp's mean square."""
-    utility_decay: Fraction | None = declare(None, read_by=OF_OPTIMIZER)
+    utility_decay: Fraction | None = declare(None, read_by=OPTIMIZER)
     """Decay of UPGD's mean utility of a weight."""
-    noise: Annotated[float, Interval(ge=0, le=1000)] | None = declare(None, read_by=OF_OPTIMIZER)
+    noise: Annotated[float, Interval(ge=0, le=1000)] | None = declare(None, read_by=OPTIMIZER)
     """Standard deviation of the noise that UPGD adds to Adam's step, before protection."""
     weight_decay: Share = declare(0.0, read_by=_WITH_FIELDS)
     """L2 regularisation: added to the gradient, as torch defines it; UPGD shrinks weights by it instead."""
@@ -295,13 +293,13 @@ class Run(EnvConfig):
 
 FIELDS = about_fields(Run)
 """What is known of each field of a run."""
-OF_WORLDS = tuple(about_fields(EnvConfig))
-OF_GYMNASIUM = tuple(
-    field_name for field_name, declaration in FIELDS.items() if declaration.read_by == (OF_GYMNASIUM_ENV,)
+WORLD_FIELDS = tuple(about_fields(EnvConfig))
+GYMNASIUM_FIELDS = tuple(
+    field_name for field_name, declaration in FIELDS.items() if declaration.read_by == (GYMNASIUM,)
 )
 """Fields of environments other than Pneuma's, in place of those of `EnvConfig`."""
-OF_OPEN_LEARNERS = tuple(
-    field_name for field_name, declaration in FIELDS.items() if declaration.read_by == (OF_OPEN_LEARNER,)
+OPEN_LEARNER_FIELDS = tuple(
+    field_name for field_name, declaration in FIELDS.items() if declaration.read_by == (OPEN_LEARNER,)
 )
 """Fields by which Stable-Baselines3 trains as a script of one's own would, without exact resume."""
 ANNEALED = tuple(field_name for field_name in FIELDS if f"{field_name}_schedule" in FIELDS)
@@ -324,19 +322,19 @@ def make_run(settings: Mapping[str, object]) -> Run:
     if not is_gymnasium_id(env_id):
         field_values = resolve_world(field_values)
 
-    learner_fields = ("env", "algorithm") + OF_OPEN_LEARNERS
+    learner_fields = ("env", "algorithm") + OPEN_LEARNER_FIELDS
     learner = Run(**{name: field_values[name] for name in learner_fields if name in field_values})
     field_values |= _rollout_steps(learner, field_values)
     defaults = default_fields(learner.algorithm, field_values.get("optimizer", ""))
     all_values = {**defaults, **field_values}
     learner = replace(learner, optimizer=all_values.get("optimizer", learner.optimizer))
-    readers = _read_by(learner.env, learner.algorithm, learner.optimizer, is_open(learner))
+    readers = _read_by(learner.env, learner.algorithm, learner.optimizer, is_resumable(learner))
     if field_values.get("learners") == "independent" and "learners" not in readers:
         _refuse("learners = independent", f"{learner.algorithm} trains one policy for all players")
     run = Run(
         **{field_name: field_value for field_name, field_value in all_values.items() if field_name in readers}
     )
-    unread = readers - reads(run)
+    unread = readers - effective_fields(run)
     run = replace(run, **{name: defaults.get(name, run_defaults[name]) for name in unread})
     run = replace(run, engine=_engine(run, field_values.get("engine", "")))
     _check_learner(run)
@@ -361,7 +359,7 @@ def round_up(run: Run, steps: int) -> int:
     return math.ceil(steps / run.steps_per_update) * run.steps_per_update
 
 
-def reads(run: Run) -> frozenset[str]:
+def effective_fields(run: Run) -> frozenset[str]:
     """Return the names of the fields that affect a run, given its other fields."""
     idle_fields = {
         "dampening": not run.momentum,
@@ -371,34 +369,37 @@ def reads(run: Run) -> frozenset[str]:
         "policy": not run.policy,
         "algorithm_kwargs": not run.algorithm_kwargs,
     }
-    readers = _read_by(run.env, run.algorithm, run.optimizer, is_open(run))
+    readers = _read_by(run.env, run.algorithm, run.optimizer, is_resumable(run))
     return readers - {field_name for field_name, is_idle in idle_fields.items() if is_idle}
 
 
 @cache
-def _read_by(env_id: str, algorithm: str, optimizer: str, is_open_run: bool) -> frozenset[str]:
-    readers = {OF_OPEN_LEARNER}
+def _read_by(env_id: str, algorithm: str, optimizer: str, resumable: bool) -> frozenset[str]:
+    readers = {OPEN_LEARNER}
     fields_read: set[str] = set()
     if is_gymnasium_id(env_id):
-        readers.add(OF_GYMNASIUM_ENV)
-    if algorithm == "ppo" or not is_open_run:  # others are told all else by `algorithm_kwargs`
+        readers.add(GYMNASIUM)
+    if algorithm == "ppo" or resumable:  # other learners get all else by `algorithm_kwargs`
         readers.add(algorithm)
         fields_read |= OPTIMIZERS[optimizer].defaults.keys()
     for field_name, declaration in FIELDS.items():
-        is_of_another_world = field_name in OF_WORLDS and is_gymnasium_id(env_id)
+        is_of_another_world = field_name in WORLD_FIELDS and is_gymnasium_id(env_id)
         if not is_of_another_world and (not declaration.read_by or readers & set(declaration.read_by)):
             fields_read.add(field_name)
-    if algorithm in VALUE_BASED and not is_open_run:  # what is replayed was seen otherwise
+    if algorithm in VALUE_BASED and resumable:  # replayed observations had another mean and variance
         fields_read -= {"normalize_observations", "normalize_rewards"}
     return frozenset(fields_read)
 
 
-def is_open(run: Run) -> bool:
-    """Return whether Stable-Baselines3 trains a run as a script of one's own would: no exact resume."""
-    return bool(find_algorithm(run.algorithm).learner or run.policy or run.algorithm_kwargs)
+def is_resumable(run: Run) -> bool:
+    """Return whether a stopped run goes on with the same bits.
+
+    Stable-Baselines3 trains all others as a user's own script would.
+    """
+    return not (find_algorithm(run.algorithm).learner or run.policy or run.algorithm_kwargs)
 
 
-def beyond_engine(run: Run) -> str:
+def batched_limitation(run: Run) -> str:
     """Return what the compiled engine cannot do for a run; empty if it can train it."""
     if ENGINES[0] not in find_algorithm(run.algorithm).engines:
         return f"the algorithm {run.algorithm}"
@@ -411,7 +412,7 @@ def beyond_engine(run: Run) -> str:
 
 def _engine(run: Run, engine: str) -> str:
     """Return the engine that a study sets, or the first one that can train a run."""
-    limitation = beyond_engine(run)
+    limitation = batched_limitation(run)
     engines = find_algorithm(run.algorithm).engines
     able_engines = [engine_name for engine_name in engines if engine_name != ENGINES[0] or not limitation]
     if not engine:
@@ -426,14 +427,14 @@ def _refuse(setting: str, reason: str) -> NoReturn:
 
 
 def _check_learner(run: Run) -> None:
-    if is_open(run) and not is_gymnasium_id(run.env):
+    if not is_resumable(run) and not is_gymnasium_id(run.env):
         setting = f"algorithm = {run.algorithm}"
         if not find_algorithm(run.algorithm).learner:
             setting = "policy" if run.policy else "algorithm_kwargs"
         raise UserError(f"{setting} is not allowed in {run.env}: only Gymnasium's other environments have it")
     if run.learners == "independent" and run.engine != ENGINES[0]:
         _refuse("learners = independent", f"{run.engine} trains one policy for all players")
-    if "optimizer" in reads(run) and run.engine not in OPTIMIZERS[run.optimizer].engines:
+    if "optimizer" in effective_fields(run) and run.engine not in OPTIMIZERS[run.optimizer].engines:
         able_engines = " or ".join(OPTIMIZERS[run.optimizer].engines)
         _refuse(f"optimizer = {run.optimizer}", f"the engine {run.engine} lacks it; {able_engines} has it")
     if run.train_every and run.horizon % run.train_every:
@@ -443,7 +444,7 @@ def _check_learner(run: Run) -> None:
 
 
 def env_config(run: Run) -> EnvConfig:
-    return EnvConfig(**{field_name: getattr(run, field_name) for field_name in OF_WORLDS})
+    return EnvConfig(**{field_name: getattr(run, field_name) for field_name in WORLD_FIELDS})
 
 
 def evaluation_config(run: Run) -> EnvConfig:

@@ -56,7 +56,7 @@ class Reads:
         return core_schema.no_info_plain_validator_function(read)
 
 
-OF_OPTIMIZER, OF_GYMNASIUM_ENV, OF_OPEN_LEARNER = "optimizer", "gymnasium", "open learner"
+OPTIMIZER, GYMNASIUM, OPEN_LEARNER = "optimizer", "gymnasium", "open learner"
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,8 @@ class About:
     """What is known of a field of a run beside its type and default.
 
     Attributes:
-        read_by: the algorithms that read it. Or `OF_OPTIMIZER`, if the optimizer decides that;
-            `OF_GYMNASIUM_ENV`, for environments other than Pneuma's; `OF_OPEN_LEARNER`, for learners of
+        read_by: the algorithms that read it. Or `OPTIMIZER`, if the optimizer decides that;
+            `GYMNASIUM`, for environments other than Pneuma's; `OPEN_LEARNER`, for learners of
             Stable-Baselines3 as a script would set them up. Empty if every run reads it.
         arguments: what Stable-Baselines3's learners or torch's optimizers call it, if otherwise; PPO first.
         paces: whether it affects how long a step takes.

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.config import OF_WORLDS, Run, as_fields, make_run
+from pneuma.config import WORLD_FIELDS, Run, as_fields, make_run
 from pneuma.engines.batched.rollout import Collector
 from pneuma.engines.evaluation import Evaluation
 from pneuma.presets import BASES, WORLDS
@@ -63,7 +63,7 @@ def measure(world: str) -> dict[str, Any]:
     curves = np.array([play(random_run(world, seed)) for seed in range(SEEDS)])
     evaluated = replace(random_run(world, 0), evaluation_episodes=EPISODES)
     run = as_fields(evaluated)
-    settings = {name: run[name] for name in OF_WORLDS if name not in OBSERVATION_FIELDS}
+    settings = {name: run[name] for name in WORLD_FIELDS if name not in OBSERVATION_FIELDS}
     kill_settings = {name: value for name, value in settings.items() if name not in EARNING_FIELDS}
     settings["env"] = run["env"]
     if run["xp_scope"] != "episode":

@@ -55,7 +55,7 @@ def test_fuzz_endless_nesting_is_refused(tmp_path: Path, reader: str, text: str)
 
 
 STUDY = 'title = "Mine"\n[run]\n{}\n{}[conditions.one]\n[presets.quick]\nseeds = 1\nsteps = 256\n'
-OF_GYMNASIUM = 'env = "CartPole-v1"\n'
+GYMNASIUM_FIELDS = 'env = "CartPole-v1"\n'
 SEARCH = (
     'title = "Mine"\n[objectives.killed]\noutcome = "final-return"\n[space.learning_rate]\nlow = 1e-4\n'
     "high = 1e-2\n{}\n[presets.quick]\ntrials = 2\nseeds = 1\nsteps = 256\n"
@@ -78,8 +78,8 @@ def _plan(path: str) -> None:
     [
         *((_plan, STUDY.format(setting, "")) for setting in (
             f'level = "{LONG}"', f'characters = "{LONG}"', 'characters = "\\u0000"',
-            OF_GYMNASIUM + "wrappers = [nan]", 'policy_kwargs = "a.b"',
-            OF_GYMNASIUM + "algorithm_kwargs = { policy_kwargs = 1 }",
+            GYMNASIUM_FIELDS + "wrappers = [nan]", 'policy_kwargs = "a.b"',
+            GYMNASIUM_FIELDS + "algorithm_kwargs = { policy_kwargs = 1 }",
             "\n".join(f"k{number} = 1" for number in range(20_000)), f'level = "{LONG * 400}"',
         )),
         (_plan, STUDY.format("", "".join(f"[conditions.c{number}]\n" for number in range(5000)))),

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 from pneuma.cli import delete, study_answers, study_files, study_run, study_verify
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, answer_result, frame_table, listed_result, say, write_file
-from pneuma.config import is_gymnasium_id, reads
+from pneuma.config import effective_fields, is_gymnasium_id
 from pneuma.errors import UserError, unknown_name
 from pneuma.files import create_whole
 from pneuma.store.store import Store
@@ -75,7 +75,7 @@ def show(name: opt.Study, world: opt.World = None, results: opt.Results = opt.HE
 
     study, fields, configurations = configurations_of(RunIndex(Store(results)), name, world)
     for condition, run in configurations.items():
-        affecting = reads(run)
+        affecting = effective_fields(run)
         fields[condition] = {key: value for key, value in fields[condition].items() if key in affecting}
     document: dict[str, Any] = {"study": study.name, "title": study.title, "baseline": study.baseline}
     if study.path:

@@ -1,6 +1,6 @@
 """The interface between engines and environments.
 
-    run → check_environment, able_engine; make_vec_env
+    run → check_environment, first_capable_engine; make_vec_env
 
 There are two implementations: one for Pneuma's own worlds, and one for all other Gymnasium environments
 (`gymnasium_env.py`). Heavy modules are imported only when needed, as each engine needs a part of them.
@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from pneuma.config import ENGINES, Run, env_config, is_gymnasium_id, is_open, slot_seeds
+from pneuma.config import ENGINES, Run, env_config, is_gymnasium_id, is_resumable, slot_seeds
 
 
 def check_environment(run: Run) -> None:
     """Make a run's environment once, to find mistakes; its engine must be able to train in it."""
-    if is_open(run):
+    if not is_resumable(run):
         from pneuma.engines.sb3_open import check_learner
 
         check_learner(run)
@@ -29,7 +29,7 @@ def check_environment(run: Run) -> None:
         Worlds(1, env_config(run))
 
 
-def able_engine(run: Run) -> str:
+def first_capable_engine(run: Run) -> str:
     """Return the first engine that can train in a run's environment, which is made to find out."""
     from gymnasium.spaces import Discrete
 

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from pneuma.config import Run, is_gymnasium_id, is_open, stream_seed
+from pneuma.config import Run, is_gymnasium_id, is_resumable, stream_seed
 from pneuma.engines.policy import SavedPolicy
 from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
 from pneuma.env.fields import own_rewards
@@ -116,7 +116,7 @@ class ResumableTrainer(Trainer):
 
 def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
     """Train a run, from its start or from a checkpoint; CheckpointError for one that does not fit."""
-    module_name, class_name = (OPEN_TRAINER if is_open(run) else TRAINERS[run.engine]).split(":")
+    module_name, class_name = (TRAINERS[run.engine] if is_resumable(run) else OPEN_TRAINER).split(":")
     trainer_class = getattr(import_module(module_name), class_name)
     _seed_shared_generators(run)  # after an import, which may draw
     trainer: Trainer = trainer_class(run)

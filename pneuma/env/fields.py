@@ -126,7 +126,7 @@ def with_environment(env_id: str, settings: Mapping[str, object]) -> dict[str, A
     return {**ENVIRONMENT_FIELDS.get(env_id, {}), **settings}
 
 
-OF_PLAYERS = ("classes", "reward")
+PLAYER_FIELDS = ("classes", "reward")
 """Fields with one name, or one for each player."""
 
 
@@ -136,7 +136,7 @@ def resolve_world(field_values: Mapping[str, Any]) -> dict[str, Any]:
     for field_name, implied in OBSERVATION_FIELDS[field_values.get("observation", "thesis")].items():
         resolved[field_name] = field_values.get(field_name) or implied
     players = field_values.get("players", 1)
-    for field_name in OF_PLAYERS:
+    for field_name in PLAYER_FIELDS:
         names_by_player = resolved.get(field_name)
         if not names_by_player:
             continue

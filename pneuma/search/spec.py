@@ -32,7 +32,7 @@ from pneuma.search.samplers import TPE, Pruner, Sampler
 from pneuma.search.space import Parameter, Space, as_parameter
 from pneuma.study.identity import files_beside
 from pneuma.study.shipped import find_file, studies_folder
-from pneuma.study.spec import PRESETS, Fields, does_nothing, join_fields, unread_fields
+from pneuma.study.spec import PRESETS, Fields, join_fields, no_effect_message, unread_fields
 from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, read_seeds, shown_value
 
 DEVIATION = "deviation"
@@ -189,13 +189,13 @@ class Search(Table):
         corners = list(self.corners())
         every_run = [run for _, run in corners]
         for field_name in unread_fields(every_run, shared_fields):
-            raise UserError(does_nothing(field_name, every_run))
+            raise UserError(no_effect_message(field_name, every_run))
         for field_name, parameter in self.space.items():
             runs = [run for params, run in corners if field_name in params]
             if not runs:
                 raise UserError(f"{field_name} never applies: no trial has {shown(parameter.when)}")
             if unread_fields(runs, [field_name]):
-                raise UserError(does_nothing(field_name, runs))
+                raise UserError(no_effect_message(field_name, runs))
 
 
 def shown_params(params: Mapping[str, Any]) -> str:

@@ -35,7 +35,7 @@ from annotated_types import MinLen
 from pydantic import StringConstraints, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
-from pneuma.config import OF_WORLDS, Run, as_fields, is_gymnasium_id
+from pneuma.config import WORLD_FIELDS, Run, as_fields, is_gymnasium_id
 from pneuma.errors import Hint, StorageError, UserError
 from pneuma.files import (
     SCHEMA,
@@ -442,7 +442,7 @@ def run_document(run: Run, run_id: str) -> bytes:
     """Return a run's configuration; in another environment without the fields of Pneuma's worlds."""
     fields = as_fields(run)
     if is_gymnasium_id(run.env):
-        fields = {field_name: value for field_name, value in fields.items() if field_name not in OF_WORLDS}
+        fields = {field_name: value for field_name, value in fields.items() if field_name not in WORLD_FIELDS}
     return to_json({"schema": SCHEMA, "run_id": run_id, "run": fields})
 
 

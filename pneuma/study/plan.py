@@ -18,15 +18,15 @@ from typing import Any, NamedTuple
 
 from pneuma.config import (
     ENGINES,
-    OF_GYMNASIUM,
+    GYMNASIUM_FIELDS,
     Run,
     as_fields,
-    beyond_engine,
+    batched_limitation,
     is_gymnasium_id,
     make_run,
     round_up,
 )
-from pneuma.env.fields import OF_PLAYERS, read_field
+from pneuma.env.fields import PLAYER_FIELDS, read_field
 from pneuma.errors import Hint, UserError, unknown_name
 from pneuma.sb3_names import own_fields
 from pneuma.study.identity import config_id, files_beside, run_id
@@ -38,7 +38,7 @@ from pneuma.study.spec import (
     QUICK,
     Preset,
     Study,
-    does_nothing,
+    no_effect_message,
     unread_fields,
 )
 from pneuma.values import read_value, short, split_list
@@ -147,7 +147,7 @@ def make_plan(study: Study, query: Query, engine: Callable[[Run], str] | None = 
         if condition in study.conditions and condition not in amounts:
             raise UserError(f"condition {condition}: has no runs in the preset {preset}; choose another")
     conditions = query.conditions or tuple(amounts)
-    configurations = configure(study, query.settings, conditions, engine or _first_capable_engine())
+    configurations = configure(study, query.settings, conditions, engine or _capable_engine_finder())
     runs: dict[str, Run] = {}
     seeds_by_condition: dict[str, tuple[int, ...]] = {}
     seeds: dict[int, None] = {}
@@ -168,12 +168,14 @@ def make_plan(study: Study, query: Query, engine: Callable[[Run], str] | None = 
     return Plan(configurations.study, tuple(cells), preset, query, tuple(notes))
 
 
-def _first_capable_engine() -> Callable[[Run], str]:
+def _capable_engine_finder() -> Callable[[Run], str]:
     """Return a function that finds an engine for a run, and makes each environment once."""
-    from pneuma.engines.environment import able_engine  # gymnasium: not for Pneuma's own worlds
+    from pneuma.engines.environment import first_capable_engine  # gymnasium: not for Pneuma's own worlds
 
-    cached_engine = cache(able_engine)
-    return lambda run: cached_engine(Run(**{name: getattr(run, name) for name in ("env",) + OF_GYMNASIUM}))
+    cached_engine = cache(first_capable_engine)
+    return lambda run: cached_engine(
+        Run(**{name: getattr(run, name) for name in ("env",) + GYMNASIUM_FIELDS})
+    )
 
 
 @dataclass(frozen=True)
@@ -237,9 +239,13 @@ def configure(
     crossed = study.model_copy(update=changes)
     runs = {name: make_run(crossed.fields(name, {"steps": 1, **overrides})) for name in origins}
     for key in unread_fields(runs.values(), settings):
-        raise UserError(Hint("settings"), f" {key}: {does_nothing(key, runs.values())}")
+        raise UserError(Hint("settings"), f" {key}: {no_effect_message(key, runs.values())}")
     for condition, run in runs.items():
-        if _leaves_engine_open(crossed, condition) and is_gymnasium_id(run.env) and not beyond_engine(run):
+        if (
+            _leaves_engine_open(crossed, condition)
+            and is_gymnasium_id(run.env)
+            and not batched_limitation(run)
+        ):
             # the chosen engine may lack the optimizer
             runs[condition] = make_run({**as_fields(run), "engine": engine(run)})
     return Configurations(crossed, runs, origins)
@@ -274,7 +280,7 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
         except UserError:
             if not is_list or key not in Run.__dataclass_fields__:
                 raise
-        if is_list and (key not in single_values or (key in OF_PLAYERS and has_one_player)):
+        if is_list and (key not in single_values or (key in PLAYER_FIELDS and has_one_player)):
             swept[key] = {short(swept_value): read(key, swept_value) for swept_value in setting_values}
             single_values.pop(key, None)
     return single_values, swept
@@ -342,7 +348,7 @@ def _notes(study: Study, runs: Mapping[str, Run]) -> list[str]:
             notes.append(f"{', '.join(conditions)} have identical settings: a comparison shows noise")
     for name, run in runs.items():
         if run.engine != ENGINES[0] and _leaves_engine_open(study, name):
-            reason = beyond_engine(run) or "such actions"
+            reason = batched_limitation(run) or "such actions"
             notes.append(f"{name}: trained by {run.engine}, because the engine batched cannot train {reason}")
     return notes
 

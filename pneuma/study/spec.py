@@ -26,7 +26,7 @@ from typing import Annotated, Any
 from annotated_types import MinLen
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from pneuma.config import Run, Steps, make_run, reads
+from pneuma.config import Run, Steps, effective_fields, make_run
 from pneuma.env.fields import ENVIRONMENT_SLOTS, ENVIRONMENTS, read_field
 from pneuma.errors import MOST_LISTED, UserError, unknown_name
 from pneuma.presets import (
@@ -435,13 +435,13 @@ def _check_runs(study_file: TomlFile, study: Study) -> None:
         try:
             run = make_run(study.fields(condition))
             for field_name in unread_fields([run], fields):
-                raise UserError(does_nothing(field_name, [run]))
+                raise UserError(no_effect_message(field_name, [run]))
         except UserError as error:
             raise _mistake_in(study_file, study, condition, str(error)) from None
         runs.append(run)
     unread = unread_fields(runs, study.run)
     if unread:
-        raise study_file.mistakes((("run",), key, does_nothing(key, runs)) for key in unread)
+        raise study_file.mistakes((("run",), key, no_effect_message(key, runs)) for key in unread)
 
 
 def _mistake_in(study_file: TomlFile, study: Study, condition: str, message: str) -> UserError:
@@ -457,26 +457,26 @@ def _mistake_in(study_file: TomlFile, study: Study, condition: str, message: str
 
 
 def unread_fields(runs: Iterable[Run], field_names: Iterable[str]) -> list[str]:
-    """Return those fields that none of the runs reads."""
+    """Return those fields that none of the runs uses."""
     effective: set[str] = set()
     for run in runs:
-        effective |= reads(run)
+        effective |= effective_fields(run)
     return [field_name for field_name in field_names if field_name not in effective]
 
 
-def does_nothing(field_name: str, runs: Iterable[Run]) -> str:
+def no_effect_message(field_name: str, runs: Iterable[Run]) -> str:
     """Return the message for a field that neither the runs' environments nor their learners read."""
     reader_names: dict[str, None] = {}
     algorithms: dict[str, None] = {}
     for run in runs:
         reader_names |= dict.fromkeys((run.env, run.algorithm))
         algorithms[run.algorithm] = None
-        if "optimizer" in reads(run):
+        if "optimizer" in effective_fields(run):
             reader_names[run.optimizer] = None
     hint = ""
     if "ppo" not in algorithms:
-        hint = f". Arguments of {next(iter(algorithms))} stand in algorithm_kwargs"
-    return f"{field_name} does nothing: with these settings none of {', '.join(reader_names)} reads it{hint}"
+        hint = f". Put arguments of {next(iter(algorithms))} in algorithm_kwargs"
+    return f"{field_name} has no effect: none of {', '.join(reader_names)} uses it with these settings{hint}"
 
 
 def asked_words(study: Study) -> list[str]:

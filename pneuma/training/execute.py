@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pneuma.config import OF_GYMNASIUM, Run, env_config, is_open
+from pneuma.config import GYMNASIUM_FIELDS, Run, env_config, is_resumable
 from pneuma.errors import Hint, Message, counted
 from pneuma.store.last_queries import note_query
 from pneuma.store.store import Status, Store, run_identity
@@ -149,7 +149,7 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], missing_runs: Mapping[str
     if published:
         run_count = counted(len(published), "published run")
         notes.append(f"{run_count} not trained: figures and numbers take them from there")
-    open_runs = [run for run in missing_runs.values() if is_open(run)]
+    open_runs = [run for run in missing_runs.values() if not is_resumable(run)]
     if open_runs:
         run_count = counted(len(open_runs), "run")
         notes.append(f"{run_count} cannot be resumed: if stopped, they start over")
@@ -164,10 +164,10 @@ def check_environments(runs: Iterable[Run]) -> None:
     """Make each distinct environment of some runs once, with a learner of no fields, to find mistakes."""
     from pneuma.engines.environment import check_environment  # gymnasium: not for `--help`
 
-    environment_fields = ("env", *OF_GYMNASIUM, "engine", "algorithm")
+    environment_fields = ("env", *GYMNASIUM_FIELDS, "engine", "algorithm")
     run_by_environment: dict[Any, Run] = {}
     for run in runs:
-        if is_open(run):
+        if not is_resumable(run):
             environment: Any = replace(run, seed=0)  # its learner is made too
         else:
             environment = env_config(run), *(getattr(run, field_name) for field_name in environment_fields)

@@ -23,7 +23,7 @@ from pneuma.training.executors.base import Event
 SAMPLE = 100
 START_SECONDS = 4.0
 """Seconds that a worker takes to start with compiled programs."""
-OF_PACE = tuple(field_name for field_name, declaration in FIELDS.items() if declaration.paces)
+PACE_FIELDS = tuple(field_name for field_name, declaration in FIELDS.items() if declaration.paces)
 """Fields that decide how long a step takes. Steps are one, as every run has the same number of
 evaluations."""
 LINE_SECONDS = 10.0
@@ -73,7 +73,7 @@ def expected_seconds(paces: Paces, run: Run, steps: int) -> float | None:
 
 
 def _kind(settings: Mapping[str, Any]) -> str:
-    return repr([settings.get(field_name) for field_name in OF_PACE])
+    return repr([settings.get(field_name) for field_name in PACE_FIELDS])
 
 
 # --- While it runs ---------------------------------------------------------------------------------

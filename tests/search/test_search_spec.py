@@ -108,7 +108,7 @@ def test_a_parameter_is_asked_for_only_where_it_counts(tmp_path: Path) -> None:
             "[run]", '[pruner]\nname = "median"\n[objectives.more]\noutcome = "final-return"\n[run]',
             "median requires a single objective",
         ),
-        ("[space.epochs]\nlow = 1\n", "[space.noise]\nlow = 1\n", "noise does nothing"),
+        ("[space.epochs]\nlow = 1\n", "[space.noise]\nlow = 1\n", "noise has no effect"),
     ],
 )  # fmt: skip
 def test_mistakes_are_refused_by_name(tmp_path: Path, old: str, new: str, message: str) -> None:

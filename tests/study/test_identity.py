@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.config import OF_GYMNASIUM, Run, make_run
+from pneuma.config import GYMNASIUM_FIELDS, Run, make_run
 from pneuma.engines.environment import check_environment
 from pneuma.env.load_level import LEVELS
 from pneuma.study import identity
@@ -44,7 +44,7 @@ def test_a_configuration_is_a_run_without_its_seed_and_steps() -> None:
 def test_every_field_that_is_read_changes_the_name() -> None:
     run, another = make_run({}), "another"
     for field in fields(Run):
-        if field.name not in (*ELSEWHERE, *OF_GYMNASIUM):
+        if field.name not in (*ELSEWHERE, *GYMNASIUM_FIELDS):
             assert run_id(replace(run, **{field.name: another})) != run_id(run), field.name  # type: ignore[arg-type]
     for key, shipped in {"level": "random:test:0", "characters": "pygame", "reward": "kills"}.items():
         assert run_id(make_run({key: shipped})) != run_id(run), key

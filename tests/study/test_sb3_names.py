@@ -90,7 +90,7 @@ SAC = 'title = "SAC"\n[run]\nalgorithm = "sac"\nenv = "Pendulum-v1"\n'
         ),
         (SAC, "train_freq = 256\n", "line 5: .*unknown key 'train_freq' .*; put a learner's arguments in"),
         (SAC, "ent_coef = 'auto'\n", 'ent_coef: entropy_coefficient = "auto" is not allowed'),
-        (SAC, "n_timesteps = 100\n", "learning_rate does nothing: .* sac reads it. Arguments of sac stand"),
+        (SAC, "n_timesteps = 100\n", "learning_rate has no effect: .* sac uses it .* Put arguments of sac"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_told_by_the_name_in_the_file(tmp_path: Path, head: str, run: str, message: str) -> None:
