@@ -24,7 +24,8 @@ from typing import TYPE_CHECKING, Any
 from pneuma.config import WORLD_FIELDS, Run, as_fields, is_gymnasium_id, make_run
 from pneuma.env.fields import ENVIRONMENTS, make_env_config, read_field
 from pneuma.errors import Message, Say, UserError, counted, silent
-from pneuma.schema import plain, read_toml
+from pneuma.schema import normalize, read_toml
+from pneuma.seeds import read_seeds
 from pneuma.store.last_queries import on_top_of_last
 from pneuma.store.provenance import available_cores, project
 from pneuma.store.store import Store
@@ -34,7 +35,6 @@ from pneuma.study.identity import describe_user_code, user_files
 from pneuma.training import execute
 from pneuma.training.executors.base import ExecutorConfig
 from pneuma.training.progress import ProgressDisplay
-from pneuma.values import read_seeds
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -420,7 +420,7 @@ def _query(
         seeds=_seeds(seeds),
         steps=_count("steps", steps),
         conditions=condition_names,
-        settings=plain(dict(settings or {})),
+        settings=normalize(dict(settings or {})),
     )
     return query.named(os.fspath(study))
 
@@ -429,14 +429,14 @@ def _seeds(seeds: int | Sequence[int] | None) -> tuple[int, ...] | None:
     if seeds is None:
         return None
     try:
-        plain_seeds = plain(seeds)
-        return read_seeds(plain_seeds if isinstance(plain_seeds, int | str) else plain(list(plain_seeds)))
+        plain_seeds = normalize(seeds)
+        return read_seeds(plain_seeds if isinstance(plain_seeds, int | str) else normalize(list(plain_seeds)))
     except (ValueError, TypeError):
         raise UserError(f"seeds = {seeds!r} is not allowed: a count, or different whole numbers") from None
 
 
 def _count(argument_name: str, argument: object) -> int | None:
-    count: int | None = plain(argument)
+    count: int | None = normalize(argument)
     if count is not None and not (isinstance(count, int) and count >= 1):
         raise UserError(f"{argument_name} = {count} is not allowed: a whole number of at least 1")
     return count

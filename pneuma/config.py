@@ -28,8 +28,7 @@ from pneuma.algorithms import (
 )
 from pneuma.env.fields import ENVIRONMENTS, MODULE, EnvConfig, read_fields, resolve_world, with_environment
 from pneuma.errors import UserError
-from pneuma.schema import plain
-from pneuma.values import (
+from pneuma.field_types import (
     GYMNASIUM,
     OPEN_LEARNER,
     OPTIMIZER,
@@ -40,6 +39,7 @@ from pneuma.values import (
     declare,
     matching,
 )
+from pneuma.schema import normalize
 
 RULES_VERSION = 3
 """Raised by hand when the same seed and actions give a different world; part of every run id."""
@@ -107,7 +107,7 @@ def _read_arguments(arguments: Any) -> str:
         raise ValueError
     if not argument_table:
         return ""
-    return json.dumps(plain(argument_table, floats_to_integers=False), sort_keys=True, allow_nan=False)
+    return json.dumps(normalize(argument_table, floats_to_integers=False), sort_keys=True, allow_nan=False)
 
 
 def _read_wrappers(wrappers: Any) -> tuple[str, ...]:

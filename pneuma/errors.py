@@ -68,12 +68,12 @@ def silent(message: str) -> None:
     """Say nothing."""
 
 
-def written(message: str, write_hint: Callable[[Hint], str]) -> str:
+def write_hints(message: str, write_hint: Callable[[Hint], str]) -> str:
     """Return a text or message whose hints are written by a function."""
     if not isinstance(message, Message):
         return message
     return "".join(
-        write_hint(message_part) if isinstance(message_part, Hint) else written(message_part, write_hint)
+        write_hint(message_part) if isinstance(message_part, Hint) else write_hints(message_part, write_hint)
         for message_part in message.parts
     )
 
@@ -105,7 +105,7 @@ def install_extra(extra_name: str) -> str:
     return f"pip install -c constraints.txt -e '.[{extra_name}]' in Pneuma's folder"
 
 
-def plain(text: str) -> str:
+def printable(text: str) -> str:
     """Return text in which each invisible character is written as its code, as in JSON.
 
     For terminals and figures: titles and names may come from untrusted files, and control characters could
@@ -119,7 +119,7 @@ def plain(text: str) -> str:
 def print_aside(message: str) -> None:
     """Print a line on standard error, which stops nothing if its reader has gone."""
     with suppress(OSError):
-        print(plain(message), file=sys.stderr, flush=True)
+        print(printable(message), file=sys.stderr, flush=True)
 
 
 def counted(count: int, noun: str) -> str:

@@ -9,7 +9,6 @@ become tuples, and whole numbers may be written as 1e6.
 
 from __future__ import annotations
 
-import json
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
@@ -32,6 +31,7 @@ from pydantic_core import PydanticCustomError
 
 from pneuma.errors import MOST_LISTED, UserError, nearest_name, unknown_name
 from pneuma.files import read_text
+from pneuma.values import format_json
 
 Where = tuple[str, ...]
 """The path of a table in a file: () for the top, ("conditions", "tanh") for [conditions.tanh]."""
@@ -94,7 +94,7 @@ KEPT_AS_WRITTEN = ("env_kwargs", "algorithm_kwargs")
 """Tables whose numbers keep their types, as they are handed to code that is not Pneuma's."""
 
 
-def plain(value: Any, levels: int = DEEPEST, floats_to_integers: bool = True) -> Any:
+def normalize(value: Any, levels: int = DEEPEST, floats_to_integers: bool = True) -> Any:
     """Return a value in the types of models: lists as tuples, NumPy's as Python's, whole numbers as int.
 
     Args:
@@ -110,12 +110,12 @@ def plain(value: Any, levels: int = DEEPEST, floats_to_integers: bool = True) ->
     if isinstance(value, Mapping):
         table = {}
         for key, item in value.items():
-            table[key] = plain(item, levels - 1, floats_to_integers and key not in KEPT_AS_WRITTEN)
+            table[key] = normalize(item, levels - 1, floats_to_integers and key not in KEPT_AS_WRITTEN)
         return table
     if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, list | tuple):
-        return tuple(plain(item, levels - 1, floats_to_integers) for item in value)
+        return tuple(normalize(item, levels - 1, floats_to_integers) for item in value)
     if isinstance(value, PathLike):
         return fspath(value)
     if floats_to_integers and isinstance(value, float) and value.is_integer():
@@ -130,7 +130,7 @@ def read_field(dataclass_type: type, field_name: str, field_value: Any) -> Any:
     """Check the value of a field of a dataclass and return it in its type."""
     if field_name not in _hints(dataclass_type):
         raise unknown_name("key", field_name, _hints(dataclass_type))
-    table = plain({field_name: field_value})
+    table = normalize({field_name: field_value})
     try:
         return _adapter(dataclass_type, field_name).validate_python(table[field_name])
     except ValidationError as error:
@@ -182,7 +182,7 @@ class TomlFile:
         for key in table_path:
             value = value.get(key, {})
             if not isinstance(value, dict):
-                raise self.mistake(table_path[:-1], f"{key} must be a table, not {shown(value)}", key)
+                raise self.mistake(table_path[:-1], f"{key} must be a table, not {format_json(value)}", key)
         return dict(value)
 
 
@@ -191,7 +191,7 @@ def read_toml(path: Path) -> TomlFile:
     try:
         if len(toml_text) > LONGEST_FILE:
             raise ValueError(f"more than {LONGEST_FILE:,} characters")
-        return TomlFile(path, toml_text, plain(tomllib.loads(toml_text)))
+        return TomlFile(path, toml_text, normalize(tomllib.loads(toml_text)))
     except (ValueError, RecursionError) as error:  # numbers of thousands of digits, endless brackets
         raise UserError(f"{path}: not TOML: {error}") from None
 
@@ -272,9 +272,11 @@ def _mistakes(details: Mapping[str, Any], table: Mapping[str, Any]) -> list[Mist
     elif details["loc"][-1] == "[key]":
         message = f"the name {key!r} is not allowed: {allowed}"
     elif error_type in ("dict_type", "model_type", "mappings_type"):
-        message = f"{key} must be a table, not {shown(wrong_value)}"
+        message = f"{key} must be a table, not {format_json(wrong_value)}"
     else:
-        message = f"{key} = {shown(wrong_value)} is not allowed{_hint(wrong_value, allowed_names)}: {allowed}"
+        message = (
+            f"{key} = {format_json(wrong_value)} is not allowed{_hint(wrong_value, allowed_names)}: {allowed}"
+        )
     return [(tuple(table_path), key, message)]
 
 
@@ -297,11 +299,6 @@ def _hint(wrong_value: object, allowed_names: Iterable[str]) -> str:
             if hint:
                 return hint
     return ""
-
-
-def shown(value: object) -> str:
-    """Return a value much as it is written in the file."""
-    return json.dumps(value, default=str, ensure_ascii=False)
 
 
 # --- Lines -----------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ import numpy as np
 
 from pneuma.analysis.outcomes import outcome_values
 from pneuma.api import run_study
-from pneuma.schema import shown
+from pneuma.values import format_json
 
 OUTCOME = "late-share-killed"
 PRESET = "[presets.quick]\nseeds = 1\nsteps = 1024\n"  # which every study has; here seeds and steps are given
@@ -30,7 +30,7 @@ Fields = Mapping[str, Any]
 
 def table(name: str, fields: Fields) -> str:
     """Return a table of TOML."""
-    return "\n".join([f"[{name}]", *(f"{key} = {shown(value)}" for key, value in fields.items()), ""])
+    return "\n".join([f"[{name}]", *(f"{key} = {format_json(value)}" for key, value in fields.items()), ""])
 
 
 def rungs(
@@ -41,8 +41,10 @@ def rungs(
     taken: dict[str, Any] = dict(file["conditions"][file["baseline"]])
     with tempfile.TemporaryDirectory() as folder:
         while left:
-            head = [f"{key} = {shown(file[key])}" for key in ("base", "worlds")]
-            tried = [table(f"conditions.{shown(name)}", {**taken, **fields}) for name, fields in left.items()]
+            head = [f"{key} = {format_json(file[key])}" for key in ("base", "worlds")]
+            tried = [
+                table(f"conditions.{format_json(name)}", {**taken, **fields}) for name, fields in left.items()
+            ]
             path = Path(folder) / f"rung-{len(left)}.toml"
             path.write_text(
                 "\n".join(['title = "A rung"', *head, table("run", file.get("run", {})), PRESET, *tried])
@@ -67,5 +69,5 @@ if __name__ == "__main__":
         tried = ", ".join(
             f"{other} {mean:.3f}" for other, mean in sorted(means.items(), key=lambda pair: -pair[1])
         )
-        print(f"# {tried}\n{table(f'conditions.{shown(name)}', fields)}", flush=True)
+        print(f"# {tried}\n{table(f'conditions.{format_json(name)}', fields)}", flush=True)
         print(f"took {name}: {means[name]:.3f}", file=sys.stderr)

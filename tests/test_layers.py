@@ -16,8 +16,8 @@ MODULES = {
 }
 
 BASE = (
-    "pneuma.errors", "pneuma.values", "pneuma.files", "pneuma.schema", "pneuma.algorithms",
-    "pneuma.sb3_names", "pneuma.presets", "pneuma.own_modules", "pneuma.env.fields",
+    "pneuma.errors", "pneuma.field_types", "pneuma.seeds", "pneuma.values", "pneuma.files", "pneuma.schema",
+    "pneuma.algorithms", "pneuma.sb3_names", "pneuma.presets", "pneuma.own_modules", "pneuma.env.fields",
     "pneuma.config",
 )  # fmt: skip
 """Modules that all may import."""

@@ -48,7 +48,7 @@ from pneuma.store.provenance import available_cores
 from pneuma.store.series import SLACK
 from pneuma.store.store import PUBLISHED, Store
 from pneuma.study.plan import Query
-from pneuma.values import shown_value
+from pneuma.values import format_value
 from tools import noise_scale
 from tools.environment_figures import draw_level, draw_mailman, draw_screens
 from tools.gallery import draw_gallery
@@ -180,7 +180,7 @@ def _write_settings(folder: Path) -> Path:
     """Write the thesis's two tables of hyperparameters: a row a field, and whether its two values differ."""
     names = ("table-6-1", "table-6-2")
     bases = [as_fields(make_run(BASES[name])) for name in names]
-    rows = [[name, *(shown_value(base[name]) for base in bases)] for name in SETTINGS]
+    rows = [[name, *(format_value(base[name]) for base in bases)] for name in SETTINGS]
     table = pd.DataFrame(rows, columns=["setting", *names])
     table["differs"] = ["yes" if one != other else "" for _, one, other in rows]
     path = folder / "tables" / "table-6-1-and-6-2.md"

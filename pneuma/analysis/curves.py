@@ -24,7 +24,7 @@ from pneuma.analysis.intervals import LEAST_RUNS, LEVEL
 from pneuma.analysis.outcomes import LARGEST, is_foreign
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import Hint, UserError, unknown_name
-from pneuma.schema import plain
+from pneuma.schema import normalize
 from pneuma.store.quantities import ACTION_QUANTITIES, EVALUATION_QUANTITIES, evaluation_column
 from pneuma.store.rows import Row
 from pneuma.store.series import make_grid
@@ -279,7 +279,9 @@ def random_returns(study_data: StudyData, last_step: float) -> pd.Series | None:
 
 def _have(fields: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:
     """Return whether fields have all the settings on which a random player's numbers depend."""
-    return all(plain(fields.get(field_name)) == plain(value) for field_name, value in settings.items())
+    return all(
+        normalize(fields.get(field_name)) == normalize(value) for field_name, value in settings.items()
+    )
 
 
 @cache

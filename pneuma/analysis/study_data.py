@@ -19,6 +19,7 @@ from pneuma.config import Run
 from pneuma.env.fields import are_own_characters, is_own_level
 from pneuma.errors import Hint, Message, UserError, counted, unknown_name
 from pneuma.presets import WORLDS
+from pneuma.seeds import format_seeds
 from pneuma.store.quantities import WINDOWS
 from pneuma.store.rows import Row
 from pneuma.store.series import SLACK, held_curve, make_grid
@@ -26,7 +27,7 @@ from pneuma.store.store import FINISHED
 from pneuma.study.identity import config_id
 from pneuma.study.plan import Plan, Query
 from pneuma.study.spec import LAST, Study
-from pneuma.values import settings_name, shown_seeds, shown_settings
+from pneuma.values import format_settings, settings_name
 
 RUN_KEY_COLUMNS = ("condition", "seed", "run_id")
 """The first columns of tables of records."""
@@ -135,7 +136,7 @@ class StudyData:
         if self.world:
             description += f" in {WORLDS[self.world].title}"
         if self.study.settings:
-            description += f" with {shown_settings(self.study.settings)}"
+            description += f" with {format_settings(self.study.settings)}"
         return description
 
     @property
@@ -149,7 +150,7 @@ class StudyData:
         if query.conditions:
             phrases.append(f"{' and '.join(query.conditions)} alone")
         if query.seeds is not None:
-            phrases.append(f"seeds {shown_seeds(query.seeds)}")
+            phrases.append(f"seeds {format_seeds(query.seeds)}")
         if query.steps:
             phrases.append(f"{self.steps or query.steps:,} steps")
         return ", ".join(phrases)
@@ -211,7 +212,7 @@ class StudyData:
                 if self.environments == [world.env]:
                     title += f" in {world.title}"
         if self.study.settings:
-            title += f" ({shown_settings(self.study.settings)})"
+            title += f" ({format_settings(self.study.settings)})"
         return title
 
     def basename(self, *suffixes: str) -> str:

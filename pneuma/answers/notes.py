@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pneuma.analysis.outcomes import kinds_of_return
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import counted
-from pneuma.values import shown_settings
+from pneuma.values import format_settings
 
 MOST_NAMED = 3
 """Most conditions that a note names."""
@@ -70,7 +70,7 @@ def merge_notes(studies: Mapping[str, StudyData], notes: Mapping[str, Iterable[s
     titles_by_note: dict[str, list[str]] = {}
     for title, study_data in studies.items():
         if len(studies) > 1 and study_data.study.settings:
-            settings_note = f"runs with {shown_settings(study_data.study.settings)}."
+            settings_note = f"runs with {format_settings(study_data.study.settings)}."
             titles_by_note.setdefault(settings_note, []).append(title)
         for note in dict.fromkeys(filter(None, notes[title])):
             titles_by_note.setdefault(note, []).append(title)

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from pneuma.study.plan import differing_fields
-from pneuma.values import shown_value
+from pneuma.values import format_value
 
 LONGEST_VALUE = 300
 """Most characters of a value that are shown."""
@@ -31,7 +31,7 @@ def compare_settings(
 
 def setting_text(value: Any) -> str:
     """Return a value as text, its end cut off if it is long."""
-    value_text = shown_value(value)
+    value_text = format_value(value)
     if isinstance(value, dict):
         value_text = ", ".join(f"{key} {element}" for key, element in value.items())
     return value_text if len(value_text) <= LONGEST_VALUE else value_text[:LONGEST_VALUE] + "…"

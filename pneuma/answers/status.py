@@ -14,7 +14,7 @@ from pneuma.errors import tallied
 from pneuma.store.index import RunIndex
 from pneuma.store.store import FINISHED
 from pneuma.study.plan import Query
-from pneuma.values import shown_settings
+from pneuma.values import format_settings
 
 STATES = ("done", "diverged", "published", "running", "partial", "crashed", "killed", "damaged", "planned")
 """States of runs, in the order of columns."""
@@ -95,7 +95,7 @@ def studies_status(index: RunIndex, world: str | None) -> Answer:
         study_facts = {
             "study": study_data.study.own_path or study_data.study.name,
             "world": study_data.study.world if study_data.study.path else "",
-            "changed": shown_settings(study_data.study.settings),
+            "changed": format_settings(study_data.study.settings),
         }
         study_rows.append({**study_facts, "runs": runs[["run_id", "status", "step"]].to_dict("records")})
         cell_rows.append({**study_facts, "runs": tallied(runs["status"])})

@@ -19,7 +19,7 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from pneuma.errors import Message, UserError, plain, written
+from pneuma.errors import Message, UserError, printable, write_hints
 
 STOPPED = 130
 """The exit code after Ctrl-C; it is 1 if runs failed, and 0 if all is done."""
@@ -113,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UserError as error:
         from pneuma.cli.hints import write_hint  # not for `--help`
 
-        return _refuse(written(Message(*error.args), write_hint))
+        return _refuse(write_hints(Message(*error.args), write_hint))
     except typer.TyperException as error:
         return _refuse(error.format_message())
     except (KeyboardInterrupt, typer.Abort):
@@ -150,7 +150,7 @@ def _refuse(message: str) -> int:
     if message.startswith("Usage:"):  # a command was left out: Typer's message is the help itself
         print(message, file=sys.stderr)
     else:
-        message_line = plain(" ".join(message.split()))
+        message_line = printable(" ".join(message.split()))
         if len(message_line) > LONGEST_MESSAGE:  # of a value of a file, which may be endless
             message_line = f"{message_line[: LONGEST_MESSAGE // 2]} … {message_line[-LONGEST_MESSAGE // 2 :]}"
         print(f"pneuma: {message_line}", file=sys.stderr)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import shlex
 from typing import Any
 
-from pneuma.errors import plain
+from pneuma.errors import printable
+from pneuma.seeds import seeds_option
 from pneuma.study.plan import Plan, default_preset
 from pneuma.study.spec import asked_words, results_words
-from pneuma.values import seeds_option
 
 OPTIONS = {
     "conditions": "--condition", "settings": "--set", "outcomes": "--outcome", "formats": "--format",
@@ -20,7 +20,7 @@ VERBS = {"run_study": "run", "plot": "plot", "summarize": "summary"}
 
 
 def command(*words: object) -> str:
-    return plain(shlex.join(["pneuma"] + list(map(str, words))))
+    return printable(shlex.join(["pneuma"] + list(map(str, words))))
 
 
 def query_words(plan: Plan) -> list[str]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pneuma.cli import options as opt
 from pneuma.cli.hints import command, write_hint
 from pneuma.cli.output import Result, say
-from pneuma.errors import counted, written
+from pneuma.errors import counted, write_hints
 from pneuma.store.store import Store
 from pneuma.study.spec import results_words
 
@@ -69,7 +69,7 @@ def csv(
 
 def _imported(imported: Import, results: Path) -> Result:
     study, logs, messages = imported
-    notes = [written(message, write_hint) for message in messages]
+    notes = [write_hints(message, write_hint) for message in messages]
     for note in notes:
         say(f"Note: {note}.")
     run_rows: list[dict[str, object]] = []

@@ -20,10 +20,11 @@ from pneuma.cli.output import OUTPUT_FORMATS, Result, kept_for_the_result, print
 from pneuma.errors import UserError, nearest_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.presets import WORLDS
+from pneuma.seeds import SEEDS_ALLOWED, read_seeds
 from pneuma.store.store import Store
 from pneuma.study.plan import Query
 from pneuma.training.executors.base import EXECUTORS, LOCAL, RAY, ExecutorConfig, load_executor
-from pneuma.values import SEEDS_ALLOWED, read_seeds, read_value
+from pneuma.values import read_value
 
 if TYPE_CHECKING:
     from pneuma.analysis.study_data import StudyData

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from rich.cells import cell_len
 
 from pneuma.cli.hints import write_hint
-from pneuma.errors import UserError, nearest_name, plain, print_aside, written
+from pneuma.errors import UserError, nearest_name, print_aside, printable, write_hints
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.files import MADE_BY, write_whole
 from pneuma.store.store import Store
@@ -42,7 +42,7 @@ def say(message: str, quiet: bool = False) -> None:
     A closed standard error does not stop a command.
     """
     if not quiet:
-        print_aside(written(message, write_hint))
+        print_aside(write_hints(message, write_hint))
 
 
 @contextmanager
@@ -144,11 +144,11 @@ def print_result(result: Result, output_format: str) -> None:
         sys.stdout.buffer.write(result.file)
         return
     if output_format == "table" and result.title:
-        print(plain(result.title))
+        print(printable(result.title))
     for note in result.notes:
-        note_text = written(note, write_hint)
+        note_text = write_hints(note, write_hint)
         if note_text and output_format == "table":
-            print(plain(note_text))
+            print(printable(note_text))
         elif note_text:
             say(note_text)
     if output_format == "table":
@@ -156,7 +156,7 @@ def print_result(result: Result, output_format: str) -> None:
             if isinstance(shown_item, Table):
                 _print_table(shown_item)
             else:
-                print(plain(shown_item))
+                print(printable(shown_item))
     elif output_format == "json":
         from pydantic_core import to_jsonable_python
 
@@ -173,7 +173,7 @@ def print_result(result: Result, output_format: str) -> None:
             table = result.numbers
         assert table is not None, "a command without a table has no --format"
         table_text = encode_frame(pd.DataFrame(table), output_format).decode()
-        print("\n".join(map(plain, table_text.split("\n"))), end="")
+        print("\n".join(map(printable, table_text.split("\n"))), end="")
 
 
 def _print_table(table: Table) -> None:
@@ -201,7 +201,7 @@ def _cell_text(cell: object) -> str:
     """Return a cell as text, with spaces in an interval at which no line is broken."""
     if cell is None or cell != cell:
         return "–"
-    cell_text = f"{cell:,.4g}" if isinstance(cell, float) else plain(str(cell))
+    cell_text = f"{cell:,.4g}" if isinstance(cell, float) else printable(str(cell))
     return re.sub(r"\[[^]]*]", lambda interval: interval[0].replace(" ", UNBREAKABLE_SPACE), cell_text)
 
 

@@ -19,7 +19,7 @@ from pneuma.store.stored_runs import (
     stored_settings,
     trusted_settings,
 )
-from pneuma.values import shown_settings, shown_value
+from pneuma.values import format_settings, format_value
 
 if TYPE_CHECKING:
     from pneuma.store.index import RunIndex
@@ -91,7 +91,7 @@ def _condition(run_label: Mapping[str, Any]) -> str:
     for field_name, field_value in run_label.get("settings", {}).items():
         if f"{field_name}=" not in condition:
             changed_fields[field_name] = field_value
-    return f"{condition} with {shown_settings(changed_fields)}" if changed_fields else condition
+    return f"{condition} with {format_settings(changed_fields)}" if changed_fields else condition
 
 
 @app.command(short_help="Show how a stored run was produced.")
@@ -133,9 +133,9 @@ def _show(run: Mapping[str, Any], all_fields: bool) -> Iterator[str | Table]:
     yield "Fields" if all_fields else "Fields that are not at their defaults (--all shows the others)"
     for key, row_value in run["settings"].items():
         if key in run["defaults"]:
-            yield f"  {key} = {shown_value(row_value)}   (default {shown_value(run['defaults'][key])})"
+            yield f"  {key} = {format_value(row_value)}   (default {format_value(run['defaults'][key])})"
         elif all_fields:
-            yield f"  {key} = {shown_value(row_value)}"
+            yield f"  {key} = {format_value(row_value)}"
     yield ""
     yield "Provenance" if run["provenance"] else "Provenance: none, or damaged; it is written at a run's end"
     for key, row_value in run["provenance"].items():
@@ -143,7 +143,7 @@ def _show(run: Mapping[str, Any], all_fields: bool) -> Iterator[str | Table]:
             row_value = ", ".join(f"{name} {version}" for name, version in row_value.items())
         if key == "attempts" and isinstance(row_value, list):
             row_value = f"{len(row_value)} (--json shows the machine of each)"
-        yield f"  {key:<12} {shown_value(row_value)}"
+        yield f"  {key:<12} {format_value(row_value)}"
     yield ""
     yield "Files"
     rows = [(f"  {file['name']}", f"{file['bytes']:>12,} bytes", file["state"]) for file in run["files"]]

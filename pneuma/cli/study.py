@@ -14,9 +14,9 @@ from pneuma.cli.output import Result, Table, answer_result, frame_table, listed_
 from pneuma.config import effective_fields, is_gymnasium_id
 from pneuma.errors import UserError, unknown_name
 from pneuma.files import create_whole
+from pneuma.seeds import format_seeds
 from pneuma.store.store import Store
 from pneuma.study import shipped, spec
-from pneuma.values import shown_seeds
 
 app = opt.Commands("study", "Compare conditions over many seeds.")
 
@@ -123,7 +123,7 @@ def _show(
     for preset in study.presets:
         names_by_amount: dict[str, list[str]] = {}
         for condition, amount in _amounts(study, preset).items():
-            amount_text = f"seeds {shown_seeds(amount['seeds'])}, {amount['steps']:,} steps"
+            amount_text = f"seeds {format_seeds(amount['seeds'])}, {amount['steps']:,} steps"
             names_by_amount.setdefault(amount_text, []).append(condition)
         for amount_text, conditions in names_by_amount.items():
             is_every = len(conditions) == len(study.conditions)

@@ -224,7 +224,7 @@ def table(
 ) -> Result:
     """Print the thesis's Tables 6.1 and 6.2: default and final hyperparameters."""
     from pneuma.presets import BASES
-    from pneuma.values import short
+    from pneuma.values import format_short
 
     for table_name in names or ():
         if table_name not in THESIS_TABLES:
@@ -233,7 +233,9 @@ def table(
     for row_label, field_name in THESIS_ROWS.items():
         table_row = {"Hyperparameter": row_label}
         for table_name in names or THESIS_TABLES:
-            table_row[table_name.replace("table-6-", "Table 6.")] = short(BASES[table_name][field_name])
+            table_row[table_name.replace("table-6-", "Table 6.")] = format_short(
+                BASES[table_name][field_name]
+            )
         table_rows.append(table_row)
     return rows_result("rows", table_rows)
 

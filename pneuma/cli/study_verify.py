@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, frame_table
-from pneuma.errors import plain
+from pneuma.errors import printable
 from pneuma.presets import WORLDS
 from pneuma.store.store import Store
 
@@ -69,4 +69,6 @@ def _show(answer: VerdictsAnswer, in_detail: bool) -> Iterator[str | Table]:
 
 
 def _indented(text: str, indent: str) -> list[str]:
-    return wrap(plain(text), WIDTH, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False)
+    return wrap(
+        printable(text), WIDTH, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False
+    )

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from annotated_types import Interval, MinLen
 
 from pneuma.errors import UserError, unknown_name
-from pneuma.values import MOST_NAMES, OneOf, declare, matching, names_like
+from pneuma.field_types import MOST_NAMES, OneOf, declare, matching, names_like
 
 SHIPPED_LEVELS = ("thesis",)
 RANDOM = "random:"

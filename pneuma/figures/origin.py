@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from pneuma.analysis.study_data import StudyData
-from pneuma.errors import plain
+from pneuma.errors import printable
 from pneuma.files import checksum
-from pneuma.values import shown_seeds
+from pneuma.seeds import format_seeds
 
 KEYS = {"png": "Description", "svg": "Description", "pdf": "Subject"}
 """Where each format has the text; XMP maps all three to `dc:description`."""
@@ -24,7 +24,7 @@ def origin_text(subject: str, run_lines: Iterable[str] = ()) -> str:
 
     It contains no version, so that a picture's bytes change only with what is drawn.
     """
-    return "\n".join([f"Pneuma: {plain(subject)}", *run_lines])
+    return "\n".join([f"Pneuma: {printable(subject)}", *run_lines])
 
 
 def lines_of_runs(*studies: StudyData) -> list[str]:
@@ -47,6 +47,6 @@ def line_of_runs(study_name: str, condition: str, run_ids: Iterable[str], seeds:
         ids_text = f"{len(sorted_ids)} with SHA-256 {checksum(' '.join(sorted_ids).encode())[:16]}"
     phrases = [study_name, condition]
     if seeds:
-        phrases.append(f"seeds {shown_seeds(seeds)}")
+        phrases.append(f"seeds {format_seeds(seeds)}")
     phrases.append(f"ids {ids_text}")
-    return plain(", ".join(filter(None, phrases)))
+    return printable(", ".join(filter(None, phrases)))

@@ -19,7 +19,7 @@ from matplotlib.text import Text
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from pneuma.errors import Hint, UserError, plain, print_aside, unknown_name
+from pneuma.errors import Hint, UserError, print_aside, printable, unknown_name
 from pneuma.figures.origin import KEYS
 
 WIDTH = 7.0
@@ -171,7 +171,7 @@ def _note_missing_letters(figure: Figure) -> None:
 
 def clean(text: str) -> str:
     """Return text with control characters as codes, as names may be untrusted and an SVG is XML."""
-    return "\n".join(map(plain, text.split("\n")))
+    return "\n".join(map(printable, text.split("\n")))
 
 
 def _lay_out(figure: Figure) -> None:

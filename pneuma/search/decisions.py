@@ -19,10 +19,10 @@ from optuna.trial import FrozenTrial, TrialState, create_trial
 
 from pneuma.config import stream_seed
 from pneuma.errors import UserError
-from pneuma.schema import shown
 from pneuma.search.log import Record
 from pneuma.study.identity import config_id
 from pneuma.study.plan import Cell
+from pneuma.values import format_json
 
 STUDY_ATTRIBUTES = "pneuma:study"
 """The attribute of a trial with what its sampler has noted of the whole study."""
@@ -70,7 +70,7 @@ def _sample(record: Record, trial_number: int, enqueued: dict[str, Any]) -> Froz
     for parameter_name, value in enqueued.items():
         if not search.holds({parameter_name: value}):
             attributes["note"] = (
-                f"was enqueued with {parameter_name} = {shown(value)}, which is not in its space"
+                f"was enqueued with {parameter_name} = {format_json(value)}, which is not in its space"
             )
             return create_trial(state=TrialState.RUNNING, user_attrs=attributes)
     study = _copy_study(record, trial_number)

@@ -12,10 +12,10 @@ from typing import Any
 from optuna.trial import FrozenTrial
 
 from pneuma.errors import UserError
-from pneuma.schema import shown
 from pneuma.search.log import Record
 from pneuma.store.store import Store
 from pneuma.study.spec import unread_fields
+from pneuma.values import format_json
 
 BASE, TUNED = "base", "tuned"
 """The conditions of the study."""
@@ -96,5 +96,6 @@ def write_study(store: Store, record: Record, file_text: str) -> Path:
 
 def _lines(toml_table: Mapping[str, Any]) -> list[str]:
     return [
-        f"{toml_key} = {shown('none' if value is None else value)}" for toml_key, value in toml_table.items()
+        f"{toml_key} = {format_json('none' if value is None else value)}"
+        for toml_key, value in toml_table.items()
     ]

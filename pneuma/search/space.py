@@ -19,8 +19,9 @@ from pydantic import BeforeValidator
 from pneuma.config import Run
 from pneuma.env.fields import read_field
 from pneuma.errors import unknown_name
-from pneuma.schema import plain, shown, wrong
+from pneuma.schema import normalize, wrong
 from pneuma.study.spec import PLANNED
+from pneuma.values import format_json
 
 SEARCHABLE = tuple(item.name for item in fields(Run) if item.name not in PLANNED and item.name != "engine")
 
@@ -52,7 +53,7 @@ class Parameter:
     def allowed(self) -> str:
         """Its range or its values, for messages."""
         if self.choices:
-            return shown(list(self.choices.values()))
+            return format_json(list(self.choices.values()))
         low, high = self.extremes
         return f"{low:g} to {high:g}"
 
@@ -69,7 +70,7 @@ class Parameter:
     def applies(self, run_fields: Mapping[str, Any]) -> bool:
         """Return whether it is searched in a run with these fields."""
         return all(
-            plain(run_fields.get(field_name)) in field_values
+            normalize(run_fields.get(field_name)) in field_values
             for field_name, field_values in self.when.items()
         )
 
@@ -98,7 +99,7 @@ def _read_parameter(field_name: str, parameter_table: Mapping[str, Any]) -> Para
     when: dict[str, tuple[Any, ...]] = {}
     for condition, condition_values in arguments.pop("when", {}).items():
         value_list = condition_values if isinstance(condition_values, tuple) else (condition_values,)
-        when[condition] = tuple(plain(_read(condition, value)) for value in value_list)
+        when[condition] = tuple(normalize(_read(condition, value)) for value in value_list)
     choices: dict[Any, Any] = {}
     for value in arguments.get("choices", ()):
         choice = _read(field_name, value)

@@ -25,15 +25,17 @@ from pneuma.analysis.outcomes import find_outcome
 from pneuma.config import Run, Steps, as_fields, make_run
 from pneuma.env.fields import ENVIRONMENTS
 from pneuma.errors import UserError
+from pneuma.field_types import OneOf, Reads
 from pneuma.presets import ARENA, BASES, NO_BASE, TEXT, checked_world, world_fields
-from pneuma.schema import Table, passes, read_model, read_toml, shown
+from pneuma.schema import Table, passes, read_model, read_toml
 from pneuma.search import FIRST_SEED
 from pneuma.search.samplers import TPE, Pruner, Sampler
 from pneuma.search.space import Parameter, Space, as_parameter
+from pneuma.seeds import SEEDS_ALLOWED, read_seeds
 from pneuma.study.identity import files_beside
 from pneuma.study.shipped import find_file, studies_folder
 from pneuma.study.spec import PRESETS, Fields, join_fields, no_effect_message, unread_fields
-from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, read_seeds, shown_value
+from pneuma.values import format_json, format_value
 
 DEVIATION = "deviation"
 OVER_SEEDS: Mapping[str, Callable[[np.ndarray], Any]] = {
@@ -160,7 +162,7 @@ class Search(Table):
             return f"there is no [space.{field_name}]"
         parameter = self.space[field_name]
         allowed = f"[space.{field_name}] allows {parameter.allowed}"
-        return f"{allowed}, when {shown(parameter.when)}" if parameter.when else allowed
+        return f"{allowed}, when {format_json(parameter.when)}" if parameter.when else allowed
 
     def corners(self) -> Iterator[tuple[dict[str, Any], Run]]:
         """Yield trials at the ends of ranges, always the same ones, each with its run."""
@@ -185,7 +187,7 @@ class Search(Table):
             params = self.params_of(start)
             if isinstance(start, dict) and params.keys() < start.keys():
                 outside = next(field_name for field_name in start if field_name not in params)
-                raise UserError(f"start: {shown(start)} is not in the space: {self._allowed(outside)}")
+                raise UserError(f"start: {format_json(start)} is not in the space: {self._allowed(outside)}")
         corners = list(self.corners())
         every_run = [run for _, run in corners]
         for field_name in unread_fields(every_run, shared_fields):
@@ -193,7 +195,7 @@ class Search(Table):
         for field_name, parameter in self.space.items():
             runs = [run for params, run in corners if field_name in params]
             if not runs:
-                raise UserError(f"{field_name} never applies: no trial has {shown(parameter.when)}")
+                raise UserError(f"{field_name} never applies: no trial has {format_json(parameter.when)}")
             if unread_fields(runs, [field_name]):
                 raise UserError(no_effect_message(field_name, runs))
 
@@ -202,7 +204,7 @@ def shown_params(params: Mapping[str, Any]) -> str:
     """Return the parameters of a trial as text."""
     parameter_texts = []
     for parameter_name, value in params.items():
-        value_text = f"{value:.4g}" if isinstance(value, float) else shown_value(value)
+        value_text = f"{value:.4g}" if isinstance(value, float) else format_value(value)
         parameter_texts.append(f"{parameter_name}={value_text}")
     return ", ".join(parameter_texts)
 

@@ -41,7 +41,7 @@ from pneuma.study.spec import (
     no_effect_message,
     unread_fields,
 )
-from pneuma.values import read_value, short, split_list
+from pneuma.values import format_short, read_value, split_list
 
 MOST_RUNS = 50_000
 Swept = Mapping[str, Mapping[str, Any]]
@@ -281,7 +281,7 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
             if not is_list or key not in Run.__dataclass_fields__:
                 raise
         if is_list and (key not in single_values or (key in PLAYER_FIELDS and has_one_player)):
-            swept[key] = {short(swept_value): read(key, swept_value) for swept_value in setting_values}
+            swept[key] = {format_short(swept_value): read(key, swept_value) for swept_value in setting_values}
             single_values.pop(key, None)
     return single_values, swept
 

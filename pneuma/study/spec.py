@@ -29,6 +29,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pneuma.config import Run, Steps, effective_fields, make_run
 from pneuma.env.fields import ENVIRONMENT_SLOTS, ENVIRONMENTS, read_field
 from pneuma.errors import MOST_LISTED, UserError, unknown_name
+from pneuma.field_types import OneOf, Reads, matching
 from pneuma.presets import (
     BASES,
     NO_BASE,
@@ -40,10 +41,11 @@ from pneuma.presets import (
     world_option,
 )
 from pneuma.sb3_names import fields_and_keys
-from pneuma.schema import Table, TomlFile, Where, all_wrong, read_model, read_toml, shown, wrong
+from pneuma.schema import Table, TomlFile, Where, all_wrong, read_model, read_toml, wrong
+from pneuma.seeds import SEEDS_ALLOWED, read_seeds
 from pneuma.study.identity import files_beside
 from pneuma.study.shipped import find_file, studies_by_figure, studies_folder
-from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, matching, read_seeds, setting_words, short
+from pneuma.values import format_json, format_short, setting_words
 
 PRESETS = ("quick", "standard", "paper")
 """The presets of searches, and the usual ones of studies."""
@@ -71,13 +73,13 @@ def _named_values(factors: Any) -> Any:
     for factor, factor_values in factors.items():
         if factor == CONDITION:
             raise wrong(f"{factor} is what [conditions] are; name it otherwise", factor)
-        refusal = f"{factor} = {shown(factor_values)} is not allowed: a list of"
+        refusal = f"{factor} = {format_json(factor_values)} is not allowed: a list of"
         if not isinstance(factor_values, tuple | Mapping) or not 2 <= len(factor_values) <= MOST_CONDITIONS:
             raise wrong(f"{refusal} 2 to {MOST_CONDITIONS:,} values, or a table of named ones", factor)
         values_by_factor[factor] = factor_values
         if not isinstance(factor_values, Mapping):
             values_by_factor[factor] = {
-                f"{factor}={short(value)}": {factor: value} for value in factor_values
+                f"{factor}={format_short(value)}": {factor: value} for value in factor_values
             }
             if len(values_by_factor[factor]) < len(factor_values):
                 raise wrong(f"{refusal} different values", factor)

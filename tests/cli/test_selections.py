@@ -11,7 +11,7 @@ from pneuma.analysis.runs import find_study, have_same_fields
 from pneuma.api import open_data
 from pneuma.cli.hints import write_hint
 from pneuma.config import as_fields
-from pneuma.errors import written
+from pneuma.errors import write_hints
 from pneuma.store.index import RunIndex
 from pneuma.store.last_queries import last_query
 from pneuma.store.store import Store
@@ -27,7 +27,7 @@ PAIR = ("tanh", "relu")
 def show(store: Store, name: str, world: str | None = None, **query: Any) -> tuple[list[str], str]:
     """Return the ids of the runs of a query, and the line on what is shown."""
     data = find_study(RunIndex(store), Query(world=world, **query).named(name))
-    return [*data.runs["run_id"]], written(data.coverage, write_hint)
+    return [*data.runs["run_id"]], write_hints(data.coverage, write_hint)
 
 
 # --- Which plan is meant ---------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from pneuma.env.fields import REWARDS, EnvConfig, make_env_config
 from pneuma.env.rules import ATTACK, DOWN, LEFT, RIGHT, UP
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
-from pneuma.values import OneOf
+from pneuma.field_types import OneOf
 
 from .oracle import Oracle, Pair, Player
 

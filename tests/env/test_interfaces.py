@@ -26,7 +26,7 @@ from pneuma.env.gym_vector import PneumaVectorEnv
 from pneuma.env.pettingzoo import PneumaParallelEnv
 from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.errors import UserError
-from pneuma.values import shown_value
+from pneuma.values import format_value
 
 from .arena import ARENA, ATTACK, GODOT, RIGHT, THESIS, begin
 
@@ -340,7 +340,7 @@ def test_the_docstring_has_every_argument_with_its_defaults() -> None:
     configs = [vars(make_env_config({}, env_id)) for env_id in ENVIRONMENTS]
     expected = []
     for name in configs[0]:
-        defaults = [shown_value(config[name]).removesuffix(".0") for config in configs]
+        defaults = [format_value(config[name]).removesuffix(".0") for config in configs]
         if len(set(defaults)) == 1:
             defaults = defaults[:1]
         expected.append((name, ", ".join(defaults)))

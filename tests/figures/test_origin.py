@@ -13,7 +13,7 @@ from pneuma.cli.options import seeds
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.figures.origin import line_of_runs, origin_text
 from pneuma.figures.style import house_style, save_figure
-from pneuma.values import shown_seeds
+from pneuma.seeds import format_seeds
 
 AWKWARD = 'a)(\\b"<&amp;>]]>\u00e4\x1b\ud800\n'
 FEW = line_of_runs("mine", "tanh", ["b" * 16, "a" * 16], [3, 1, 2])
@@ -52,6 +52,6 @@ def test_other_ids_give_another_line_in_any_number_and_their_order_does_not() ->
 
 @pytest.mark.parametrize("given", [(5,), (0, 1, 2), (1, 2, 9), (3, 5, 8), (100, 101, 7)])
 def test_seeds_are_told_as_the_option_reads_them(given: tuple[int, ...]) -> None:
-    text = shown_seeds(given)
+    text = format_seeds(given)
     read = seeds("").parser(text if len(given) > 1 else f"{text},")
     assert sorted(read) == sorted(given)

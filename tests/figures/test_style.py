@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from pneuma.errors import plain
+from pneuma.errors import printable
 from pneuma.figures.grid import label_rows
 from pneuma.figures.style import house_style, save_figure
 from pneuma.figures.words import looks_of
@@ -32,7 +32,7 @@ def test_colours_are_in_the_files_order_but_for_those_that_it_names(study: HandM
 
 def test_what_cannot_be_seen_is_written_as_its_code_in_an_svg_that_is_xml(tmp_path: Path) -> None:
     wild = "a\x1b\u202eb\ud800"
-    assert plain(wild) == r"a\u001b\u202eb\ud800"
+    assert printable(wild) == r"a\u001b\u202eb\ud800"
     with house_style():
         figure = Figure()
         axes = figure.subplots()

@@ -25,12 +25,13 @@ from pydantic import Field, model_validator
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.config import Steps
 from pneuma.errors import UserError, unknown_name
+from pneuma.field_types import OneOf, Reads
 from pneuma.files import checksum
 from pneuma.presets import WORLDS
 from pneuma.schema import Table, TomlFile, passes, read_model, read_toml, wrong
+from pneuma.seeds import SEEDS_ALLOWED, read_seeds
 from pneuma.study.shipped import CLAIMS_FILES, studies_folder
 from pneuma.study.spec import Study, load_study
-from pneuma.values import SEEDS_ALLOWED, OneOf, Reads, read_seeds
 
 DEFAULTS = ("seeds", "steps", "worlds", "outcome", "kind")
 """The keys of a claim that a list may set for all."""

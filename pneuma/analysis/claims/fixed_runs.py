@@ -21,13 +21,13 @@ from pneuma.analysis.runs import finished_rows, runs_of_plan
 from pneuma.analysis.study_data import StudyData
 from pneuma.config import Run, round_up
 from pneuma.errors import Hint, UserError
+from pneuma.seeds import seeds_option
 from pneuma.store.index import RunIndex
 from pneuma.store.rows import Row
 from pneuma.study.identity import config_id
 from pneuma.study.plan import Cell, Plan, configure
 from pneuma.study.shipped import CLAIMS_FILES
 from pneuma.study.spec import CLAIMS, Amount, Preset, Study, asked_words, results_words
-from pneuma.values import seeds_option
 
 TRAIN_WITH = "train with:"
 """The beginning of the part of a reason that names the command."""

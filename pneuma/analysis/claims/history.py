@@ -25,7 +25,7 @@ from typing import Any
 from pneuma.analysis.claims.claim_list import RULES, Claim, ClaimList, claim_keys
 from pneuma.analysis.claims.fixed_runs import claims_on, find_claim_runs
 from pneuma.errors import Hint, UserError
-from pneuma.schema import plain
+from pneuma.schema import normalize
 from pneuma.store.index import RunIndex
 from pneuma.store.provenance import SOURCE, file_at, line_at
 from pneuma.study.shipped import claims_history_file
@@ -77,7 +77,7 @@ def record_key(claim_list: ClaimList, claim: Claim, world: str, commits: Sequenc
 @cache
 def _recorded() -> Mapping[str, tuple[str, ...] | None]:
     """Return what the history says, by `record_key`."""
-    recorded: Mapping[str, tuple[str, ...] | None] = plain(
+    recorded: Mapping[str, tuple[str, ...] | None] = normalize(
         json.loads(claims_history_file().read_text(encoding="utf-8"))
     )
     return recorded
@@ -123,7 +123,7 @@ def _rules_at(path: Path, commit: str) -> int | None:
 
 @cache
 def _parse(file_text: str) -> Mapping[str, Any]:
-    return plain(tomllib.loads(file_text))
+    return normalize(tomllib.loads(file_text))
 
 
 def _deciding_keys(file_text: str, claim_name: str, world: str) -> Mapping[str, Any]:
