@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import json
 import math
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from typing import Any
@@ -28,7 +27,7 @@ from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run
 from pneuma.engines.normalization import Normalization, Scaling
 from pneuma.engines.records import episode_row
-from pneuma.errors import OwnCodeError, RunWarning, UserError, install_extra
+from pneuma.errors import OwnCodeError, UserError, install_extra
 from pneuma.own_modules import load_module
 
 EXTRAS = ("minatar", "minigrid")
@@ -39,10 +38,7 @@ FLAT_SPACES = (spaces.Box, spaces.Discrete, spaces.MultiBinary, spaces.MultiDisc
 
 def check_spaces(run: Run) -> None:
     """Make an environment, take a step, and refuse spaces in which the run cannot be trained."""
-    with (
-        warnings.catch_warnings(action="ignore", category=RunWarning),  # the run itself warns
-        closing(GymnasiumSlots(run, [0])) as slots,
-    ):
+    with closing(GymnasiumSlots(run, [0])) as slots:
         space = slots.action_space
         if not isinstance(space, spaces.Discrete):
             if isinstance(space, spaces.Box) and np.issubdtype(space.dtype, np.floating):
@@ -80,11 +76,10 @@ class GymnasiumSlots:
     def __init__(self, run: Run, seeds: Sequence[int], training: bool = False) -> None:
         self.run = run
         self.envs = [make_env(run) for _ in seeds]
-        self._space = self.envs[0].observation_space
+        observation_space = self.envs[0].observation_space
         self.action_space: Any = self.envs[0].action_space
-        self._flatten = flattening(run, self._space)
-        self._is_in_space = True  # whether all observations were
-        self.raw_observations = np.zeros((len(seeds), spaces.flatdim(self._space)), np.float32)
+        self._flatten = flattening(run, observation_space)
+        self.raw_observations = np.zeros((len(seeds), spaces.flatdim(observation_space)), np.float32)
         self.terminal = np.zeros_like(self.raw_observations)
         self.returns = np.zeros(len(seeds))
         self.lengths, self.episodes = np.zeros((2, len(seeds)), np.int64)
@@ -161,11 +156,6 @@ class GymnasiumSlots:
         current[:] = row
         if not math.isfinite(current.sum()):
             raise ValueError("its observation is not finite")
-        difference = self._is_in_space and _difference_from_space(row, self._space)
-        if difference:
-            self._is_in_space = False  # one warning is enough
-            message = f"{self.run.env}: an observation is not of its declared space: {difference}"
-            warnings.warn(message, RunWarning, stacklevel=2)
 
     def _end(self, slot: int, ending: str) -> None:
         self.terminal[slot] = self.raw_observations[slot]
@@ -220,20 +210,6 @@ class GymnasiumSlots:
                 raise ValueError(
                     f"{self.run.env} does not come to the same state by the same seed and actions"
                 )
-
-
-def _difference_from_space(flat_observation: np.ndarray, space: spaces.Space[Any]) -> str:
-    """Return how an observation differs from its space, if that is a `Box`; else empty."""
-    if not isinstance(space, spaces.Box):
-        return ""
-    if not np.can_cast(flat_observation.dtype, space.dtype):
-        return f"{flat_observation.dtype} in place of {space.dtype}"
-    low, high = space.low.reshape(-1), space.high.reshape(-1)
-    outside = (flat_observation < low) | (flat_observation > high)
-    if not outside.any():
-        return ""
-    index = int(outside.argmax())
-    return f"number {index} is {flat_observation[index]:g}, and not from {low[index]:g} to {high[index]:g}"
 
 
 def actions_in(space: spaces.Space[Any], actions: np.ndarray) -> Sequence[Any]:
