@@ -13,7 +13,7 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.answers.answer import Answer
 from pneuma.answers.cells import NO_CELL, condition_cells, pivot_cells, with_cells
-from pneuma.errors import counted
+from pneuma.errors import Hint, UserError, counted
 
 SHOWN = 3
 """Outcomes whose means are shown by default."""
@@ -28,31 +28,38 @@ SCALE = (
 )
 
 
-def summarize(study_data: StudyData, outcomes: Sequence[str] = (), paper_cells: str = "") -> Answer:
+def summarize(
+    study_data: StudyData,
+    outcomes: Sequence[str] = (),
+    for_paper: bool = False,
+    cell_form: str | None = None,
+) -> Answer:
     """Summarize the outcomes of each condition.
 
     Args:
         study_data: an opened study.
         outcomes: names from docs/outcomes.md, of which all statistics are shown; default: the means of the
             first usual ones.
-        paper_cells: one of `CELL_FORMS` for the table of a paper: a column for each outcome.
+        for_paper: whether the cells are a paper's table: a column for each outcome.
+        cell_form: one of `CELL_FORMS`, for a paper; default: `sd`, or `interval` with scores over
+            environments, which have no standard deviation.
 
     Returns:
         The table `summary` has a row for each condition, outcome and statistic. In a crossed study of several
         environments, `scores` are those over all of them.
 
     Raises:
-        UserError: for an unknown outcome.
+        UserError: for an unknown outcome, or deviations of scores.
     """
     data_by_env = by_environment(study_data)
     if len(data_by_env) > 1 and study_data.study.factors and len(outcomes) <= 1:
-        return _summarize_environments(
-            study_data, data_by_env, (*outcomes, OUTCOME)[0], paper_cells or "interval"
-        )
+        if cell_form == "sd":
+            raise UserError(Hint("cells", "sd"), ": scores over environments have no standard deviation")
+        return _summarize_environments(study_data, data_by_env, (*outcomes, OUTCOME)[0])
     summary = summary_table(study_data, outcomes)
     legend: list[str] = []
-    if paper_cells:
-        cells = _paper_cells(study_data, with_cells(summary, paper_cells), outcomes)
+    if for_paper:
+        cells = _paper_cells(study_data, with_cells(summary, cell_form or "sd"), outcomes)
     elif outcomes:
         cells = _statistics_cells(study_data, with_cells(summary), outcomes)
     else:
@@ -67,14 +74,12 @@ def summarize(study_data: StudyData, outcomes: Sequence[str] = (), paper_cells: 
 
 
 def _summarize_environments(
-    study_data: StudyData, data_by_env: Mapping[str, StudyData], outcome: str, cell_form: str
+    study_data: StudyData, data_by_env: Mapping[str, StudyData], outcome: str
 ) -> Answer:
     """Summarize an outcome: the mean of each condition in each environment, and its scores over all."""
     env_summaries = []
     for env, env_data in data_by_env.items():
-        env_summaries.append(
-            with_cells(summary_table(env_data, [outcome]), cell_form).assign(environment=env)
-        )
+        env_summaries.append(with_cells(summary_table(env_data, [outcome])).assign(environment=env))
     summary = pd.concat(env_summaries, ignore_index=True)
     summary = summary[(summary["outcome"] == outcome) & (summary["statistic"] == "mean")]
     scores = over_environments(data_by_env, outcome)

@@ -24,15 +24,15 @@ def summary(
 ) -> Result:
     """Summarize each condition: means with 95 % confidence intervals; with --outcome, all statistics.
 
-    --format markdown or latex prints a table for a paper: a column for each outcome, with mean ± SD.
+    --format markdown or latex prints a table for a paper: a column for each outcome, with mean ± SD. Over
+    several environments its cells have intervals.
     """
     if cells and format not in PAPER_FORMATS:
         raise UserError(f"--cells requires --format {' or '.join(PAPER_FORMATS)}")
     study_data = selection.open(name)
     from pneuma.answers.summary import summarize
 
-    paper_cells = (cells or "sd") if format in PAPER_FORMATS else ""
-    return answer_result(summarize(study_data, outcome or (), paper_cells))
+    return answer_result(summarize(study_data, outcome or (), format in PAPER_FORMATS, cells))
 
 
 def compare(

@@ -77,6 +77,14 @@ def test_summary_has_a_column_for_each_environment_and_scores_over_all(study: Pa
     assert scores["ppo", "optimality gap"] == pytest.approx(gap)
 
 
+def test_all_cells_of_a_paper_have_intervals_as_scores_have_no_deviation(study: Path) -> None:
+    """Of four runs in an environment there is no interval of the mean, but a bootstrap of the scores."""
+    _, _, row, _ = printed("study", "summary", study, "--format", "markdown").splitlines()
+    assert row.startswith("| ppo | 4, 4 | 101.5 | -198.5 | 0.88") and "±" not in row and " to " in row
+    message = refused("study", "summary", study, "--format", "latex", "--cells", "sd")
+    assert message == "--cells sd: scores over environments have no standard deviation"
+
+
 def test_compare_takes_conditions_in_each_environment_and_over_all(study: Path) -> None:
     document = call("study", "compare", study, "ppo", "a2c", "--json").document
     differences = {row["environment"]: row["difference"] for row in document["comparisons"]}
