@@ -147,10 +147,15 @@ def _plan(selection: opt.RunFilter, study_name: str, unpublished: bool) -> plan.
     planned = api.plan_study(selection.query(study_name), selection.store, say)
     if not unpublished:
         return planned
+    from pneuma.analysis.runs import runs_of_plan
     from pneuma.store.index import RunIndex
 
     index = RunIndex(selection.store, stored=False)
-    published = frozenset(cell.run_id for cell in planned.cells if cell.run_id in index.frame.index)
+    published_runs = runs_of_plan(index, planned).runs  # also those of other versions, as reading shows them
+    published_cells = set(zip(published_runs["condition"], published_runs["seed"], strict=True))
+    published = frozenset(
+        cell.run_id for cell in planned.cells if (cell.condition, cell.seed) in published_cells
+    )
     for problem in index.problems:
         say(f"Note: {problem}; its runs are trained.")
     return replace(planned, published=published)

@@ -134,6 +134,12 @@ def test_what_is_published_is_not_trained_where_that_is_asked(table: Path) -> No
     assert f"{table.name}: cannot be read (damaged)" in call("study", "plan", *rest).err
 
 
+def test_runs_that_another_version_published_are_not_trained_again(tmp_path: Path) -> None:
+    """Pneuma's own tables were trained by an older version, and reading commands show them."""
+    plan = ("study", "plan", "activation@paper", "--unpublished", "--json", "--results", tmp_path)
+    assert {run["state"] for run in described(*plan)["runs"]} == {"published"}
+
+
 def test_a_crash_is_exit_code_1_and_says_where_to_look(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
