@@ -87,6 +87,8 @@ def test_a_study_with_runs_has_figures_conditions_runs_and_provenance(store: Sto
     assert "4 runs: 4 done" in words
     assert "What produced the runs: all by the same" in words  # though each started at a time of its own
     assert "torch 2.13.0" in words and "<b>fast</b>" in words
+    assert "All other statistics: pneuma study summary activation --condition tanh" in words
+    assert "--steps 1024 --outcome NAME" in words
     assert [each.text for each in page.all("h2")] == ["Verdicts", "Activation function"]
 
 
