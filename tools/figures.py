@@ -28,7 +28,8 @@ from pneuma.analysis.claims.words import verdicts_by_claim
 from pneuma.analysis.export import encode_frame
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
-from pneuma.answers.curves import TRAILING_WINDOW, find_curves
+from pneuma.answers.curves import find_curves
+from pneuma.answers.notes import TRAILING_WINDOW
 from pneuma.answers.one_action import find_one_action
 from pneuma.answers.outcomes import show_outcomes
 from pneuma.config import as_fields, make_run

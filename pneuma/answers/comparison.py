@@ -10,10 +10,12 @@ import pandas as pd
 from pneuma.analysis.claims.claim_list import Claim, shipped_claims
 from pneuma.analysis.environments import OUTCOME, by_environment, improvements
 from pneuma.analysis.intervals import LEAST_RUNS
+from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import Group, compare_groups, outcomes_to_compare
 from pneuma.answers.answer import Answer
 from pneuma.answers.cells import comparison_cells, with_cells
+from pneuma.answers.notes import averaging
 from pneuma.answers.summary import SCALE, few_episodes, few_runs
 from pneuma.errors import UserError, counted
 from pneuma.presets import WORLDS
@@ -161,7 +163,10 @@ def _compare_pairs(
         notes.append(
             f"A condition with fewer than {LEAST_RUNS} runs, or whose runs are all equal, has no interval."
         )
-    notes.append(few_episodes(study_data, list(comparison_table["outcome"])))
+    outcome_names = list(comparison_table["outcome"])
+    notes.append(few_episodes(study_data, outcome_names))
+    if any(find_outcome(outcome).is_return for outcome in outcome_names):
+        notes.append(_averages(*next(iter(pairs.values()))))
     if not shared_column:
         comparison_table = comparison_table.drop(columns="shared")
     comparison_table = comparison_table.rename(columns={"shared": shared_column})
@@ -186,6 +191,15 @@ def _notes_on_pair(a: Group, b: Group) -> list[str]:
         shared_runs = counted(len(shared_ids), "run")
         notes.append(f"Note: {a.name} and {b.name} have the same settings and share {shared_runs}.")
     return notes
+
+
+def _averages(a: Group, b: Group) -> str:
+    """Return that the returns of two studies average different episodes; empty if they do not."""
+    averages = averaging(a.data), averaging(b.data)
+    if averages[0] == averages[1]:
+        return ""
+    texts = [f"{average} ({arm.data.study.name})" for average, arm in zip(averages, (a, b), strict=True)]
+    return f"Note: returns average different episodes: {', '.join(texts)}."
 
 
 def _claims_about(study_data: StudyData, a: str, b: str) -> list[Claim]:

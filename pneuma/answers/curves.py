@@ -30,14 +30,13 @@ from pneuma.analysis.outcomes import have_one_return, is_foreign
 from pneuma.analysis.quantities import POWERS, QUANTITIES
 from pneuma.analysis.study_data import StudyData
 from pneuma.answers.answer import Answer
-from pneuma.answers.notes import merge_notes, notes_on_runs
+from pneuma.answers.notes import OF_BUDGET, averaging, merge_notes, notes_on_runs
 from pneuma.errors import Hint, UserError, counted
-from pneuma.store.quantities import UPDATE_QUANTITIES, WINDOWS
+from pneuma.store.quantities import UPDATE_QUANTITIES
 from pneuma.store.series import GRID_POINTS
 
 DEFAULT_QUANTITIES, EVALUATED = ("return", "share_killed", "success"), "evaluated_return"
 DEFAULT_BAND, INTERVAL = BAND_NAMES[0], "ci"
-TRAILING_WINDOW = WINDOWS[1]
 LEAST_EVALUATIONS = 3
 """With fewer, a curve of evaluations is a dot or two."""
 LEAST_POINTS = GRID_POINTS // 2
@@ -49,7 +48,6 @@ EPISODE_WORDS = {
     "hp": "HP left in training",
 }
 """What notes call the `EPISODE_QUANTITIES`."""
-OF_BUDGET = "mean of the last 5 % of the budget at each point"
 X_NOTES = {
     STEPS: "",
     EPISODES: "Episodes are counted by their mean length up to each point.",
@@ -86,14 +84,6 @@ class CurveOptions:
         if self.bands[0] == DEFAULT_BAND and run_count < LEAST_INSIDE:
             return [DEFAULT_BAND]
         return self.bands
-
-    def averaging(self, study_data: StudyData) -> str:
-        """Return what a point of a study's returns is the mean of."""
-        if study_data.averaged_over == 1:
-            return "as logged"
-        if study_data.averaged_over or (self.window or study_data.windows[0]) == TRAILING_WINDOW:
-            return f"mean of the last {study_data.averaged_over or 100} episodes"
-        return OF_BUDGET
 
 
 Curves = Mapping[str, Sequence[Curve]]
@@ -325,17 +315,16 @@ def _notes(column: Column, options: CurveOptions) -> list[str]:
     averaged: dict[str, list[str]] = {}
     for quantity in column.curves:
         if quantity in EPISODE_WORDS:
-            averaged.setdefault(options.averaging(study_data), []).append(EPISODE_WORDS[quantity])
+            averaged.setdefault(averaging(study_data, options.window), []).append(EPISODE_WORDS[quantity])
         elif quantity in UPDATE_QUANTITIES:
             averaged.setdefault(OF_BUDGET, []).append("values of updates")
-    for averaging, averaged_words in averaged.items():
+    for average, averaged_words in averaged.items():
         averaged_text = " and ".join(dict.fromkeys(averaged_words))
-        notes.append(f"{averaged_text[0].upper()}{averaged_text[1:]}: {averaging}.")
+        notes.append(f"{averaged_text[0].upper()}{averaged_text[1:]}: {average}.")
     if beside and beside.averaged_over is not None:
         beside_name = beside.study.name
-        notes.append(
-            f"{beside_name}: {options.averaging(beside)}. The environment of {beside_name} is not recorded."
-        )
+        average = averaging(beside, options.window)
+        notes.append(f"{beside_name}: {average}. The environment of {beside_name} is not recorded.")
     return [*notes, X_NOTES[options.x]]
 
 

@@ -7,8 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from pneuma.analysis.outcomes import kinds_of_return
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import counted
+from pneuma.store.quantities import WINDOWS
 from pneuma.values import format_settings
 
+TRAILING_WINDOW = WINDOWS[1]
+OF_BUDGET = "mean of the last 5 % of the budget at each point"
 MOST_NAMED = 3
 """Most conditions that a note names."""
 
@@ -50,6 +53,15 @@ def notes_on_runs(
     if missing_conditions:
         notes.append(f"No runs of {_named(missing_conditions)}.")
     return notes
+
+
+def averaging(study_data: StudyData, window: str | None = None) -> str:
+    """Return what a point of a study's returns averages, in a window; by default in the study's first."""
+    if study_data.averaged_over == 1:
+        return "as logged"
+    if study_data.averaged_over or (window or study_data.windows[0]) == TRAILING_WINDOW:
+        return f"mean of the last {study_data.averaged_over or 100} episodes"
+    return OF_BUDGET
 
 
 def _named(conditions: Sequence[str]) -> str:

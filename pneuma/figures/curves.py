@@ -25,11 +25,11 @@ from pneuma.answers.curves import (
     DEFAULT_BAND,
     EVALUATED,
     INTERVAL,
-    TRAILING_WINDOW,
     Column,
     CurveOptions,
     CurvesAnswer,
 )
+from pneuma.answers.notes import TRAILING_WINDOW, averaging
 from pneuma.errors import Hint, UserError
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel
@@ -138,7 +138,7 @@ def _panel(answer: CurvesAnswer, column: Column, quantity_name: str, looks: Look
     quantity, study_data = QUANTITIES[quantity_name], column.data
     title, axis_label, axis_kind = quantity.title, quantity.label, quantity.kind
     if study_data.averaged_over:  # in the log
-        axis_label = axis_label.replace(" of an episode", f", {answer.options.averaging(study_data)}")
+        axis_label = axis_label.replace(" of an episode", f", {averaging(study_data, answer.options.window)}")
     if quantity_name.startswith("action_") and is_foreign(study_data):
         title = f"Share of action {quantity_name.removeprefix('action_')}"
     if column.curves[quantity_name][0].log:

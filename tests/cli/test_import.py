@@ -65,8 +65,12 @@ def test_logs_are_compared_and_drawn_beside_a_study_in_what_both_have(
     comparisons = described(*words, "--outcome", "final-return", "--json")["comparisons"]
     runs = {row["a"]: (row["seeds_a"], row["seeds_b"]) for row in comparisons}
     assert runs == {"tanh, activation": (2, 2), "relu, activation": (2, 1)}
-    outcomes = {row["outcome"] for row in described(*words, "--json")["comparisons"]}
-    assert outcomes == {"final-return", "auc-return"}
+    called = call(*words, "--json")
+    assert {row["outcome"] for row in called.document["comparisons"]} == {"final-return", "auc-return"}
+    averages = (
+        "mean of the last 5 % of the budget at each point (activation), mean of the last 100 episodes (old)"
+    )
+    assert f"Note: returns average different episodes: {averages}." in called.err
     assert "leaky-relu alone, seeds 0..1, " in refused(*words, "--condition", "leaky-relu")
     plot = ("study", "plot", "activation", *SETTINGS, "--condition", "tanh", "--beside", "old")
     printed(*plot, "--out", tmp_path / "beside.png", *at)
