@@ -63,6 +63,15 @@ def test_what_was_run_last_is_shown_exactly_and_other_presets_are_counted(store:
     assert repr(data).startswith("StudyData activation in the arena, preset quick, relu alone, seeds 2, ")
 
 
+def test_the_last_plan_is_one_that_was_not_refused_though_it_trains_nothing(store: Store) -> None:
+    ids = finish_study(store, seeds=(0, 1), steps=1024, conditions=PAIR, noted=False)
+    run = ("study", "run", "activation", "--steps", "1024", "--results", store.root, "--condition")
+    assert call(*run, "tanh", "--seeds", "2").code == 0
+    refused(*run, "tanh", "--seeds", "7,", "--tensorboard", "/dev/null/logs")
+    refused(*run, "tanh", "--set", "env=None-v0")
+    assert show(store, "activation")[0] == ids[::2]
+
+
 @pytest.mark.usefixtures("unshipped")
 def test_a_query_is_kept_for_each_world(store: Store) -> None:
     arena = finish_study(store, seeds=(0,), steps=1024)
