@@ -18,10 +18,11 @@ from gymnasium import spaces
 from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
-from pneuma.config import Run, env_config, is_gymnasium_id
+from pneuma.algorithms import OPTIMIZERS
+from pneuma.config import Run, as_fields, env_config, is_gymnasium_id, make_run
 from pneuma.engines.gymnasium_env import make_env
 from pneuma.engines.normalization import CLIP, EPSILON, Scaling
-from pneuma.engines.policy import Policy
+from pneuma.engines.policy import Policy, sizes
 from pneuma.engines.sb3_learners import linear_layers, make_model
 from pneuma.env.fields import REWARDS
 from pneuma.env.worlds import Worlds
@@ -35,17 +36,20 @@ IN_ZIP = ("ppo", "a2c")
 def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     """Encode a policy for the `load` of Stable-Baselines3's `PPO` or `A2C`, with its hyperparameters.
 
-    The optimizer starts afresh, because a stored run does not contain its state. UPGD is replaced by Adam
-    with the same betas and epsilon, without weight decay, which works differently. Separate clipping of actor
-    and critic is replaced by joint clipping.
+    The optimizer starts afresh, because a stored run does not contain its state. One that torch lacks is
+    replaced by Adam without weight decay. Separate clipping of actor and critic, and advantages without a
+    baseline, would need Pneuma's classes to read the file: the library's own are in their place.
     """
-    actor = tuple(len(bias) for _, bias in policy.actor[:-1])
-    critic = tuple(len(bias) for _, bias in policy.critic[:-1])
-    # separate clipping, or no baseline, would need Pneuma's classes to read the file
-    run = replace(run, clip="joint", value_baseline=True)
-    run = replace(run, activation=policy.activation, actor=actor, critic=critic)
-    if run.optimizer == "upgd":
-        run = replace(run, optimizer="adam", weight_decay=0.0)
+    fields = as_fields(run) | {
+        "activation": policy.activation,
+        "actor": sizes(policy.actor)[1:-1].tolist(),
+        "critic": sizes(policy.critic)[1:-1].tolist(),
+        "clip": "joint",
+        "value_baseline": True,
+    }
+    if not OPTIMIZERS[run.optimizer].torch_class:
+        fields |= {"optimizer": "adam", "weight_decay": 0.0}
+    run = make_run(fields)
     spaces_only: gymnasium.Env[np.ndarray, np.int64] = gymnasium.Env()  # for a learner that never trains
     spaces_only.observation_space, spaces_only.action_space = space, _action_space(policy)
     model = make_model(run, DummyVecEnv([lambda: spaces_only]), _extractor(policy.scaling))

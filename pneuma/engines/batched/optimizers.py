@@ -83,10 +83,9 @@ def upgd(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> t
     utility = jax.tree.map(
         lambda u, g, p: decay * u - (1 - decay) * g * p, state["utility"], gradients, parameters
     )
-    count = steps.astype(jnp.float32)
-    correction_1 = -jnp.expm1(count * numbers["log_beta_1"])
-    correction_2 = -jnp.expm1(count * numbers["log_beta_2"])
-    correction_u = -jnp.expm1(count * numbers["log_utility_decay"])
+    correction_1 = -jnp.expm1(steps * numbers["log_beta_1"])
+    correction_2 = -jnp.expm1(steps * numbers["log_beta_2"])
+    correction_u = -jnp.expm1(steps * numbers["log_utility_decay"])
     highest = jnp.stack([u.max() for u in jax.tree.leaves(utility)]).max()
     scale = correction_u * jnp.where(highest == 0, 1.0, highest)
     rate = 2 * numbers["learning_rate"]
@@ -124,5 +123,4 @@ OPTIMIZERS: dict[str, tuple[Step, tuple[str, ...]]] = {
 def initial_state(optimizer: str, parameters: Tree) -> State:
     _, kept_arrays = OPTIMIZERS[optimizer]
     zeros = jax.tree.map(np.zeros_like, parameters)  # NumPy's: JAX would compile a program for each shape
-    counter_type = np.int32 if optimizer == "upgd" else np.float32  # the counter that keys the noise is kept
-    return {"steps": np.zeros((), counter_type)} | dict.fromkeys(kept_arrays, zeros)
+    return {"steps": np.zeros((), np.int32)} | dict.fromkeys(kept_arrays, zeros)
