@@ -19,7 +19,7 @@ from pneuma.config import Run, evaluation_config, stream_seed
 from pneuma.engines.mlp import choose, network
 from pneuma.engines.policy import Policy
 from pneuma.env import rules
-from pneuma.env.fields import MOST_STEPS, own_rewards
+from pneuma.env.fields import MOST_STEPS, is_own_reward
 from pneuma.env.players import RandomPlayer
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
@@ -171,7 +171,7 @@ class Evaluation:
 
     def _is_compiled(self, policy: Policy) -> bool:
         """Return whether a policy's actions are computed by `mlp.choose`, whose last bits are not NumPy's."""
-        if policy.scaling or policy.exploration is not None or own_rewards(self.run.reward):
+        if policy.scaling or policy.exploration is not None or any(map(is_own_reward, self.run.reward)):
             return False
         return sum(weight.size for weight, _ in policy.actor) <= MOST_WEIGHTS
 

@@ -26,7 +26,7 @@ import numpy as np
 from pneuma.config import Run, is_gymnasium_id, is_resumable, stream_seed
 from pneuma.engines.policy import SavedPolicy
 from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
-from pneuma.env.fields import own_rewards
+from pneuma.env.fields import is_own_reward
 
 TRAINERS = {
     "batched": "pneuma.engines.batched.training:BatchedTrainer",
@@ -151,8 +151,8 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
 def _seed_shared_generators(run: Run) -> None:
     """Seed the process's own generators, from which a user's code may draw, whatever was trained before."""
     seed = stream_seed(run.seed, "shared")
-    if is_gymnasium_id(run.env) or own_rewards(run.reward):  # what loads slowly is for others' code alone
-        import torch
+    if is_gymnasium_id(run.env) or any(map(is_own_reward, run.reward)):
+        import torch  # which loads slowly: for a user's code alone
 
         from pneuma.env.compiling import seed_compiled
 

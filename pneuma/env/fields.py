@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -165,8 +165,8 @@ def are_own_characters(characters_name: str) -> bool:
     return bool(characters_name) and characters_name not in SHIPPED_CHARACTERS
 
 
-def own_rewards(reward_names: Iterable[str]) -> list[str]:
-    return [reward_name for reward_name in reward_names if ":" in reward_name]
+def is_own_reward(reward_name: str) -> bool:
+    return ":" in reward_name
 
 
 def read_fields(config_type: type[EnvConfig], values: Mapping[str, object]) -> dict[str, Any]:

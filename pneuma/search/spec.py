@@ -32,7 +32,7 @@ from pneuma.search import FIRST_SEED
 from pneuma.search.samplers import TPE, Pruner, Sampler
 from pneuma.search.space import Parameter, Space, as_parameter
 from pneuma.seeds import SEEDS_ALLOWED, read_seeds
-from pneuma.study.identity import files_beside
+from pneuma.study.identity import with_file_paths
 from pneuma.study.shipped import find_file, studies_folder
 from pneuma.study.spec import PRESETS, Fields, join_fields, no_effect_message, unread_fields
 from pneuma.values import format_json, format_value
@@ -130,7 +130,7 @@ class Search(Table):
         run_fields = dict(self.run)
         for parameter_name, parameter in params.items():
             run_fields[parameter_name] = self.space[parameter_name].value(parameter)
-        return files_beside(self.path, run_fields)
+        return with_file_paths(self.path, run_fields)
 
     def make_run(self, params: Mapping[str, Any], **overrides: Any) -> Run:
         return make_run({**join_fields(self.base, self.fields(params)), **overrides})
@@ -138,7 +138,7 @@ class Search(Table):
     def params_of(self, start: str | Mapping[str, Any]) -> dict[str, Any]:
         """Return the parameters for a base's values, or for given ones, as far as the space has them."""
         if isinstance(start, str):
-            field_values = as_fields(make_run(join_fields(start, files_beside(self.path, self.run))))
+            field_values = as_fields(make_run(join_fields(start, with_file_paths(self.path, self.run))))
         else:
             field_values = dict(start)
         run_fields = {**as_fields(self.make_run({})), **field_values}

@@ -5,24 +5,25 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
-from importlib import import_module
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pneuma.algorithms import is_own_algorithm
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields
-from pneuma.env.fields import are_own_characters, is_own_level, own_rewards, read_field
-from pneuma.own_modules import in_package
+from pneuma.env.fields import are_own_characters, is_own_level, is_own_reward, read_field
+from pneuma.own_modules import in_package, module_files
 
-_MODULE_FILES = ("pneuma.own_modules", "module_files")
-_USER_FILES = {
-    "level": ("pneuma.env.load_level", "level_files"),
-    "characters": ("pneuma.env.characters", "character_files"),
-    **dict.fromkeys(("reward", "env_module", "wrappers", "algorithm"), _MODULE_FILES),
+_IS_OWN: dict[str, Callable[[str], bool]] = {
+    "level": is_own_level,
+    "characters": are_own_characters,
+    "algorithm": is_own_algorithm,
+    "env_module": bool,
+    "wrappers": bool,
+    "reward": is_own_reward,
 }
-"""By field: the function that returns the user's files to hash. None imports them."""
-CLASSES = ("reward", "wrappers", "algorithm")
+"""Fields that may name a user's files, in the order in which these are hashed, and whether a name does."""
+_CLASSES = ("reward", "wrappers", "algorithm")
 """Fields that name something in a module."""
 _NOUNS = {"env_module": "module", "wrappers": "wrapper"}
 
@@ -49,14 +50,14 @@ def _digest(run: Run, without: Sequence[str] = ()) -> str:
         if field_value != defaults[field_name] and field_name not in without:
             hashed_fields[field_name] = field_value
     for field_name in own_names(fields):
-        if field_name not in CLASSES:
+        if field_name not in _CLASSES:
             hashed_fields[field_name] = "of the user's own"
-    if "wrappers" in hashed_fields:
-        hashed_fields["wrappers"] = [_by_file(wrapper) for wrapper in fields["wrappers"]]
     if "algorithm" in hashed_fields:
-        hashed_fields["algorithm"] = _by_file(fields["algorithm"])
+        hashed_fields["algorithm"] = _by_file(run.algorithm)
+    if "wrappers" in hashed_fields:
+        hashed_fields["wrappers"] = list(map(_by_file, run.wrappers))
     if "reward" in hashed_fields:
-        hashed_fields["reward"] = [_by_module(reward) for reward in fields["reward"]]
+        hashed_fields["reward"] = list(map(_by_module, run.reward))
     identity = {
         "run": hashed_fields,
         "contents": user_files_digest(fields),
@@ -102,41 +103,47 @@ def user_files(fields: Mapping[str, Any]) -> list[Path]:
     """Return the user's own files in a run's fields: level, characters, and modules."""
     file_paths: list[Path] = []
     for field_name, names in own_names(fields).items():
-        module, function = _USER_FILES[field_name]
         for own_name in names:
-            if field_name in CLASSES:
-                own_name = own_name.partition("{")[0].rpartition(":")[0]
-            file_paths += getattr(import_module(module), function)(own_name)
+            file_paths += _files_of(field_name, own_name)
     return file_paths
+
+
+def _files_of(field_name: str, own_name: str) -> list[Path]:
+    """Return the files that a user's own name stands for in a field."""
+    if field_name == "level":
+        from pneuma.env.load_level import level_files  # numpy: not for `import pneuma`
+
+        return level_files(own_name)
+    if field_name == "characters":
+        from pneuma.env.characters import character_files
+
+        return character_files(own_name)
+    if field_name in _CLASSES:
+        own_name = own_name.partition("{")[0].rpartition(":")[0]
+    return module_files(own_name)
 
 
 def own_names(fields: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     """Return the names of a user's own level, characters or modules, by field."""
-    ownership_tests = {"level": is_own_level, "characters": are_own_characters, "algorithm": is_own_algorithm}
-    own_values: dict[str, Any] = {}
-    for field_name, is_own in ownership_tests.items():
-        if field_name in fields and is_own(fields[field_name]):
-            own_values[field_name] = fields[field_name]
-    for field_name in ("env_module", "wrappers"):
-        own_values[field_name] = fields.get(field_name)
-    own_values["reward"] = own_rewards(fields.get("reward", ()))
     names_by_field: dict[str, tuple[str, ...]] = {}
-    for field_name, own_value in own_values.items():
-        if isinstance(own_value, str) and own_value:
-            names_by_field[field_name] = (own_value,)
-        elif own_value:
-            names_by_field[field_name] = tuple(own_value)
+    for field_name, is_own in _IS_OWN.items():
+        field_value = fields.get(field_name, ())
+        names = (field_value,) if isinstance(field_value, str) else field_value
+        own = tuple(filter(is_own, names))
+        if own:
+            names_by_field[field_name] = own
     return names_by_field
 
 
-def files_beside(study_file: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields with the paths of a user's modules, level and characters that are beside a study's file.
+def with_file_paths(study_file: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields with the paths of a user's own files that are in the folder of a study's file.
 
-    What is not there is looked for when it is used: here, and modules among those that are installed.
+    Files that are not there are searched for when they are used: in the current folder, and modules among
+    those that are installed.
     """
     resolved = dict(fields)
     for field_name, names in own_names(fields).items():
-        paths = {own_name: _beside(study_file.parent, field_name, own_name) for own_name in names}
+        paths = {own_name: _file_path(study_file.parent, field_name, own_name) for own_name in names}
         field_value = fields[field_name]
         if isinstance(field_value, str):
             resolved[field_name] = paths[field_value]
@@ -145,14 +152,14 @@ def files_beside(study_file: Path, fields: Mapping[str, Any]) -> dict[str, Any]:
     return resolved
 
 
-def _beside(folder: Path, field_name: str, own_name: str) -> str:
+def _file_path(folder: Path, field_name: str, own_name: str) -> str:
     file, colon, class_name = own_name, "", ""
-    if field_name in CLASSES:
+    if field_name in _CLASSES:
         file, colon, class_name = own_name.partition(":")
     module, exists = file.replace(".", "/"), os.path.isdir if field_name == "level" else os.path.isfile
     for candidate in (file, f"{module}.py", f"{module}/__init__.py"):
         file_path = folder / candidate
-        if exists(file_path):  # of `os.path`: a name may be too long, or hold a NUL
+        if exists(file_path):  # of `os.path`: a name may be too long, or contain a NUL
             return f"{file_path.resolve()}{colon}{class_name}"
     return own_name
 
@@ -163,13 +170,13 @@ def describe_user_code(fields: Mapping[str, object]) -> dict[str, str]:
     They may name files, code, and arguments of an environment, which may start programs. Nothing is imported
     or opened.
     """
-    fields_read = {}
-    for field_name in _USER_FILES:
+    read_values = {}
+    for field_name in _IS_OWN:
         if fields.get(field_name) is not None:
-            fields_read[field_name] = read_field(Run, field_name, fields[field_name])
+            read_values[field_name] = read_field(Run, field_name, fields[field_name])
     described = {}
-    for field_name, names in own_names(fields_read).items():
-        verb = "run" if _USER_FILES[field_name] is _MODULE_FILES else "read"
+    for field_name, names in own_names(read_values).items():
+        verb = "read" if field_name in ("level", "characters") else "run"
         described[field_name] = f"{verb} the {_NOUNS.get(field_name, field_name)} {', '.join(names)}"
     arguments = fields.get("env_kwargs")
     if arguments:

@@ -29,7 +29,7 @@ from pneuma.config import (
 from pneuma.env.fields import PLAYER_FIELDS, read_field
 from pneuma.errors import Hint, UserError, unknown_name
 from pneuma.sb3_names import own_fields
-from pneuma.study.identity import config_id, files_beside, run_id
+from pneuma.study.identity import config_id, run_id, with_file_paths
 from pneuma.study.spec import (
     CLAIMS,
     CONDITION,
@@ -265,7 +265,7 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
     def read(field_name: str, field_value: Any) -> Any:
         fields = {field_name: read_field(Run, field_name, field_value)}
         if study.path:
-            fields = files_beside(study.path, fields)
+            fields = with_file_paths(study.path, fields)
         return fields[field_name]
 
     has_one_player = all(study.fields(name, settings).get("players", 1) == 1 for name in study.conditions)

@@ -18,7 +18,7 @@ from pneuma.engines.mlp import Network, choose, forward, network, room
 from pneuma.engines.policy import Layers
 from pneuma.env import rules
 from pneuma.env.compiling import cached
-from pneuma.env.fields import own_rewards
+from pneuma.env.fields import is_own_reward
 from pneuma.env.kernel import GO_ON, RECORD, RESET, STEP, run_worlds
 from pneuma.env.slots import make_slots
 from pneuma.env.state import open_state
@@ -100,7 +100,7 @@ class Collector:
         """Fill in a rollout; return the number of endings."""
         worlds = self.slots.worlds
         handle, usual_starts = worlds.handle, worlds.usual_starts
-        if not own_rewards(self._run.reward):
+        if not any(map(is_own_reward, self._run.reward)):
             return _play(handle, actor, draws, usual_starts, rollout)
         actions = np.zeros(worlds.players.shape, np.int64)
         endings = 0
