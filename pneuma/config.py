@@ -13,7 +13,6 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Annotated, Any, Literal, NoReturn
 
 from annotated_types import Interval, Len
@@ -85,19 +84,13 @@ def _read_limit(limit: object) -> float | None:
     return float(limit)
 
 
-_FOREIGN = re.compile(r"(?!(?i:pneuma))([\w.-]+/)?[\w.-]+-v\d+")
+_FOREIGN = r"(?!(?i:pneuma))([\w.-]+/)?[\w.-]+-v\d+"
 """The form of an id of other environments that are registered with Gymnasium."""
 
 
 def is_gymnasium_id(env_id: object) -> bool:
     """Return whether a name is the id of a Gymnasium environment other than Pneuma's own."""
-    return isinstance(env_id, str) and _FOREIGN.fullmatch(env_id) is not None
-
-
-def _read_env(env_id: Any) -> str:
-    if env_id in ENVIRONMENTS or is_gymnasium_id(env_id):
-        return str(env_id)
-    raise ValueError
+    return isinstance(env_id, str) and re.fullmatch(_FOREIGN, env_id) is not None
 
 
 def _read_arguments(arguments: Any) -> str:
@@ -136,18 +129,16 @@ def _read_wrapper(wrapper: Any) -> str:
     return class_name + _read_arguments(arguments)
 
 
-def _read_algorithm(algorithm: Any) -> str:
-    if algorithm in ALGORITHMS or re.fullmatch(rf"({MODULE}):\w+", algorithm):
-        return str(algorithm)
-    raise ValueError
-
-
-_ALGORITHM_ALLOWED = (
-    f"one of {', '.join(ALGORITHMS)}, or module:Class of a learner of Stable-Baselines3's kind"
+_ENV = matching(
+    "|".join((*ENVIRONMENTS, _FOREIGN)),
+    f"one of {', '.join(ENVIRONMENTS)}, or the id of a Gymnasium environment, as CartPole-v1",
+    ENVIRONMENTS,
 )
-_ENV_ALLOWED = f"one of {', '.join(ENVIRONMENTS)}, or the id of a Gymnasium environment, as CartPole-v1"
-
-
+_ALGORITHM = matching(
+    rf"{'|'.join(ALGORITHMS)}|({MODULE}):\w+",
+    f"one of {', '.join(ALGORITHMS)}, or module:Class of a learner of Stable-Baselines3's kind",
+    tuple(ALGORITHMS),
+)
 _ACTOR_CRITIC = "ppo, a2c, trpo"
 _DQN = "dqn, double-dqn"
 _WITH_FIELDS = f"{_ACTOR_CRITIC}, {_DQN}"
@@ -157,7 +148,7 @@ _WITH_FIELDS = f"{_ACTOR_CRITIC}, {_DQN}"
 class Run(EnvConfig):
     """One training: environment, learner, budget and seed. Equal runs end with equal bits."""
 
-    env: Annotated[str, Reads(_read_env, _ENV_ALLOWED, ENVIRONMENTS)] = declare(ENVIRONMENTS[0], paces=True)
+    env: Annotated[str, _ENV] = declare(ENVIRONMENTS[0], paces=True)
     env_module: Annotated[str, matching(rf"|{MODULE}", "a module that registers environments")] = declare(
         "", read_by=GYMNASIUM
     )
@@ -174,9 +165,7 @@ class Run(EnvConfig):
     normalize_rewards: bool = declare(False, read_by=GYMNASIUM)
     """By the running deviation of the discounted return, for the learner only; likewise."""
     engine: Annotated[str, OneOf(ENGINES)] = declare(ENGINES[0], paces=True)
-    algorithm: Annotated[str, Reads(_read_algorithm, _ALGORITHM_ALLOWED, tuple(ALGORITHMS))] = declare(
-        "ppo", paces=True
-    )
+    algorithm: Annotated[str, _ALGORITHM] = declare("ppo", paces=True)
     policy: Annotated[str, matching(r"|\w+Policy", "a policy of the learner, as CnnPolicy")] = declare(
         "", read_by=OPEN_LEARNER
     )
@@ -298,10 +287,6 @@ GYMNASIUM_FIELDS = tuple(
     field_name for field_name, declaration in FIELDS.items() if declaration.read_by == (GYMNASIUM,)
 )
 """Fields of environments other than Pneuma's, in place of those of `EnvConfig`."""
-OPEN_LEARNER_FIELDS = tuple(
-    field_name for field_name, declaration in FIELDS.items() if declaration.read_by == (OPEN_LEARNER,)
-)
-"""Fields by which Stable-Baselines3 trains as a script of one's own would, without exact resume."""
 ANNEALED = tuple(field_name for field_name in FIELDS if f"{field_name}_schedule" in FIELDS)
 """Fields that may fall over a run, each by a schedule of its own, as rl-baselines3-zoo's settings need."""
 
@@ -322,35 +307,32 @@ def make_run(settings: Mapping[str, object]) -> Run:
     if not is_gymnasium_id(env_id):
         field_values = resolve_world(field_values)
 
-    learner_fields = ("env", "algorithm") + OPEN_LEARNER_FIELDS
-    learner = Run(**{name: field_values[name] for name in learner_fields if name in field_values})
-    field_values |= _rollout_steps(learner, field_values)
-    defaults = default_fields(learner.algorithm, field_values.get("optimizer", ""))
+    given = Run(**field_values)
+    field_values |= _rollout_steps(given, field_values)
+    defaults = default_fields(given.algorithm, field_values.get("optimizer", ""))
     all_values = {**defaults, **field_values}
-    learner = replace(learner, optimizer=all_values.get("optimizer", learner.optimizer))
-    readers = _read_by(learner.env, learner.algorithm, learner.optimizer, is_resumable(learner))
-    if field_values.get("learners") == "independent" and "learners" not in readers:
-        _refuse("learners = independent", f"{learner.algorithm} trains one policy for all players")
-    run = Run(
-        **{field_name: field_value for field_name, field_value in all_values.items() if field_name in readers}
+    readable = _readable_fields(Run(**all_values))
+    run = Run(**{field_name: value for field_name, value in all_values.items() if field_name in readable})
+    idle = readable - effective_fields(run)
+    run = replace(
+        run, **{field_name: defaults.get(field_name, run_defaults[field_name]) for field_name in idle}
     )
-    unread = readers - effective_fields(run)
-    run = replace(run, **{name: defaults.get(name, run_defaults[name]) for name in unread})
     run = replace(run, engine=_engine(run, field_values.get("engine", "")))
+    if field_values.get("learners") == "independent" and run.players > 1 and run.engine != ENGINES[0]:
+        _refuse("learners = independent", f"{run.engine} trains one policy for all players")
     _check_learner(run)
     return replace(run, steps=round_up(run, run.steps))
 
 
 def _rollout_steps(run: Run, settings: Mapping[str, Any]) -> dict[str, int]:
-    """Return the horizon of a learner that is told the length of its rollouts as `n_steps`."""
+    """Return the horizon of a learner whose arguments have the length of its rollouts, `n_steps`."""
     n_steps = json.loads(run.algorithm_kwargs or "{}").get("n_steps")
     if n_steps is None or run.algorithm not in ROLLOUT_LEARNERS:
         return {}
     horizon: int = read_fields(Run, {"horizon": n_steps})["horizon"]
     if settings.get("horizon", horizon) != horizon:
-        _refuse(
-            f"horizon = {settings['horizon']}", f"algorithm_kwargs has n_steps = {n_steps}: leave one out"
-        )
+        problem = f"algorithm_kwargs has n_steps = {n_steps}: leave one out"
+        _refuse(f"horizon = {settings['horizon']}", problem)
     return {"horizon": horizon}
 
 
@@ -359,7 +341,7 @@ def round_up(run: Run, steps: int) -> int:
     return math.ceil(steps / run.steps_per_update) * run.steps_per_update
 
 
-def effective_fields(run: Run) -> frozenset[str]:
+def effective_fields(run: Run) -> set[str]:
     """Return the names of the fields that affect a run, given its other fields."""
     idle_fields = {
         "dampening": not run.momentum,
@@ -369,26 +351,27 @@ def effective_fields(run: Run) -> frozenset[str]:
         "policy": not run.policy,
         "algorithm_kwargs": not run.algorithm_kwargs,
     }
-    readers = _read_by(run.env, run.algorithm, run.optimizer, is_resumable(run))
-    return readers - {field_name for field_name, is_idle in idle_fields.items() if is_idle}
+    return _readable_fields(run) - {field_name for field_name, is_idle in idle_fields.items() if is_idle}
 
 
-@cache
-def _read_by(env_id: str, algorithm: str, optimizer: str, resumable: bool) -> frozenset[str]:
+def _readable_fields(run: Run) -> set[str]:
+    """Return the fields that a run's environment, algorithm and optimizer have."""
+    is_gymnasium, resumable = is_gymnasium_id(run.env), is_resumable(run)
     readers = {OPEN_LEARNER}
-    fields_read: set[str] = set()
-    if is_gymnasium_id(env_id):
+    field_names: set[str] = set()
+    if is_gymnasium:
         readers.add(GYMNASIUM)
-    if algorithm == "ppo" or resumable:  # other learners get all else by `algorithm_kwargs`
-        readers.add(algorithm)
-        fields_read |= OPTIMIZERS[optimizer].defaults.keys()
+    if run.algorithm == "ppo" or resumable:  # other learners get all else by `algorithm_kwargs`
+        readers.add(run.algorithm)
+        field_names |= OPTIMIZERS[run.optimizer].defaults.keys()
     for field_name, declaration in FIELDS.items():
-        is_of_another_world = field_name in WORLD_FIELDS and is_gymnasium_id(env_id)
-        if not is_of_another_world and (not declaration.read_by or readers & set(declaration.read_by)):
-            fields_read.add(field_name)
-    if algorithm in VALUE_BASED and resumable:  # replayed observations had another mean and variance
-        fields_read -= {"normalize_observations", "normalize_rewards"}
-    return frozenset(fields_read)
+        if field_name in WORLD_FIELDS and is_gymnasium:
+            continue
+        if not declaration.read_by or not readers.isdisjoint(declaration.read_by):
+            field_names.add(field_name)
+    if run.algorithm in VALUE_BASED and resumable:  # replayed observations had another mean and variance
+        field_names -= {"normalize_observations", "normalize_rewards"}
+    return field_names
 
 
 def is_resumable(run: Run) -> bool:
@@ -432,8 +415,6 @@ def _check_learner(run: Run) -> None:
         if not find_algorithm(run.algorithm).learner:
             setting = "policy" if run.policy else "algorithm_kwargs"
         raise UserError(f"{setting} is not allowed in {run.env}: only Gymnasium's other environments have it")
-    if run.learners == "independent" and run.engine != ENGINES[0]:
-        _refuse("learners = independent", f"{run.engine} trains one policy for all players")
     if "optimizer" in effective_fields(run) and run.engine not in OPTIMIZERS[run.optimizer].engines:
         able_engines = " or ".join(OPTIMIZERS[run.optimizer].engines)
         _refuse(f"optimizer = {run.optimizer}", f"the engine {run.engine} lacks it; {able_engines} has it")

@@ -96,7 +96,7 @@ def about_fields(dataclass_type: type) -> dict[str, About]:
     }
 
 
-def matching(pattern: str, allowed: str) -> Reads:
+def matching(pattern: str, allowed: str, known_names: tuple[str, ...] = ()) -> Reads:
     """Restrict text to a form."""
 
     def read(field_value: Any) -> str:
@@ -104,7 +104,7 @@ def matching(pattern: str, allowed: str) -> Reads:
             raise ValueError
         return field_value
 
-    return Reads(read, allowed)
+    return Reads(read, allowed, known_names)
 
 
 def names_like(pattern: str, allowed: str, known_names: tuple[str, ...] = ()) -> Reads:

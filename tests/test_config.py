@@ -114,7 +114,7 @@ PAIR: dict[str, Any] = {"players": 2, "learners": "independent"}
     ("fields", "message"),
     [
         ({**PAIR, "engine": "sb3"}, "learners = independent .*: sb3 trains one policy for all"),
-        ({**PAIR, "algorithm": "a2c"}, "learners = independent .*: a2c trains one policy for all"),
+        ({**PAIR, "algorithm": "a2c"}, "learners = independent .*: sb3 trains one policy for all"),
         ({"optimizer": "upgd", "engine": "sb3"}, "optimizer = upgd .*: the engine sb3 lacks it; batched has"),
         ({"env": "CartPole-v1", "wrappers": [{"stack_size": 4}]}, "wrappers = .*: module:Class"),
         ({"algorithm": "qr-dqn"}, "algorithm = qr-dqn .* in pneuma/Pneuma-v0: only Gymnasium's other"),
