@@ -37,7 +37,7 @@ Where = tuple[str, ...]
 """The path of a table in a file: () for the top, ("conditions", "tanh") for [conditions.tanh]."""
 Mistake = tuple[Where, str, str]
 
-CONFIG = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+CONFIG = ConfigDict(strict=True, frozen=True, allow_inf_nan=False)
 DEEPEST = 50
 LONGEST_FILE = 1_000_000
 
@@ -176,15 +176,6 @@ class TomlFile:
         separator = ", " if all_texts.startswith("line ") else ": "
         return UserError(f"{self.path}{separator}{all_texts}")
 
-    def table(self, table_path: Where) -> dict[str, Any]:
-        """Return a table, empty when there is none, and refuse another value in its place."""
-        value: Any = self.data
-        for key in table_path:
-            value = value.get(key, {})
-            if not isinstance(value, dict):
-                raise self.mistake(table_path[:-1], f"{key} must be a table, not {format_json(value)}", key)
-        return dict(value)
-
 
 def read_toml(path: Path) -> TomlFile:
     toml_text = read_text(path)
@@ -200,19 +191,18 @@ def read_model(
     model: type[Model],
     toml_file: TomlFile,
     table_path: Where = (),
-    defaults: Mapping[str, Any] = {},
-    overrides: Mapping[str, Any] = {},
+    table: Mapping[str, Any] | None = None,
 ) -> Model:
-    """Check a table of a file.
+    """Check a file, or a table of it.
 
     Args:
         model: what the table must be.
         toml_file: the file.
-        table_path: the table's path in it; the whole file by default.
-        defaults: values of missing keys.
-        overrides: values that replace the table's.
+        table_path: the table's path in it.
+        table: the table with what its file leaves out; the whole file by default.
     """
-    table = {**defaults, **toml_file.table(table_path), **overrides}
+    if table is None:
+        table = toml_file.data
     try:
         return model.model_validate(table)
     except ValidationError as error:

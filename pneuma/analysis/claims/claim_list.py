@@ -399,7 +399,7 @@ def _read_claim(
         for condition in filter(compared_conditions.__contains__, amounts):
             keys["seeds"][condition] = amounts[condition].seeds
             keys["steps"] = max(keys["steps"], amounts[condition].steps)
-    claim = read_model(Claim, toml_file, ("claims", claim_name), overrides=keys)
+    claim = read_model(Claim, toml_file, ("claims", claim_name), keys)
     conditions, worlds = ("condition", study.conditions), ("world", study.worlds)
     allowed_names = {"a": conditions, "b": conditions, "beside": conditions, "worlds": worlds}
     for key, (noun, known_names) in allowed_names.items():
