@@ -188,7 +188,7 @@ class StudyData:
 
     def call(self, function: str, results: Path | None = None, unpublished: bool = False) -> StudyCall:
         """Return a call of a function of `pneuma.api` about these runs."""
-        study_name = self.study.file if self.study.path else self.study.name
+        study_name = self.study.file
         return StudyCall(function, study_name, self.plan, results, unpublished)
 
     @property

@@ -93,7 +93,7 @@ def studies_status(index: RunIndex, world: str | None) -> Answer:
     for study_data in studies_here(index, world):
         runs = study_data.runs.drop_duplicates("run_id").rename(columns={"end": "step"})
         study_facts = {
-            "study": study_data.study.own_path or study_data.study.name,
+            "study": study_data.study.file,
             "world": study_data.study.world if study_data.study.path else "",
             "changed": format_settings(study_data.study.settings),
         }

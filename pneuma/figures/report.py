@@ -54,7 +54,7 @@ def gather_report(index: RunIndex, study_names: Sequence[str], say: Say) -> dict
     if not study_names:
         for study_data in studies_here(index):
             if not study_data.study.settings:
-                selected.append(study_data.study.own_path or study_data.study.name)
+                selected.append(study_data.study.file)
         if not selected or set(selected) & set(shipped):
             selected = [*shipped, *selected]
         selected = list(dict.fromkeys([*selected, *index.listings()]))

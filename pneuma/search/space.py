@@ -20,10 +20,10 @@ from pneuma.config import Run
 from pneuma.env.fields import read_field
 from pneuma.errors import unknown_name
 from pneuma.schema import normalize, wrong
-from pneuma.study.spec import PLANNED
+from pneuma.study.spec import MISPLACED
 from pneuma.values import format_json
 
-SEARCHABLE = tuple(item.name for item in fields(Run) if item.name not in PLANNED and item.name != "engine")
+SEARCHABLE = tuple(item.name for item in fields(Run) if item.name not in MISPLACED and item.name != "engine")
 
 
 @dataclass(frozen=True)

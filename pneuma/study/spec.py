@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 import os
-import shlex
 from collections.abc import Iterable, Mapping
 from itertools import product
 from pathlib import Path
@@ -43,7 +42,7 @@ from pneuma.presets import (
 from pneuma.sb3_names import fields_and_keys
 from pneuma.schema import Table, TomlFile, Where, all_wrong, read_model, read_toml, wrong
 from pneuma.seeds import SEEDS_ALLOWED, read_seeds
-from pneuma.study.identity import files_beside
+from pneuma.study.identity import with_file_paths
 from pneuma.study.shipped import find_file, studies_by_figure, studies_folder
 from pneuma.values import format_json, format_short, setting_words
 
@@ -58,8 +57,12 @@ CLAIMS = "claims"
 MOST_CONDITIONS = 1000
 CONDITION = "condition"
 """In a crossed study, the factor whose values are the file's conditions."""
-PLANNED = {"seed": "a preset (seeds)", "steps": "a preset (steps)"}
-"""Fields of a run that a study does not set, and what sets them."""
+MISPLACED = {
+    "seed": "use a preset (seeds)",
+    "steps": "use a preset (steps)",
+    "outcomes": "it stands above [run], at the top of the file",
+}
+"""Keys that are not for a table of a run's fields, and what to do instead."""
 
 
 # --- What the file may hold ------------------------------------------------------------------------
@@ -98,10 +101,8 @@ def _read_fields(run_table: Any) -> Any:
     mistakes: dict[str, str] = {}
     for field_name, field_value in fields.items():
         try:
-            if field_name in PLANNED:
-                raise UserError(f"{field_name} is not allowed here: use {PLANNED[field_name]}")
-            if field_name == "outcomes":
-                raise UserError("outcomes is not allowed here: it stands above [run], at the top of the file")
+            if field_name in MISPLACED:
+                raise UserError(f"{field_name} is not allowed here: {MISPLACED[field_name]}")
             if field_name not in Run.__dataclass_fields__:
                 hint = "put a learner's arguments in algorithm_kwargs"
                 raise UserError(f"{unknown_name('key', field_name, Run.__dataclass_fields__)}; {hint}")
@@ -270,11 +271,6 @@ class Study(Table):
         return self.model_copy(update={"world": world})
 
     @property
-    def variant(self) -> str:
-        """The study's world and changed fields, as one text."""
-        return shlex.join([self.world] + setting_words(self.settings))
-
-    @property
     def own_path(self) -> str | None:
         """The path of a user's own file; None for a shipped study, or one without a file."""
         if self.path is None or self.path.resolve().parent == studies_folder().resolve():
@@ -348,8 +344,8 @@ def _read_study(study_path: Path) -> Study:
         "path": study_path,
         "figure": _figure(study_path, study.figure),
         "baseline": baseline,
-        "run": files_beside(study_path, study.run),
-        "conditions": {name: files_beside(study_path, fields) for name, fields in conditions.items()},
+        "run": with_file_paths(study_path, study.run),
+        "conditions": {name: with_file_paths(study_path, fields) for name, fields in conditions.items()},
         "worlds": tuple(dict.fromkeys(study.worlds)) or _worlds(study),
     }
     study = study.model_copy(update=changes)
