@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import io
 import json
-import math
 import os
 import re
-import stat
 import time
 import uuid
 from collections.abc import Iterator, Mapping
@@ -30,8 +27,6 @@ STALE_SECONDS = 600
 """Age from which no process writes a temporary file any more."""
 
 LONGEST_REASON = 100
-LONGEST_INTEGER = 20
-"""Characters of the least number of 64 bits."""
 
 
 def shipped_folder(package: str, folder_name: str) -> Path:
@@ -72,14 +67,6 @@ def stored_file(path: Path) -> Iterator[None]:
         raise UserError(f"{unreadable_file}: cannot be read ({_reason(error)})") from None
 
 
-def read_stored(path: Path) -> bytes:
-    """Return the contents of a stored file; OSError for a pipe, which would be waited for, or the like."""
-    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError(errno.EINVAL, "is not a regular file", str(path))
-        return file.read()
-
-
 def _reason(error: Exception) -> str:
     """Return why something cannot be read, in one line."""
     if isinstance(error, OSError) and error.strerror:
@@ -94,7 +81,7 @@ def _reason(error: Exception) -> str:
 def read_text(path: Path) -> str:
     """Return the text of a user's file, with all line ends as one character."""
     try:
-        return io.TextIOWrapper(io.BytesIO(read_stored(path)), encoding="utf-8-sig").read()
+        return path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError:
@@ -207,35 +194,11 @@ def to_json(document: object) -> bytes:
 
 
 def parse_json(json_text: bytes | str) -> dict[str, Any]:
-    """Parse a JSON object whose numbers are finite and of at most 64 bits, as all that is written here.
-
-    Raises:
-        ValueError: for anything else.
-    """
-    try:
-        document = _DECODER.decode(json_text if isinstance(json_text, str) else json_text.decode())
-    except (RecursionError, MemoryError) as error:
-        raise ValueError(str(error)) from None
+    """Parse a JSON object; ValueError for anything else."""
+    document = json.loads(json_text)
     if not isinstance(document, dict):
         raise ValueError("is not a JSON object")
     return document
-
-
-def _parse_integer(digits: str) -> int:
-    if len(digits) > LONGEST_INTEGER or not -(2**63) <= int(digits) < 2**63:
-        raise ValueError(f"the number {digits[:LONGEST_INTEGER]} … is too large")
-    return int(digits)
-
-
-def _parse_float(digits: str) -> float:
-    number = float(digits)
-    if not math.isfinite(number):
-        raise ValueError(f"the number {digits[:LONGEST_INTEGER]} is not finite")
-    return number
-
-
-# made once: `json.loads` makes one for each document, of which a results folder has thousands
-_DECODER = json.JSONDecoder(parse_int=_parse_integer, parse_float=_parse_float, parse_constant=_parse_float)
 
 
 def checksum(contents: bytes) -> str:
@@ -249,9 +212,9 @@ def dump_checksummed(document: Mapping[str, Any]) -> bytes:
 
 
 def load_checksummed(path: Path) -> dict[str, Any] | None:
-    """Return a document that `dump_checksummed` wrote; None if it is missing or damaged."""
+    """Return what `dump_checksummed` wrote; None if it is missing, damaged or of another schema."""
     try:
-        contents = read_stored(path)
+        contents = path.read_bytes()
         document_start, _, checksum_text = contents.rpartition(_CHECKSUM_LINE.encode())
         without_checksum = document_start + _END.encode()
         if checksum_text.decode() != f'{checksum(without_checksum)}"{_END}':
@@ -259,4 +222,4 @@ def load_checksummed(path: Path) -> dict[str, Any] | None:
         document = parse_json(without_checksum)
     except (OSError, ValueError):
         return None
-    return document if document.get("schema") == SCHEMA else None
+    return document if document.pop("schema", None) == SCHEMA else None

@@ -1,9 +1,8 @@
-"""Whatever a file holds, its reader gives a value or one error of its own, and waits for nothing."""
+"""Whatever a file holds, its reader gives a value or one error of its own."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -97,13 +96,6 @@ def test_fuzz_what_is_no_value_or_too_much_is_refused(
     with pytest.raises(UserError) as refused:
         read(str(tmp_path / "mine.toml"))
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize("reader", [reader for reader in READERS if reader != "level"])
-def test_fuzz_a_pipe_is_not_waited_for(tmp_path: Path, reader: str) -> None:
-    os.mkfifo(tmp_path / "mine.toml")
-    with pytest.raises(UserError, match="mine.toml.*(not a regular|no such) file"):
-        READERS[reader](str(tmp_path / "mine.toml"))
 
 
 def test_fuzz_seeds_of_a_claim_as_text(tmp_path: Path) -> None:

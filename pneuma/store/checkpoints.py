@@ -28,8 +28,8 @@ from pneuma.engines.records import (
     Row,
 )
 from pneuma.errors import StorageError, UserError
-from pneuma.files import SCHEMA, checksum, read_stored
-from pneuma.store.provenance import Attempt, finished_provenance
+from pneuma.files import SCHEMA, checksum
+from pneuma.store.provenance import Attempt
 from pneuma.store.store import CHECKPOINTS, CheckpointFile, Store, checkpoint_files
 from pneuma.store.tables import from_parquet, to_parquet
 
@@ -128,19 +128,16 @@ def file_name(step: int, encoded_checkpoint: bytes) -> str:
 
 
 def read_checkpoint(checkpoint_file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, Any]]] | None:
-    """Read a checkpoint and its attempts; None if it is damaged, no checkpoint, or of another step or run."""
+    """Read a checkpoint and its attempts; None if it is damaged or of another run."""
     try:
-        encoded_checkpoint = read_stored(checkpoint_file.path)
+        encoded_checkpoint = checkpoint_file.path.read_bytes()
         if checksum(encoded_checkpoint)[:16] != checkpoint_file.digest:
             return None
         checkpoint, metadata = decode(encoded_checkpoint)
-        attempts = list(metadata["history"].get("attempts", []))
-        if attempts:
-            finished_provenance(attempts)  # which reads what is in them
+        attempts = metadata["history"]["attempts"]
     except Exception:  # untrusted bytes may raise any error of JSON, safetensors and Parquet
         return None
-    run_id = checkpoint_file.path.parent.parent.name
-    if checkpoint.step != checkpoint_file.step or metadata["run_id"] != run_id:
+    if metadata["run_id"] != checkpoint_file.path.parent.parent.name:
         return None
     return checkpoint, attempts
 

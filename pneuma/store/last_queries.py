@@ -87,9 +87,7 @@ def noted_studies(store: Store) -> list[tuple[str, str]]:
 
 
 def _notes(store: Store, study: str) -> dict[str, Any]:
-    notes_by_world = load_checksummed(store.last_path(study)) or {}
-    notes_by_world.pop("schema", None)
-    return notes_by_world
+    return load_checksummed(store.last_path(study)) or {}
 
 
 def _write(store: Store, study: str, notes_by_world: Mapping[str, Any]) -> None:

@@ -10,19 +10,15 @@ exact. Updates and episodes themselves are only exported.
 
 from __future__ import annotations
 
-import json
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cache, cached_property, lru_cache
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
-from pneuma.config import Run, as_fields
 from pneuma.files import parse_json
 from pneuma.store.quantities import ACTION_QUANTITIES, TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.store.series import (
@@ -107,109 +103,44 @@ def decode_row(encoded_row: bytes) -> Row:
     return read_row(row_table)
 
 
-_PATTERNS = {
-    "run_id": "[0-9a-f]{16}",
-    "config_id": "[0-9a-f]{16}",
-    "status": "done|diverged",
-    "steps": r"[1-9]\d*",
-}
-
-
 def sound_rows(table: pa.Table) -> pa.Table:
-    """Return the columns of rows that are read; refuse a table that could not have been written here.
+    """Return the columns of rows that are read.
 
     Raises:
-        ValueError: naming what is wrong; KeyError for a column that is missing.
+        ValueError: if one of them is missing, or has another type.
     """
-    schema = table.schema.remove_metadata()
-    table = table.select(_columns_to_read(schema.serialize().to_pybytes()))
-    for column_name in REQUIRED_CELLS:
-        is_sound = not table[column_name].null_count
-        if column_name in _PATTERNS:
-            is_sound = all(
-                re.fullmatch(_PATTERNS[column_name], str(cell)) for cell in table[column_name].to_pylist()
-            )
-        if not is_sound:
-            raise ValueError(f"column {column_name} is invalid")
-    evaluations = pc.list_flatten(table[EVALUATIONS])
-    if pa.types.is_struct(evaluations.type):
-        evaluation_steps = pc.struct_field(evaluations, "step")
-        if not pc.all(pc.is_finite(evaluation_steps)).as_py():
-            raise ValueError(f"column {EVALUATIONS} is invalid")
-    return table
-
-
-@lru_cache
-def _columns_to_read(serialized_schema: bytes) -> list[str]:
-    """Return which columns of a schema are read, and check their types; most runs have the same schema."""
     column_names = []
-    for column in pa.ipc.read_schema(pa.py_buffer(serialized_schema)):
-        is_sound = column.type == COLUMN_TYPES.get(column.name)
-        if column.name == EVALUATIONS:
-            is_sound = _are_evaluations(column.type)
-        elif column.name not in COLUMN_TYPES:
-            continue
-        if not is_sound:
+    for column in table.schema:
+        if column.name in COLUMN_TYPES and column.type != COLUMN_TYPES[column.name]:
             raise ValueError(f"column {column.name} is invalid")
-        column_names.append(column.name)
-    return column_names
-
-
-def _are_evaluations(column_type: pa.DataType) -> bool:
-    """Return whether a type is a list of structs of numbers, with their step; or a list of nothing."""
-    if not (pa.types.is_list(column_type) and pa.types.is_struct(column_type.value_type)):
-        return bool(column_type == pa.list_(pa.null()))
-    types = {column.name: column.type for column in column_type.value_type}
-    numbers = {pa.int64(), NUMBER}
-    has_unique_names = len(types) == column_type.value_type.num_fields
-    return has_unique_names and types.get("step") in numbers and set(types.values()) <= {*numbers, pa.null()}
+        if column.name in COLUMN_TYPES or column.name == EVALUATIONS:
+            column_names.append(column.name)
+    for column_name in REQUIRED_CELLS:
+        if column_name not in column_names:
+            raise ValueError(f"column {column_name} is missing")
+    return table.select(column_names)
 
 
 # --- Reading ----------------------------------------------------------------------------------------
 
-FORK_TYPES: dict[str, tuple[type, ...]] = {"parent": (str,), "fork_step": (int,)}
-"""Fields that published runs may have which an earlier version forked from others: no run has them now."""
-_TYPES_BY_DEFAULT = {str: (str,), list: (list,), type(None): (int, float, list)}
-
-
-@cache
-def _field_types() -> dict[str, tuple[type, ...]]:
-    """Return the types that the value of a field may have, by those of its default."""
-    types_by_field = dict(FORK_TYPES)
-    for field_name, default in as_fields(Run()).items():
-        types_by_field[field_name] = _TYPES_BY_DEFAULT.get(type(default), (int, float))
-    return types_by_field
-
-
-def _read_fields(fields_text: str) -> dict[str, Any]:
-    """Read a configuration, with each field of a type that it may have."""
-    fields, types_by_field = parse_json(fields_text), _field_types()
-    for field_name, value in fields.items():
-        is_sound = value is None or isinstance(value, types_by_field.get(field_name, (str, int, float, list)))
-        if isinstance(value, list) and any(isinstance(element, list | dict) for element in value):
-            is_sound = False
-        if not is_sound:
-            raise ValueError(f"{field_name} = {json.dumps(value)[:40]}")
-    return fields
-
-
-_DOCUMENTS = {"fields": _read_fields, "provenance": parse_json, "signs": unpack_signs}
-
 
 def read_row(table: pa.Table, row_index: int = 0, published: bool = False) -> Row:
-    """Return a row of a table of `sound_rows`.
-
-    Raises:
-        ValueError: naming a column that is invalid.
-    """
+    """Return a row of a table of `sound_rows`; ValueError or the like for one that is invalid."""
     row_table = table.slice(row_index, 1).replace_schema_metadata(None)
     cells = {column_name: row_table[column_name][0].as_py() for column_name in TEXT_CELLS + INTEGER_CELLS}
-    for column_name, read_document in _DOCUMENTS.items():
-        try:
-            cells[column_name] = read_document(cells[column_name])
-        except ValueError as error:
-            raise ValueError(f"column {column_name} is invalid ({error})") from None
-    return Row(row_table, published, budget=cells.pop("steps"), **cells)
+    return Row(
+        row_table,
+        published,
+        run_id=cells["run_id"],
+        config_id=cells["config_id"],
+        seed=cells["seed"],
+        budget=cells["steps"],
+        end=cells["end"],
+        status=cells["status"],
+        fields=parse_json(cells["fields"]),
+        provenance=parse_json(cells["provenance"]),
+        signs=unpack_signs(cells["signs"]),
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,13 +27,8 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, NotRequired
-
-from annotated_types import MinLen
-from pydantic import StringConstraints, TypeAdapter, ValidationError
-from typing_extensions import TypedDict
+from typing import Any, NamedTuple
 
 from pneuma.config import WORLD_FIELDS, Run, as_fields, is_gymnasium_id
 from pneuma.errors import Hint, StorageError, UserError
@@ -46,7 +41,6 @@ from pneuma.files import (
     load_checksummed,
     names_in,
     parse_json,
-    read_stored,
     replace_files,
     stale_files,
     to_json,
@@ -108,47 +102,6 @@ class Status:
     def failed(self) -> bool:
         """Whether it is trained again only when asked for."""
         return self.name == "crashed"
-
-
-class _Manifest(TypedDict):
-    status: Literal["planned", "running", "partial", "done", "diverged", "crashed", "killed", "damaged"]
-    step: int
-    files: dict[str, str]
-    config_id: NotRequired[str]
-    seed: NotRequired[int]
-    steps: NotRequired[int]
-
-
-class _Listed(TypedDict):
-    run_id: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
-    condition: str
-    seed: int
-
-
-class _Listing(TypedDict):
-    study: Annotated[str, StringConstraints(pattern=r"^[^./\\\x00][^/\\\x00]*$")]
-    title: str
-    baseline: str
-    runs: Annotated[list[_Listed], MinLen(1)]
-    source: NotRequired[str]
-
-
-_adapter = cache(TypeAdapter)
-
-
-def _checked(document: object, document_type: type) -> Any:
-    try:
-        return _adapter(document_type).validate_python(document, strict=True)
-    except ValidationError:
-        return None
-
-
-def checked_listing(document: object, study: str) -> Any:
-    """Return a document if it is the record of this study; None if not."""
-    listing = _checked(document, _Listing)
-    if listing and listing["study"] == study:
-        return listing
-    return None
 
 
 class Store:
@@ -308,13 +261,13 @@ class Store:
 
     def _stored(self, run_id: str) -> Status | None:
         """Return the status that is stored, true or not; None if there is none, or it is damaged."""
-        manifest = _checked(load_checksummed(self.run_folder(run_id) / "status.json"), _Manifest)
-        if manifest is None:
+        document = load_checksummed(self.run_folder(run_id) / "status.json")
+        if document is None:
             return None
         identity = None
-        if manifest.keys() >= {"config_id", "seed", "steps"}:
-            identity = Identity(manifest["config_id"], manifest["seed"], manifest["steps"])
-        return Status(manifest["status"], manifest["step"], identity=identity, checksums=manifest["files"])
+        if "config_id" in document:
+            identity = Identity(document["config_id"], document["seed"], document["steps"])
+        return Status(document["status"], document["step"], identity=identity, checksums=document["files"])
 
     # --- Studies without a file, and published tables ------------------------------------------
 
@@ -330,7 +283,7 @@ class Store:
 
     def listing(self, study: str) -> Any:
         """Return the runs of a study without a file; None if there is none, or its record is damaged."""
-        return checked_listing(load_checksummed(self.listing_path(study)), study)
+        return load_checksummed(self.listing_path(study))
 
     def listings(self) -> list[str]:
         """Return the names of the studies without a file that are recorded here."""
@@ -410,7 +363,7 @@ def read_sound(folder: Path, file_name: str, expected_checksum: str | None) -> b
     if not expected_checksum or not _FILE_NAME.fullmatch(file_name):
         return None
     try:
-        contents = read_stored(folder / file_name)
+        contents = (folder / file_name).read_bytes()
     except OSError:
         return None
     if checksum(contents) != expected_checksum:

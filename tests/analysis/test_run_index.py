@@ -132,18 +132,18 @@ def test_only_finished_runs_count_and_the_others_are_counted(store: Store) -> No
         open_study(RunIndex(store, shipped=False), Query(study="mine", seeds=(1,), conditions=("a",)))
 
 
-@pytest.mark.parametrize("name", ["../../out", ".hidden", "a/b", "other"])
-def test_untrusted_a_table_that_lists_a_study_by_another_name_than_its_own_is_no_study(
-    store: Store, name: str
+def test_untrusted_a_table_that_lists_a_study_by_another_name_than_its_own_is_not_a_study(
+    store: Store,
 ) -> None:
-    """Names become those of figures and published tables, and the folder may be anybody's."""
+    """Names become those of figures, and the folder may be anybody's."""
     row = trained(store).rows[0]
     runs = [{"run_id": row.run_id, "condition": "a", "seed": 0}]
-    for listing in ({"study": name, "title": "", "baseline": "a", "runs": runs}, {"study": "table"}, [1]):
-        about = {"study": "table", "listing": listing}
-        store.write(store.published_path("table"), encode_published([row], about))
-        with pytest.raises(UserError, match="unknown study 'table'"):
-            open_study(RunIndex(store, shipped=False), Query(study="table"))
+    listing = {"study": "../../out", "title": "", "baseline": "a", "runs": runs}
+    store.write(
+        store.published_path("table"), encode_published([row], {"study": "table", "listing": listing})
+    )
+    with pytest.raises(UserError, match="unknown study 'table'"):
+        open_study(RunIndex(store, shipped=False), Query(study="table"))
 
 
 def test_every_listed_study_that_comes_with_pneuma_can_be_opened(store: Store) -> None:
