@@ -1,20 +1,18 @@
 """What a level is: where the land, the obstacles, the players and the monsters are.
 
-A level is refused if a body would start outside the grid, inside an obstacle or another body, or where no
-player can walk to. `load_level.py` finds levels by their names.
+A level is refused if a body would start outside the grid or inside terrain that stops it. `load_level.py`
+finds levels by their names.
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import AfterValidator
-from scipy.ndimage import label, minimum_filter
 
 from pneuma.env import rules
 from pneuma.env.fields import EnvConfig
@@ -90,13 +88,12 @@ class Level:
 # --- Where bodies may begin ----------------------------------------------------------------------
 
 
-def refuse_bad_places(
+def refuse_stuck_bodies(
     level: Level, player_stats: np.ndarray, monster_stats: np.ndarray, config: EnvConfig
 ) -> None:
-    """Refuse a level in which a body would begin beyond the grid, stuck, or where no player can walk to.
+    """Refuse a level in which a body begins beyond the grid, or in terrain that stops it.
 
-    A body that starts inside a wall may never get out. Any player may start at any start place, so each must
-    have room for all of them. Monsters that no terrain stops may be anywhere.
+    A body that starts inside a wall may never get out. Any player may start at any start place.
 
     Args:
         level: what is checked.
@@ -104,118 +101,32 @@ def refuse_bad_places(
         monster_stats: (M,) `state.MONSTER_STATS`, in the level's order.
         config: which defines what stops bodies.
     """
-    shapes = np.unique(player_stats[["half_width", "half_height", "body_x", "body_y"]])
-    starting = []
-    for index, (x, y) in enumerate(level.starts):
-        for shape in shapes:
-            starting.append(_Body(f"start place {index}", x, y, shape))
-    living_bodies = []
-    for index, (monster, body_stats) in enumerate(zip(level.monsters, monster_stats, strict=True)):
-        living_bodies.append(_Body(f"monster {index} ({monster.name})", monster.x, monster.y, body_stats))
-    closed_tiles = level.terrain == rules.COAST
+    stops_players = level.terrain == rules.COAST
     if config.trees == "wall":
-        closed_tiles |= level.terrain == rules.SOLID
-    stopped_bodies = living_bodies
+        stops_players |= level.terrain == rules.SOLID
+    stops_monsters = stops_players
     if config.terrain_stops == "players":
-        stopped_bodies = []
-    _refuse_terrain(level, starting + stopped_bodies, closed_tiles)
-    _refuse_terrain(level, living_bodies, np.zeros_like(closed_tiles))  # none is beyond the grid
-    longer_side = 2 * float(max(player_stats["half_width"].max(), player_stats["half_height"].max()))
-    cut_off = first_cut_off(level, ~closed_tiles, longer_side, len(stopped_bodies))
-    if cut_off is not None:
-        body = (starting[:: len(shapes)] + living_bodies)[cut_off]
-        problem = f"{body.name} is walled in or off the land, for a body of {longer_side:g} px"
-        raise UserError(f"level {level.name}: {problem}")
-    movers = living_bodies
-    if config.players > 1:
-        movers = starting + living_bodies
-    _refuse_overlaps(level, movers, starting + living_bodies)
+        stops_monsters = np.zeros_like(stops_players)
+    for index, (x, y) in enumerate(level.starts.tolist()):
+        for body_stats in player_stats:
+            _refuse_stuck(level, f"start place {index}", x, y, body_stats, stops_players)
+    for index, (monster, body_stats) in enumerate(zip(level.monsters, monster_stats, strict=True)):
+        body_name = f"monster {index} ({monster.name})"
+        _refuse_stuck(level, body_name, monster.x, monster.y, body_stats, stops_monsters)
 
 
-class _Body:
-    """A body where it begins, as a box."""
-
-    def __init__(self, place_name: str, x: float, y: float, body_stats: np.void) -> None:
-        self.name = f"{place_name} at ({x:g}, {y:g})"
-        middle = np.array([x + body_stats["body_x"], y + body_stats["body_y"]])
-        half = np.array([body_stats["half_width"], body_stats["half_height"]])
-        self.low = middle - half
-        self.high = middle + half
-
-
-def _refuse_terrain(level: Level, bodies: Sequence[_Body], closed: np.ndarray) -> None:
-    """Refuse bodies on closed tiles, or beyond the grid, around which all is closed."""
-    framed_tiles = np.pad(closed, 1, constant_values=True)
-    corner = (level.left - level.tile, level.top - level.tile)
-    last_tile = np.array(framed_tiles.T.shape) - 1
-    for body in bodies:
-        first_tile = np.clip(np.floor((body.low - corner) / level.tile), 0, last_tile).astype(int)
-        end_tile = np.clip(np.ceil((body.high - corner) / level.tile), 1, last_tile + 1).astype(int)
-        stuck_tiles = np.argwhere(framed_tiles[first_tile[1] : end_tile[1], first_tile[0] : end_tile[0]])
-        if len(stuck_tiles):
-            row, column = stuck_tiles[0] + first_tile[::-1]
-            width, height = body.high - body.low
-            problem = f"has a body of {width:g} x {height:g} px, stuck in row {row}, column {column}"
-            raise UserError(f"level {level.name}: {body.name} {problem}")
+def _refuse_stuck(level: Level, body_name: str, x: float, y: float, stats: Any, closed: np.ndarray) -> None:
+    columns = _covered_tiles(x + stats["body_x"] - level.left, stats["half_width"], level.tile)
+    rows = _covered_tiles(y + stats["body_y"] - level.top, stats["half_height"], level.tile)
+    for row, column in product(rows, columns):
+        is_on_grid = 0 <= row < closed.shape[0] and 0 <= column < closed.shape[1]
+        if not is_on_grid or closed[row, column]:
+            size = f"{2 * stats['half_width']:g} x {2 * stats['half_height']:g}"
+            problem = f"has a body of {size} px, stuck in row {row + 1}, column {column + 1}"
+            raise UserError(f"level {level.name}: {body_name} at ({x:g}, {y:g}) {problem}")
 
 
-def _refuse_overlaps(level: Level, bodies: Sequence[_Body], obstacles: Sequence[_Body]) -> None:
-    low = np.array([obstacle.low for obstacle in obstacles])
-    high = np.array([obstacle.high for obstacle in obstacles])
-    for body in bodies:
-        depth = np.minimum(high, body.high) - np.maximum(low, body.low)
-        overlapping = (depth > rules.CONTACT_EPS).all(axis=1)  # touching is no overlap
-        for obstacle_index in np.flatnonzero(overlapping).tolist():
-            obstacle = obstacles[obstacle_index]
-            if obstacle.name != body.name:  # itself, or another player's body at one place
-                raise UserError(
-                    f"level {level.name}: {body.name} starts inside {obstacle.name}; move one of them"
-                )
-
-
-# --- Walking -------------------------------------------------------------------------------------
-
-
-def first_cut_off(level: Level, free: np.ndarray, side: float, monsters: int) -> int | None:
-    """Return the first place that a player cannot walk to from the others; None if there is none.
-
-    A player can walk over free tiles, where as many lie side by side as the longer side of its body needs.
-
-    Args:
-        level: whose places are counted: starts, then monsters.
-        free: (rows, columns) bool.
-        side: the longer side of a player's body, in pixels.
-        monsters: how many of the monsters count, from the first on; the others may not be there.
-    """
-    abreast = math.ceil(side / level.tile)
-    regions = walkable_regions(free, abreast)
-    positions = level.starts.tolist()
-    for monster in level.monsters[:monsters]:
-        positions.append((monster.x, monster.y))
-    regions_by_place = [_regions_at(regions, abreast, level, x, y) for x, y in positions]
-    places_by_region = Counter(region for place_regions in regions_by_place for region in place_regions)
-    sizes = np.bincount(regions.ravel())
-    home = max(places_by_region, key=lambda region: (places_by_region[region], sizes[region]), default=0)
-    for place_index, place_regions in enumerate(regions_by_place):
-        if home not in place_regions:
-            return place_index
-    return None
-
-
-def walkable_regions(free: np.ndarray, abreast: int = 1) -> np.ndarray:
-    """Number the regions of free tiles in which a body of `abreast` tiles a side can move, from 1.
-
-    Return the region of a body whose upper left tile is this one, (rows, columns) int32; 0 where none fits.
-    """
-    has_room = minimum_filter(free, abreast, mode="constant", cval=False, origin=-(abreast // 2))
-    return np.asarray(label(has_room, output=np.int32)[0])
-
-
-def _regions_at(regions: np.ndarray, abreast: int, level: Level, x: float, y: float) -> set[int]:
-    """Return the regions of the bodies that cover the tile at (x, y)."""
-    tile_row = int((y - level.top) // level.tile)
-    tile_column = int((x - level.left) // level.tile)
-    first_row = max(tile_row - abreast + 1, 0)
-    first_column = max(tile_column - abreast + 1, 0)
-    covering = regions[first_row : tile_row + 1, first_column : tile_column + 1]
-    return set(covering.ravel().tolist()) - {0}
+def _covered_tiles(middle: float, half: float, tile: float) -> range:
+    """Return the columns or rows that a body lies in, without one that it only touches."""
+    first = math.floor((middle - half) / tile)
+    return range(first, max(math.ceil((middle + half) / tile), first + 1))

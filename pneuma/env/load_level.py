@@ -17,12 +17,12 @@ A folder holds
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import Field
 
 from pneuma.env import rules
 from pneuma.env.fields import RANDOM, SHIPPED_LEVELS, EnvConfig, is_own_level
@@ -33,18 +33,10 @@ from pneuma.files import read_text
 from pneuma.schema import Table, TomlFile, read_model, read_toml
 
 LEVELS = Path(__file__).parent / "data" / "levels"
-MOST_ROWS = 1000
-"""Most tiles along a side of a layer, and most start places and monsters of a level."""
 FOLDER_FILES = ("ground.csv", "level.toml", "objects.csv", "obstacles.csv")
 
 _Tiles = Annotated[float, Field(ge=-1e6, le=1e6), Rounded]
 _GroundCode = Annotated[int, Field(ge=EMPTY, lt=2**28)]
-_TiledCode = Annotated[int, Field(ge=-(2**31), lt=2**32)]
-_Length = Field(min_length=1, max_length=MOST_ROWS)
-_LAYER = TypeAdapter(Annotated[list[Annotated[list[_TiledCode], _Length]], _Length])
-_OBJECTS = TypeAdapter(
-    Annotated[list[tuple[_TiledCode, float, float]], _Length], config=ConfigDict(allow_inf_nan=False)
-)
 
 
 class Header(Table):
@@ -93,8 +85,7 @@ def load_level(level_name: str, monster_codes: Mapping[int, str]) -> Level:
     starts = []
     monster_places = []
     objects_path = folder / "objects.csv"
-    for object_code, x, y in _read_table(objects_path, _OBJECTS, header="code,x,y"):
-        object_code = int(_without_turns(object_code))
+    for object_code, x, y in _read_objects(objects_path):
         if object_code == START_CODE:
             starts.append((x, y))
         elif object_code in monster_codes:
@@ -104,8 +95,6 @@ def load_level(level_name: str, monster_codes: Mapping[int, str]) -> Level:
             raise UserError(f"{objects_path}: unknown code {object_code}; known are {known_codes}")
     if not starts:
         raise UserError(f"{objects_path}: has no start place")
-    if level_name.startswith("~"):
-        level_name = str(folder)
     return Level(
         name=level_name,
         title=header.title or level_name,
@@ -143,34 +132,40 @@ def _folder_files(folder: Path) -> list[Path]:
 
 def _read_layer(table_path: Path) -> np.ndarray:
     """Return the code of each tile, (rows, columns)."""
-    rows = _read_table(table_path, _LAYER)
-    for row_number, row in enumerate(rows, start=1):
-        if len(row) != len(rows[0]):
-            raise UserError(f"{table_path}: row {row_number} has {len(row)} tiles, row 1 has {len(rows[0])}")
-    return _without_turns(np.array(rows))
+    codes = _read_table(table_path, read_text(table_path).splitlines(), first_row=1)
+    return _without_turns(codes).astype(np.int64)
 
 
-def _without_turns(codes: Any) -> Any:
+def _read_objects(table_path: Path) -> list[tuple[int, float, float]]:
+    """Return code, x and y of each start place and monster."""
+    header, *text_lines = read_text(table_path).splitlines() or [""]
+    if header != "code,x,y":
+        raise UserError(f"{table_path}: the first line must be code,x,y")
+    objects = _read_table(table_path, text_lines, first_row=2)
+    if objects.shape[1] != 3:
+        raise UserError(f"{table_path}: row 2 has {objects.shape[1]} numbers, not 3")
+    objects[:, 0] = _without_turns(objects[:, 0])
+    return [(int(object_code), x, y) for object_code, x, y in objects.tolist()]
+
+
+def _without_turns(codes: np.ndarray) -> np.ndarray:
     """Return codes without the highest four of their 32 bits, by which Tiled turns pictures."""
     return np.where(codes == EMPTY, EMPTY, codes % 2**28)
 
 
-def _read_table(table_path: Path, row_types: TypeAdapter[Any], header: str = "") -> list[Any]:
-    """Return the rows of a CSV file of numbers, below its header if it has one."""
-    text_lines = read_text(table_path).splitlines()
-    if header and text_lines[:1] != [header]:
-        raise UserError(f"{table_path}: the first line must be {header}")
-    header_rows = len(header.splitlines())
-    rows = [text_line.split(",") for text_line in text_lines[header_rows:] if text_line.strip()]
-    try:
-        return list(row_types.validate_python(rows))
-    except ValidationError as error:
-        mistake = error.errors()[0]
-        numbers = np.add(mistake["loc"], 1)  # of row and column, as far as it is in one
-        numbers[:1] += header_rows
-        location = "".join(
-            f"{name} {number}: " for name, number in zip(("row", "column"), numbers, strict=False)
-        )
-        raise UserError(
-            f"{table_path}: {location}{mistake['msg']}, not {str(mistake['input'])[:40]}"
-        ) from None
+def _read_table(table_path: Path, text_lines: Sequence[str], first_row: int) -> np.ndarray:
+    """Return the numbers in lines of a CSV file, (rows, columns); its rows are counted from `first_row`."""
+    rows: list[list[float]] = []
+    for row_number, text_line in enumerate(text_lines, start=first_row):
+        try:
+            rows.append([float(cell) for cell in text_line.split(",")])
+        except ValueError as error:
+            raise UserError(f"{table_path}: row {row_number}: {str(error)[:80]}") from None
+        if len(rows[-1]) != len(rows[0]):
+            problem = f"has {len(rows[-1])} numbers, row {first_row} has {len(rows[0])}"
+            raise UserError(f"{table_path}: row {row_number} {problem}")
+        if not np.isfinite(rows[-1]).all():
+            raise UserError(f"{table_path}: row {row_number} has a number that is not finite")
+    if not rows:
+        raise UserError(f"{table_path}: contains no numbers")
+    return np.array(rows)

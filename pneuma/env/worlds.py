@@ -17,7 +17,7 @@ from gymnasium.utils import seeding
 from pneuma.env import characters, fields, kernel, rules, state
 from pneuma.env.fields import EnvConfig, make_env_config
 from pneuma.env.layouts import fill_scales, observation_space
-from pneuma.env.level import Level, refuse_bad_places
+from pneuma.env.level import Level, refuse_stuck_bodies
 from pneuma.env.load_level import load_levels
 from pneuma.env.reward import OwnReward
 from pneuma.errors import UserError
@@ -57,7 +57,7 @@ class Worlds:
         self._choose_rewards(_by_player(config.reward, config))
         self.monster_stats = characters.monster_stats(cast, self.levels, self.player_stats, config.magic)
         for level, level_stats in zip(self.levels, self.monster_stats, strict=True):
-            refuse_bad_places(level, self.player_stats, level_stats, config)
+            refuse_stuck_bodies(level, self.player_stats, level_stats, config)
         self.settings = self._settings(config)
         fill_scales(self)
         self.spaces = [observation_space(self, stats) for stats in self.player_stats]
