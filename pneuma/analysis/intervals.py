@@ -10,7 +10,7 @@ docs/claims.md has the coverage of each.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,20 +32,10 @@ MOST = 6
 ALONE = 3
 """Digits of a number without an interval."""
 
+Groups = Mapping[str, np.ndarray]
+"""The values of runs, (runs,), by the names of conditions."""
 
 # --- Estimates -------------------------------------------------------------------------------------
-
-
-def finite(values: ArrayLike) -> np.ndarray:
-    """Return values as an array of floats, at least one-dimensional.
-
-    Raises:
-        ValueError: if one is not finite; its caller should have dropped and counted it.
-    """
-    array = np.atleast_1d(np.asarray(values, dtype=float))
-    if not np.isfinite(array).all():
-        raise ValueError(f"{(~np.isfinite(array)).sum()} of {array.size} values are not finite")
-    return array
 
 
 def interquartile_mean(values: ArrayLike) -> np.ndarray:
@@ -85,7 +75,7 @@ def is_constant(values: np.ndarray) -> bool:
 
 
 def distances(values: np.ndarray) -> np.ndarray:
-    """Return how far each run lies from its arm's median, (…, runs)."""
+    """Return how far each run lies from its group's median, (…, runs)."""
     return np.abs(values - np.median(values, axis=-1, keepdims=True))
 
 
@@ -94,7 +84,7 @@ def distances(values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Interval:
-    """The ends of an interval, and the method that made it; NaN and "none" if there is none, and why."""
+    """The ends of an interval and its method; without an interval NaN, "none" and the reason."""
 
     low: float
     high: float
@@ -105,7 +95,7 @@ class Interval:
     def exists(self) -> bool:
         return self.method != "none"
 
-    def less(self, constant: float) -> Interval:
+    def minus(self, constant: float) -> Interval:
         return replace(self, low=self.low - constant, high=self.high - constant)
 
 
@@ -113,11 +103,11 @@ def no_interval(reason: str = "") -> Interval:
     return Interval(float("nan"), float("nan"), "none", reason)
 
 
-def why_none(*arms: np.ndarray) -> str:
-    """Return why arms do not show how runs differ; empty if they do."""
-    if min(arm.size for arm in arms) < 2:
+def no_interval_reason(*groups: np.ndarray) -> str:
+    """Return why groups do not show how their runs differ; empty if they do."""
+    if min(runs.size for runs in groups) < 2:
         return "each arm needs at least 2 runs"
-    if any(map(is_constant, arms)):
+    if any(map(is_constant, groups)):
         return "in an arm all runs are equal, so nothing shows how they differ"
     return ""
 
@@ -130,7 +120,7 @@ def around(centre: float, standard_error: float, freedom: float, level: float, m
 
 def mean_interval(runs: np.ndarray, level: float = LEVEL) -> Interval:
     """Return Student's t interval of the mean of (runs,)."""
-    if reason := why_none(runs):
+    if reason := no_interval_reason(runs):
         return no_interval(reason)
     standard_error = runs.std(ddof=1) / np.sqrt(runs.size)
     return around(runs.mean(), standard_error, runs.size - 1, level, "t")
@@ -143,24 +133,41 @@ def within(interval: Interval, low: float, high: float) -> Interval:
 
 def difference_interval(a: np.ndarray, b: np.ndarray, level: float = LEVEL) -> Interval:
     """Return Welch's t interval of the difference of means, a - b (Welch 1947)."""
-    if reason := why_none(a, b):
+    return interval_of_sum({"a": a, "b": b}, {"a": 1, "b": -1}, level)
+
+
+def interval_of_sum(groups: Groups, weights: Mapping[str, float], level: float) -> Interval:
+    """Return the t interval of a weighted sum of means, with Satterthwaite's degrees of freedom."""
+    if reason := no_interval_reason(*groups.values()):
         return no_interval(reason)
-    square_a, square_b = a.var(ddof=1) / a.size, b.var(ddof=1) / b.size
-    squares = square_a + square_b
-    freedom = squares**2 / (square_a**2 / (a.size - 1) + square_b**2 / (b.size - 1))
-    return around(a.mean() - b.mean(), float(np.sqrt(squares)), freedom, level, "Welch t")
+    return around(*weighted_sum(groups, weights), level, "Welch t")
+
+
+def weighted_sum(groups: Groups, weights: Mapping[str, float]) -> tuple[float, float, float]:
+    """Return a weighted sum of means, its standard error, and Satterthwaite's degrees of freedom."""
+    total = variance = denominator = 0.0
+    for name, runs in groups.items():
+        weight = weights.get(name, 0.0)
+        squared_error = weight**2 * runs.var(ddof=1) / runs.size
+        total += weight * runs.mean()
+        variance += squared_error
+        denominator += squared_error**2 / (runs.size - 1)
+    freedom = 1.0
+    if denominator > 0:
+        freedom = variance**2 / denominator
+    return total, math.sqrt(variance), freedom
 
 
 def spread_interval(a: np.ndarray, b: np.ndarray, level: float = LEVEL) -> Interval:
     """Return Student's interval of the difference of mean distances from the median, a - b."""
-    if reason := why_none(a, b):
+    if reason := no_interval_reason(a, b):
         return no_interval(reason)
     distances_a, distances_b = distances(a), distances(b)
     if is_constant(distances_a) or is_constant(distances_b):
         far = "in an arm all runs are equally far from their median"
         return no_interval(f"{far}, so nothing shows how spreads differ")
     freedom = distances_a.size + distances_b.size - 2
-    squares = sum(arm.var() * arm.size for arm in (distances_a, distances_b))
+    squares = distances_a.var() * distances_a.size + distances_b.var() * distances_b.size
     standard_error = np.sqrt(squares / freedom * (1 / distances_a.size + 1 / distances_b.size))
     return around(
         distances_a.mean() - distances_b.mean(), float(standard_error), freedom, level, "Brown-Forsythe t"
@@ -172,12 +179,12 @@ def deviation_interval(runs: np.ndarray) -> Interval:
 
     Source: Bonett (2006), Approximate confidence interval for standard deviation of nonnormal distributions.
     """
-    if runs.size < 5 or is_constant(runs):
+    if runs.size < LEAST_RUNS or is_constant(runs):
         return no_interval()
     z = special.ndtri((1 + LEVEL) / 2)
     trimmed = int(runs.size / (2 * np.sqrt(runs.size - 4)))
-    middle_runs = np.sort(runs)[trimmed : runs.size - trimmed] if 2 * trimmed < runs.size else np.median(runs)
-    fourth_moment, squares = ((runs - np.mean(middle_runs)) ** 4).sum(), (runs.size - 1) * runs.var(ddof=1)
+    middle_runs = np.sort(runs)[trimmed : runs.size - trimmed]
+    fourth_moment, squares = ((runs - middle_runs.mean()) ** 4).sum(), (runs.size - 1) * runs.var(ddof=1)
     kurtosis = runs.size * fourth_moment / squares**2
     standard_error = np.sqrt((kurtosis - (runs.size - 3) / runs.size) / (runs.size - 1))
     correction = runs.size / (runs.size - z)
@@ -211,10 +218,8 @@ def incidence_difference_interval(
     """Return Newcombe's interval of a difference of shares, a - b, from the exact ends of either share.
 
     Source: Newcombe (1998), method 10, which has Wilson's ends. With these, two runs of two against none of
-    two differ at 95 %, which happens by chance in an eighth of all pairs of arms.
+    two differ at 95 %, which happens by chance in an eighth of all pairs of groups.
     """
-    if min(runs_a, runs_b) < 1:
-        return no_interval("an arm has no runs")
     a, b = incidence_interval(count_a, runs_a, level), incidence_interval(count_b, runs_b, level)
     share_a, share_b = count_a / runs_a, count_b / runs_b
     centre = share_a - share_b

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pneuma.analysis.claims.contrasts import compare
 from pneuma.analysis.claims.verdicts import combine, decide
 from pneuma.analysis.intervals import Interval, no_interval
+
+from .two_groups import compare
 
 DIRECTIONS = ("greater", "less", "different", "equal", "no-less")
 S, R, I, U = "supported", "refuted", "inconclusive", "untestable"  # noqa: E741

@@ -19,11 +19,12 @@ import pandas as pd
 from scipy import stats
 
 from pneuma.analysis import intervals
-from pneuma.analysis.claims.contrasts import compare
 from pneuma.analysis.claims.verdicts import decide
 from pneuma.analysis.curves import Curve
 from pneuma.analysis.environments import AGGREGATES, bootstrap
 from pneuma.cli.output import print_result, rows_result
+
+from ..analysis.two_groups import compare
 
 SEEDS = (5, 10, 30)
 ALPHA = 0.05

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pneuma.analysis.claims.claim_list import Claim, ClaimList, Pair
-from pneuma.analysis.claims.contrasts import Contrast, compare_arms
+from pneuma.analysis.claims.contrasts import Contrast, compare
 from pneuma.analysis.claims.fixed_runs import TRAIN_WITH, ClaimRuns, find_claim_runs
 from pneuma.analysis.claims.history import HOW_MANY, changed_since
 from pneuma.analysis.intervals import Interval
@@ -243,7 +243,7 @@ def _judge_contrast(claim_runs: ClaimRuns, outcome: str, pair: Pair, alpha: floa
         other_values = claim_runs.values(constant, a[0])
         constant = float(other_values.mean())
         arms_a[a[0]] = arms_a[a[0]] - other_values + constant
-    contrast = compare_arms(claim.kind, arms_a, arms_b, 1 - alpha, constant)
+    contrast = compare(claim.kind, arms_a, arms_b, 1 - alpha, constant)
     none_learned = _have_none_learned(claim_runs, outcome, conditions)
 
     def verdict_by(margin: float | None) -> tuple[str, str]:
