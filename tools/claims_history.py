@@ -36,11 +36,12 @@ def written() -> str:
     with TemporaryDirectory() as folder:
         index = RunIndex(Store(Path(folder)))  # of the published runs alone
         for claims in shipped_claims():
-            wanted = [(claim, world) for claim in claims.claims.values() for world in claim.worlds]
-            for runs in find_claim_runs(index, claims, wanted):
-                facts = claims, runs.claim, runs.study.world, runs.commits
-                if runs.commits:
-                    changes[record_key(*facts)] = changed_in_checkout(*facts)
+            for claim in claims.claims.values():
+                for world in claim.worlds:
+                    runs = find_claim_runs(index, claims.studies[claim.study].in_world(world), claim)
+                    facts = claims, claim, world, runs.commits
+                    if runs.commits:
+                        changes[record_key(*facts)] = changed_in_checkout(*facts)
     return json.dumps(changes, indent=1, sort_keys=True) + "\n"
 
 

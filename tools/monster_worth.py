@@ -35,10 +35,10 @@ def main() -> None:
 
 def compared_by_return(claims: ClaimList, index: RunIndex, world: str) -> list[Row]:
     rows: dict[str, Row] = {}
-    by_return = [claim for claim in claims.on("", world) if RETURN in claim.outcome]
-    for runs in find_claim_runs(index, claims, [(claim, world) for claim in by_return]):
-        for of_condition in runs.rows.values():
-            rows |= {row.run_id: row for row in of_condition}
+    for claim in claims.on("", world):
+        if RETURN in claim.outcome:
+            runs = find_claim_runs(index, claims.studies[claim.study].in_world(world), claim)
+            rows |= {row.run_id: row for row in runs.data.rows}
     return [*rows.values()]
 
 

@@ -1,25 +1,21 @@
-"""The runs that claims fix, found by configuration, seed and steps; and of a study, as a preset to train.
-
-An arm has one value per run, or the reason why its runs cannot be compared.
-"""
+"""The finished runs that a claim fixes; and the runs that claims on a study fix, as a preset to train."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from pneuma.analysis.claims.claim_list import Claim, ClaimList, load_claims
 from pneuma.analysis.intervals import mean_interval
-from pneuma.analysis.outcomes import find_outcome, outcome, reason, unit_of_return
+from pneuma.analysis.outcomes import find_outcome, outcome, outcome_values, reason, unit_of_return
 from pneuma.analysis.runs import finished_rows, runs_of_plan
 from pneuma.analysis.study_data import StudyData
-from pneuma.config import Run, round_up
+from pneuma.config import round_up
 from pneuma.errors import Hint, UserError
 from pneuma.seeds import seeds_option
 from pneuma.store.index import RunIndex
@@ -33,7 +29,7 @@ TRAIN_WITH = "train with:"
 """The beginning of the part of a reason that names the command."""
 
 FLOOR_LEVEL = 0.05
-"""The chance that an arm that plays like the random player is said to play better."""
+"""The chance that a condition is found to play better than the random player if it does not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,24 +37,23 @@ class ClaimRuns:
     """The runs that a claim fixed in one world.
 
     Attributes:
-        study: in the world.
-        configurations: of each condition that is compared.
-        rows: their finished runs, in the order of seeds; there may be none.
+        data: the finished ones, of the conditions that are compared; there may be none.
         folder: of results, in which runs are missing.
     """
 
     claim: Claim
-    study: Study
-    configurations: Mapping[str, Run]
-    rows: Mapping[str, Sequence[Row]]
+    data: StudyData
     folder: Path
-    _values: dict[tuple[str, str], np.ndarray] = field(default_factory=dict, repr=False)
+
+    @property
+    def world(self) -> str:
+        return self.data.study.world
 
     @property
     def commits(self) -> tuple[str, ...]:
         """The commits of the code that trained them."""
         commits: set[str] = set()
-        for row in chain.from_iterable(self.rows.values()):
+        for row in self.data.rows:
             # Pneuma's code, and the user's own studies
             for provenance in (row.provenance, row.provenance.get("project")):
                 if isinstance(provenance, dict):
@@ -67,14 +62,15 @@ class ClaimRuns:
 
     @cached_property
     def learned(self) -> Mapping[str, bool | None]:
-        """Whether each arm is shown to play better than the random player: its interval is above it.
+        """Whether each condition is shown to play better than the random player: its interval is above it.
 
         Of each run its mean score over all evaluations counts, where 0 is the random player; the greatest
         score would be above 0 by chance alone. None if a run has no score.
         """
-        learned: dict[str, bool | None] = dict.fromkeys(self.rows)
-        for condition, rows in self.rows.items():
-            run_scores = [row.known_evaluations("score")[1] for row in rows]
+        learned: dict[str, bool | None] = {}
+        for condition in self.data.conditions:
+            run_scores = [row.known_evaluations("score")[1] for row in self.data.of_condition(condition)]
+            learned[condition] = None
             if len(run_scores) > 1 and all(map(len, run_scores)):
                 mean_scores = np.array(list(map(np.mean, run_scores)))
                 interval = mean_interval(mean_scores, 1 - 2 * FLOOR_LEVEL)
@@ -83,39 +79,40 @@ class ClaimRuns:
         return learned
 
     def why_incomparable(self, outcome_name: str, conditions: Sequence[str]) -> str:
-        """Return why arms cannot be compared by an outcome; empty if they can."""
-        claim, config_ids = self.claim, set()
-        engine_by_arm: dict[str, str] = {}
-        missing_runs: list[str] = []
-        rows: list[Row] = []
-        for condition in conditions:
-            run = self.configurations[condition]
-            config_ids.add(config_id(run))
-            engine_by_arm[f"{condition} by {run.engine}"] = run.engine
-            stored, fixed = len(self.rows[condition]), len(claim.seeds_of(condition))
-            rows += self.rows[condition]
-            if stored != fixed:
-                fixed_ones = f"{stored} of the {fixed} fixed ones with {round_up(run, claim.steps):,} steps"
-                missing_runs.append(f"runs missing: {condition} has {fixed_ones}")
-        if len(config_ids) < len(conditions):
+        """Return why conditions cannot be compared by an outcome; empty if they can."""
+        claim = self.claim
+        runs = {condition: self.data.configurations[condition] for condition in conditions}
+        if len(set(map(config_id, runs.values()))) < len(runs):
             return f"what is compared is the same: {' and '.join(conditions)} have one configuration"
-        if len(set(engine_by_arm.values())) > 1:
-            return f"trained by different engines: {', '.join(engine_by_arm)}"
+        if len({run.engine for run in runs.values()}) > 1:
+            engines = [f"{condition} by {run.engine}" for condition, run in runs.items()]
+            return f"trained by different engines: {', '.join(engines)}"
+        rows: list[Row] = []
+        missing_runs: list[str] = []
+        for condition, run in runs.items():
+            condition_rows, seeds = self.data.of_condition(condition), claim.seeds_of(condition)
+            rows += condition_rows
+            if len(condition_rows) < len(seeds):
+                fixed_runs = f"{len(seeds)} fixed ones with {round_up(run, claim.steps):,} steps"
+                missing_runs.append(
+                    f"runs missing: {condition} has {len(condition_rows)} of the {fixed_runs}"
+                )
         if missing_runs:
             return f"{'; '.join(missing_runs)}; {TRAIN_WITH} {self.training_command}"
         if find_outcome(outcome_name).is_return and len(set(map(unit_of_return, rows))) > 1:
             return "returns of unlike rewards"
         for condition in conditions:
-            for row, value in zip(self.rows[condition], self._outcomes(outcome_name, condition), strict=True):
-                if np.isnan(value):
-                    return f"a run has no value: {condition} seed {row.seed}: {reason(row, outcome_name)}"
+            for row in self.data.of_condition(condition):
+                if np.isnan(outcome(row, outcome_name)):
+                    run_name = f"{condition} seed {row.seed}"
+                    return f"a run has no value: {run_name}: {reason(row, outcome_name)}"
         return ""
 
     @property
     def training_command(self) -> str:
         """The command that trains the missing runs: by a preset, or all conditions and seeds."""
         claim = self.claim
-        command_words = ["pneuma", "study", "run"] + asked_words(self.study)
+        command_words = ["pneuma", "study", "run"] + asked_words(self.data.study)
         if claim.preset:
             command_words += ["--preset", claim.preset]
         else:
@@ -124,7 +121,7 @@ class ClaimRuns:
                 command_words += ["--condition", condition]
                 seeds.update(claim.seeds_of(condition))
             command_words += ["--seeds", seeds_option(seeds), "--steps", str(claim.steps)]
-        if any(row.published for row in chain.from_iterable(self.rows.values())):
+        if any(row.published for row in self.data.rows):
             command_words.append("--unpublished")
         return shlex.join(command_words + results_words(self.folder))
 
@@ -134,7 +131,8 @@ class ClaimRuns:
         It is (seeds,) in the order of seeds; 1 or 0 if runs with an event are counted. Of a hazard it is
         (2, seeds): steps, and whether they are those of an event.
         """
-        rows, run_values = self.rows[condition], self._outcomes(outcome_name, condition)
+        rows = self.data.of_condition(condition)
+        run_values = outcome_values(self.data, condition, outcome_name)
         if self.claim.kind == "hazard":
             last_seen = [row.evaluations("step")[-1] for row in rows]
             return np.array([np.minimum(run_values, last_seen), np.isfinite(run_values)])
@@ -143,59 +141,17 @@ class ClaimRuns:
         # steps to what is never reached are at least those of the run
         return np.where(np.isinf(run_values), [row.budget for row in rows], run_values)
 
-    def run_ids(self, condition: str) -> list[str]:
-        return [row.run_id for row in self.rows[condition]]
 
-    def _outcomes(self, outcome_name: str, condition: str) -> np.ndarray:
-        values_key = outcome_name, condition
-        if values_key not in self._values:
-            self._values[values_key] = np.array([outcome(row, outcome_name) for row in self.rows[condition]])
-        return self._values[values_key]
-
-
-# --- Finding runs ----------------------------------------------------------------------------------
-
-
-def find_claim_runs(
-    index: RunIndex, claim_list: ClaimList, claims_and_worlds: Iterable[tuple[Claim, str]]
-) -> Iterator[ClaimRuns]:
-    """Yield the finished runs of wanted claims of a list, each in a world.
-
-    Those of all claims on a study are found together, as each search takes as long as one for many runs.
-    """
-    data_by_study: dict[tuple[str, str, int], StudyData] = {}
-    for claim, world in claims_and_worlds:
-        study = claim_list.studies[claim.study].in_world(world)
-        study_key = claim.study, world, claim.steps
-        if study_key not in data_by_study:
-            amounts = _amounts_by_steps(claim_list.on(claim.study, world))[claim.steps]
-            cells: list[Cell] = []
-            for condition, run in configure(study, {}, list(amounts), index.engine_of).runs.items():
-                steps = round_up(run, claim.steps)
-                for seed in amounts[condition].seeds:
-                    cells.append(Cell(condition, seed, replace(run, seed=seed, steps=steps)))
-            data_by_study[study_key] = finished_rows(index, runs_of_plan(index, Plan(study, tuple(cells))))
-        study_data = data_by_study[study_key]
-        rows_by_condition: dict[str, list[Row]] = {}
-        for condition in claim.a + claim.b:
-            seeds = claim.seeds_of(condition)
-            rows_by_condition[condition] = [
-                row for row in study_data.of_condition(condition) if row.seed in seeds
-            ]
-        yield ClaimRuns(claim, study, study_data.configurations, rows_by_condition, index.store.root)
-
-
-def _amounts_by_steps(claims: Iterable[Claim]) -> dict[int, dict[str, Amount]]:
-    """Return by steps the seeds of each condition that claims train."""
-    amounts: dict[int, dict[str, Amount]] = {}
-    for claim in claims:
-        by_condition = amounts.setdefault(claim.steps, {})
-        for condition in claim.conditions:
-            seeds = set(claim.seeds_of(condition))
-            if condition in by_condition:
-                seeds.update(by_condition[condition].seeds)
-            by_condition[condition] = Amount.model_construct(seeds=tuple(sorted(seeds)), steps=claim.steps)
-    return amounts
+def find_claim_runs(index: RunIndex, study: Study, claim: Claim) -> ClaimRuns:
+    """Return the finished runs of a claim on a study, which is in one of its worlds."""
+    cells: list[Cell] = []
+    configurations = configure(study, {}, list(claim.a + claim.b), index.engine_of).runs
+    for condition, run in configurations.items():
+        steps = round_up(run, claim.steps)
+        for seed in claim.seeds_of(condition):
+            cells.append(Cell(condition, seed, replace(run, seed=seed, steps=steps)))
+    study_data = finished_rows(index, runs_of_plan(index, Plan(study, tuple(cells))))
+    return ClaimRuns(claim, study_data, index.store.root)
 
 
 # --- The preset `claims`: runs to train ----------------------------------------------------------------
@@ -226,7 +182,15 @@ def with_claims(study: Study, steps: int | None = None) -> Study:
 
 def fixed_amounts(study: Study) -> dict[int, dict[str, Amount]]:
     """Return seeds and steps of each condition by number of steps; empty if no claim is about the study."""
-    return _amounts_by_steps(claim for _, claim in claims_on(study))
+    amounts: dict[int, dict[str, Amount]] = {}
+    for _, claim in claims_on(study):
+        by_condition = amounts.setdefault(claim.steps, {})
+        for condition in claim.conditions:
+            seeds = set(claim.seeds_of(condition))
+            if condition in by_condition:
+                seeds.update(by_condition[condition].seeds)
+            by_condition[condition] = Amount.model_construct(seeds=tuple(sorted(seeds)), steps=claim.steps)
+    return amounts
 
 
 def claims_on(study: Study) -> Iterator[tuple[ClaimList, Claim]]:

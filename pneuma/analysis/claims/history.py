@@ -46,8 +46,8 @@ def refuse_changed(index: RunIndex, study: Study) -> None:
         UserError: naming a claim, what changed, and what to do instead.
     """
     for claim_list, claim in claims_on(study):
-        (claim_runs,) = find_claim_runs(index, claim_list, [(claim, study.world)])
-        changed = changed_since(claim_list, claim, study.world, claim_runs.commits)
+        commits = find_claim_runs(index, study, claim).commits
+        changed = changed_since(claim_list, claim, study.world, commits)
         if changed:
             raise UserError(
                 Hint("preset", CLAIMS),

@@ -140,18 +140,18 @@ def judge(
     The correction is for the planned contrasts of the whole family, whichever are wanted: no data of the
     others are needed.
     """
-    claims_and_worlds: list[tuple[Claim, str]] = []
+    verdicts: list[Verdict] = []
     for claim in claim_list.claims.values():
-        claims_and_worlds += [(claim, world) for world in claim.worlds if is_wanted(claim, world)]
-    return [
-        _judge_claim(claim_list, claim_runs)
-        for claim_runs in find_claim_runs(index, claim_list, claims_and_worlds)
-    ]
+        for world in claim.worlds:
+            if is_wanted(claim, world):
+                claim_runs = find_claim_runs(index, claim_list.studies[claim.study].in_world(world), claim)
+                verdicts.append(_judge_claim(claim_list, claim_runs))
+    return verdicts
 
 
 def _judge_claim(claim_list: ClaimList, claim_runs: ClaimRuns) -> Verdict:
     """Return the verdict on a claim of a list in one world by its runs."""
-    claim, world = claim_runs.claim, claim_runs.study.world
+    claim, world = claim_runs.claim, claim_runs.world
     alpha = claim_list.head.alpha / claim_list.family_size(world, claim.study)
     claim_contrasts: list[ClaimContrast] = []
     for outcome in claim.outcome:
@@ -211,7 +211,7 @@ def _reason(verdict: str, claim_contrasts: Sequence[ClaimContrast]) -> str:
 
 
 def _judge_contrast(claim_runs: ClaimRuns, outcome: str, pair: Pair, alpha: float) -> ClaimContrast:
-    claim, world, (a, b) = claim_runs.claim, claim_runs.study.world, pair
+    claim, world, (a, b) = claim_runs.claim, claim_runs.world, pair
     value = None
     if not b:
         value = claim.value_of(world, outcome)
@@ -230,7 +230,10 @@ def _judge_contrast(claim_runs: ClaimRuns, outcome: str, pair: Pair, alpha: floa
         alpha=alpha,
         margin=margin,
         registered_margin=registered_margin,
-        runs={condition: claim_runs.run_ids(condition) for condition in conditions},
+        runs={
+            condition: [row.run_id for row in claim_runs.data.of_condition(condition)]
+            for condition in conditions
+        },
         contrast=Contrast(reason=reason),
     )
     if reason:
