@@ -235,7 +235,8 @@ def bootstrap_interval(
 
     With few runs its coverage is smaller (docs/claims.md). There is none for fewer than
     `LEAST_RUNS`, or if both ends are equal, as for the median of mostly equal runs. `statistic` works along
-    the last axis, as `mean` and `median` do.
+    the last axis, as `mean` and `median` do. SciPy's `bootstrap` gives the same ends, but none if the
+    statistic stays the same whichever run is left out.
     """
     if runs.size < LEAST_RUNS or is_constant(runs):
         return no_interval()

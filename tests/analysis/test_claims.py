@@ -59,7 +59,7 @@ def test_events_have_a_number_and_what_is_better_has_a_direction(tmp_path: Path)
     assert claim.has_event(np.array([0.4, 0.5, 0.95])).tolist() == [False, False, True]
     both = changed(('"final-share-killed"', '["final-share-killed", "final-died"]'), ('"greater"', '"worse"'))
     claim = load_claims(write_files(tmp_path, both)).claims["better"]
-    assert [claim.claimed(name) for name in claim.outcome] == ["less", "greater"]
+    assert [claim.direction_of(name) for name in claim.outcome] == ["less", "greater"]
 
 
 WORLDS_LINE = 'worlds = ["text"]'
@@ -128,7 +128,7 @@ def test_the_fifth_list_takes_its_runs_from_presets_and_corrects_each_study_alon
     assert len(claims["betas-cure"].seeds_of("stationary-wide")) == 60
     studies = ("betas-by-clip", "betas-longer", "betas-learned")
     assert [FIFTH.family_size("godot", study) for study in studies] == [6, 1, 3]
-    assert [*map(claims["betas-cure"].claimed, claims["betas-cure"].outcome)] == ["less", "greater"]
+    assert [*map(claims["betas-cure"].direction_of, claims["betas-cure"].outcome)] == ["less", "greater"]
 
 
 def test_no_shipped_claim_compares_what_is_the_same() -> None:

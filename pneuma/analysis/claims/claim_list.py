@@ -3,7 +3,7 @@
     [list]                      title, what was learned before, alpha, the first seed
     [defaults]                  seeds, steps, worlds, outcome and kind of a claim that has none
     [margins]                   by outcome, of claims that state none
-    [registered_margins]        those of before the runs, where margins were set anew
+    [registered_margins]        those stated before the runs, where margins were changed since
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
 
 studies/claims.toml → ClaimList → its runs (`fixed_runs.py`) → `verdicts.py`. The file's checksum and the
@@ -59,7 +59,7 @@ Positive = Annotated[float, Field(gt=0)]
 Words = Annotated[str, Field(min_length=1)]
 Kind = Literal["mean", "incidence", "spread", "range", "main-effect", "interaction", "hazard"]
 TOGETHER = ("range", "main-effect", "interaction")
-"""Kinds of which all conditions of a and of b make one contrast."""
+"""Kinds in which all conditions of a and of b make one contrast."""
 Direction = Literal["greater", "less", "different", "equal", "no-less", "better", "worse", "described"]
 Outcome = Annotated[Words, passes(find_outcome)]
 OutcomeOrEvent = Annotated[str, passes(_check_outcome_or_event)]
@@ -68,9 +68,9 @@ ByWorld = Positive | dict[World, Positive]
 ByOutcome = Positive | dict[str, ByWorld] | None
 """One number for all outcomes of a claim, or one for each."""
 Value = float | str | dict[str, float | str | dict[World, float]] | None
-"""A number, or another outcome of each run; of each outcome, or of some if the rest is compared with b."""
+"""A number, or another outcome of each run; for all outcomes, or for those that are not compared with b."""
 Pair = tuple[tuple[str, ...], tuple[str, ...]]
-"""The conditions of both arms of a contrast; none in the second if the first is compared with a constant."""
+"""The conditions of a contrast's a and b; no b if a is compared with a value."""
 
 
 class ListHead(Table):
@@ -154,30 +154,27 @@ class Claim(Table):
         return run_values < self.below
 
     def pairs(self, outcome: str) -> list[Pair]:
-        """Return the contrasts for an outcome."""
-        arms_of_b: list[tuple[str, ...]] = [(condition,) for condition in self.b]
-        is_against_value = pick(self.value, outcome) is not None
-        if is_against_value:
-            arms_of_b = [()]
+        """Return the conditions of a and b of each contrast for an outcome."""
+        b = self.b
+        if pick(self.value, outcome) is not None:
+            b = ()
         if self.kind in TOGETHER:
-            return [(self.a, sum(arms_of_b, ()))]
-        arms_of_a = [(condition,) for condition in self.a]
-        if self.paired and not is_against_value:
-            return list(zip(arms_of_a, arms_of_b, strict=True))
-        return list(product(arms_of_a, arms_of_b))
+            return [(self.a, b)]
+        if not b:
+            return [((condition,), ()) for condition in self.a]
+        pairs = zip(self.a, b, strict=True) if self.paired else product(self.a, b)
+        return [((condition_a,), (condition_b,)) for condition_a, condition_b in pairs]
 
     def seeds_of(self, condition: str) -> tuple[int, ...]:
         seeds = pick(self.seeds, condition)
-        if isinstance(seeds, int):
-            seeds = tuple(range(self.seeds_from, self.seeds_from + seeds))
-        return seeds
+        return tuple(range(self.seeds_from, self.seeds_from + seeds)) if isinstance(seeds, int) else seeds
 
     @property
     def first_seed(self) -> int:
         return min(map(min, map(self.seeds_of, self.conditions)))
 
-    def claimed(self, outcome: str) -> str:
-        """Return the direction that is claimed of an outcome: `better` is greater, or less, by its kind."""
+    def direction_of(self, outcome: str) -> str:
+        """Return the direction that is claimed of an outcome: `better` is greater or less."""
         direction = str(pick(self.direction, outcome))
         if direction not in ("better", "worse"):
             return direction
@@ -185,28 +182,24 @@ class Claim(Table):
         return "greater" if higher_is_better == (direction == "better") else "less"
 
     def margin_of(self, world: str, outcome: str) -> float | None:
-        """Return the smallest difference that counts, or None: the claim's own, or the list's."""
-        return self._margin(self.margin, self.list_margins, world, outcome)
+        """Return the smallest difference that counts: the claim's, or its list's; None without one."""
+        return self._stated(self.margin, self.list_margins, world, outcome)
 
     def registered_margin_of(self, world: str, outcome: str) -> float | None:
-        """Return the margin that was stated before the runs, if margins were set anew; else the margin."""
-        registered = self._margin(self.registered_margin, self.list_registered, world, outcome)
-        if registered is None:
-            registered = self.margin_of(world, outcome)
-        return registered
+        """Return the margin that was stated before the runs, if it was changed since; else the margin."""
+        registered = self._stated(self.registered_margin, self.list_registered, world, outcome)
+        return self.margin_of(world, outcome) if registered is None else registered
 
-    def _margin(
-        self, own_margins: ByOutcome, list_margins: Mapping[str, Any], world: str, outcome: str
+    def _stated(
+        self, by_outcome: ByOutcome, list_by_outcome: Mapping[str, Any], world: str, outcome: str
     ) -> float | None:
-        margin = pick(own_margins, outcome, world)
-        if margin is None and self.is_incidence:
-            outcome = "incidence"
+        margin = pick(by_outcome, outcome, world)
         if margin is None:
-            margin = pick(list_margins, outcome, world)
+            margin = pick(list_by_outcome, "incidence" if self.is_incidence else outcome, world)
         return margin
 
     def value_of(self, world: str, outcome: str) -> float | str | None:
-        """Return what arms are compared with in place of b: a constant, or another outcome of each run."""
+        """Return what a is compared with instead of b: a constant, or another outcome of each run."""
         return pick(self.value, outcome, world)
 
     @model_validator(mode="after")
@@ -214,7 +207,6 @@ class Claim(Table):
         """Refuse keys that are valid one by one but not together."""
         same_number = len(self.a) == len(self.b)
         outcomes = list(map(find_outcome, self.outcome))
-        units, sources = {outcome.unit for outcome in outcomes}, {outcome.source for outcome in outcomes}
         if bool(self.b) == (self.value is not None) and not isinstance(self.value, dict):
             raise wrong("a claim compares a with either b, conditions, or value, a number")
         if [self.above, self.below].count(None) != 2 - self.is_incidence:
@@ -225,9 +217,9 @@ class Claim(Table):
             raise wrong("a main effect, and what is paired, has as many conditions in b as in a", "b")
         if self.kind == "interaction" and not (same_number and len(self.a) == 2):
             raise wrong("an interaction is of two conditions in a and two in b", "b")
-        if self.kind == "hazard" and units != {"steps"}:
+        if self.kind == "hazard" and any(outcome.unit != "steps" for outcome in outcomes):
             raise wrong("a hazard is of an outcome in steps", "outcome")
-        if "times" in sources:
+        if any(outcome.source == "times" for outcome in outcomes):
             raise wrong("a claim cannot be about times, because machines differ in them", "outcome")
         if self.kind == "range" and 1 in (len(self.a), len(self.b)):
             raise wrong("a range is of two conditions or more", "a")
@@ -243,14 +235,10 @@ class Claim(Table):
     def _check_outcomes(self) -> None:
         for field_name in ("direction", "margin", "registered_margin", "value"):
             stated_values = getattr(self, field_name)
-            if not isinstance(stated_values, dict):
-                continue
-            for outcome in stated_values:
+            for outcome in stated_values if isinstance(stated_values, dict) else ():
                 if outcome not in self.outcome:
-                    raise wrong(
-                        f"{field_name}: {unknown_name('outcome of the claim', outcome, self.outcome)}",
-                        field_name,
-                    )
+                    error = unknown_name("outcome of the claim", outcome, self.outcome)
+                    raise wrong(f"{field_name}: {error}", field_name)
         for outcome in self.outcome:
             direction = pick(self.direction, outcome)
             if direction is None:
@@ -265,7 +253,7 @@ class Claim(Table):
         numbers = {"margin": self.margin_of(world, outcome), "value": self.value_of(world, outcome)}
         if numbers["value"] is None and not self.b:
             raise wrong(f"the key 'value' has no number for {outcome}", "value")
-        if numbers["margin"] is None and self.claimed(outcome) in ("equal", "no-less"):
+        if numbers["margin"] is None and self.direction_of(outcome) in ("equal", "no-less"):
             raise wrong("the key 'margin' is missing: within it, a difference counts as none", "margin")
         for field_name, number in numbers.items():
             if isinstance(number, str):
@@ -309,15 +297,12 @@ class ClaimList:
     def family_size(self, world: str, study: str) -> int:
         """Return the number of contrasts that are corrected together, with or without runs (Bonferroni).
 
-        They are the list's in a world, or of these those of one study.
+        They are all of the list in a world, or those on one study there.
         """
-        contrast_count = 0
         if self.head.families == "list":
             study = ""
-        for claim in self.on(study, world):
-            for outcome in claim.outcome:
-                contrast_count += len(claim.pairs(outcome))
-        return contrast_count
+        claims = self.on(study, world)
+        return sum(len(claim.pairs(outcome)) for claim in claims for outcome in claim.outcome)
 
     def on(self, study: str, world: str) -> list[Claim]:
         """Return the claims on a study, or on any if it is empty, in a world."""
@@ -372,12 +357,11 @@ def _read_claim(
         return toml_file.mistake(("claims", claim_name), f"{key}: {message}", key)
 
     keys = claim_keys(toml_file.data, claim_name)
-    referred_name = str(keys.get("like") or claim_name)
-    if referred_name not in contents.claims or (
-        referred_name != claim_name and "like" in contents.claims[referred_name]
-    ):
-        candidates = [key for key, table in contents.claims.items() if "like" not in table]
-        raise mistake("like", unknown_name("claim", referred_name, candidates))
+    complete_claims = [name for name, table in contents.claims.items() if "like" not in table]
+    if claim_name not in complete_claims:
+        like = str(contents.claims[claim_name]["like"])
+        if like not in complete_claims:
+            raise mistake("like", unknown_name("claim", like, complete_claims))
     study_name = str(keys.get("study", ""))
     file_or_name = study_name
     if study_name.endswith(".toml"):
@@ -393,12 +377,10 @@ def _read_claim(
         preset = str(keys["preset"])
         if preset not in study.presets:
             raise mistake("preset", unknown_name(f"preset of study {study.name}", preset, study.presets))
-        compared_conditions = keys.get("a", ()) + keys.get("b", ())
         amounts = study.presets[preset].amounts(study.conditions, study.world)
-        keys |= {"seeds": {}, "steps": 0}
-        for condition in filter(compared_conditions.__contains__, amounts):
-            keys["seeds"][condition] = amounts[condition].seeds
-            keys["steps"] = max(keys["steps"], amounts[condition].steps)
+        keys["seeds"] = {condition: amount.seeds for condition, amount in amounts.items()}
+        compared_conditions = set(amounts) & set(keys.get("a", ()) + keys.get("b", ()))
+        keys["steps"] = max((amounts[condition].steps for condition in compared_conditions), default=0)
     claim = read_model(Claim, toml_file, ("claims", claim_name), keys)
     conditions, worlds = ("condition", study.conditions), ("world", study.worlds)
     allowed_names = {"a": conditions, "b": conditions, "beside": conditions, "worlds": worlds}

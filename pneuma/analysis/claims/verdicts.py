@@ -28,11 +28,14 @@ SUPPORTED, REFUTED, MIXED = "supported", "refuted", "mixed"
 INCONCLUSIVE, UNTESTABLE = "inconclusive", "untestable"
 DESCRIBED = "described"
 """The verdict on a claim that states no direction."""
-DECIDING_FIRST = (REFUTED, UNTESTABLE, INCONCLUSIVE, SUPPORTED, DESCRIBED)
-"""Where all of several verdicts must be as claimed, the first of these that one of them has decides."""
+DECIDING_ORDER = {
+    "all": (REFUTED, UNTESTABLE, INCONCLUSIVE, SUPPORTED, DESCRIBED),
+    "one": (SUPPORTED, REFUTED, INCONCLUSIVE, DESCRIBED, UNTESTABLE),
+}
+"""The first of these that one of several verdicts is decides, if all must be as claimed, or one."""
 
 RARE = 0.1
-"""A share of runs up to which an event counts as none, and its absence likewise."""
+"""If at most this share of runs has an event, or has it not, that counts as none."""
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but too small to count"
 """The reason if a claim is refuted although its interval lies wholly on the claimed side of 0."""
 
@@ -44,14 +47,14 @@ class ClaimContrast:
     """A row of the table: a contrast of a claim in a world, and the verdict on it alone.
 
     Attributes:
-        a, b: the conditions of either arm, several for a range; b is empty if there is a value.
+        a, b: the conditions that are compared, several for a range; b is empty if there is a value.
         value: a constant, or another outcome of the same runs, that a is compared with.
-        alpha: the contrast's own part of the list's error rate in the world.
+        alpha: the contrast's part of the list's error rate in the world.
         margin: the smallest difference that counts; None against a constant, which is itself what counts.
         runs: the ids of the runs that were read, by condition.
         contrast: what the runs show; its reason is not empty if nothing can be concluded.
-        registered_verdict: the same by the margin that was registered, where margins were set anew.
-        none_learned: whether neither arm is shown to play better than the random player, so that being alike
+        registered_verdict: the same by the margin that was registered.
+        none_learned: whether no condition is shown to play better than the random player, so that being alike
             counts for nothing.
     """
 
@@ -72,11 +75,11 @@ class ClaimContrast:
 
     @property
     def names(self) -> tuple[str, str]:
-        """The arms as text; b may be a number or an outcome."""
-        second_arm = ", ".join(self.b) or str(self.value)
+        """What is compared, as text; b may be a number or an outcome."""
+        b = ", ".join(self.b) or str(self.value)
         if isinstance(self.value, float):
-            second_arm = f"{self.value:g}"
-        return ", ".join(self.a), second_arm
+            b = f"{self.value:g}"
+        return ", ".join(self.a), b
 
     @property
     def has_effect(self) -> bool:
@@ -91,9 +94,9 @@ class Verdict:
         verdict: supported, refuted, mixed, inconclusive, untestable or described.
         reason: why it is untestable, what is missing, or `AS_CLAIMED_BUT_SMALL`; empty for a plain result.
         contrasts: its rows of the table.
-        registered_verdict: the verdict by the margins that were registered, where they were set anew.
+        registered_verdict: the verdict by the margins that were registered.
         label: whether it tests: `PREREGISTERED`, `DESCRIPTIVE`, or on which list's runs it was stated.
-        changed: what of the claim is not as it was when its runs were trained; None if that is unknown.
+        changed: what has changed of the claim since its runs were trained; None if that is unknown.
     """
 
     claim: Claim
@@ -113,7 +116,7 @@ class Verdict:
         deciding: dict[str, ClaimContrast] = {}
         for claim_contrast in self.contrasts:
             current = deciding.setdefault(claim_contrast.outcome, claim_contrast)
-            if DECIDING_FIRST.index(claim_contrast.verdict) < DECIDING_FIRST.index(current.verdict):
+            if combine([claim_contrast.verdict, current.verdict], "all") != current.verdict:
                 deciding[claim_contrast.outcome] = claim_contrast
         return tuple(deciding.values())
 
@@ -176,7 +179,7 @@ def _of_claim(claim: Claim, claim_contrasts: Iterable[ClaimContrast], column: st
     verdicts_by_outcome: dict[str, list[str]] = {}
     for claim_contrast in claim_contrasts:
         verdicts_by_outcome.setdefault(claim_contrast.outcome, []).append(getattr(claim_contrast, column))
-    return combine(list(map(all_of, verdicts_by_outcome.values())), claim.need)
+    return combine([combine(verdicts, "all") for verdicts in verdicts_by_outcome.values()], claim.need)
 
 
 def _label(claim_list: ClaimList, claim: Claim, changed: Iterable[str]) -> str:
@@ -199,7 +202,7 @@ def _reason(verdict: str, claim_contrasts: Sequence[ClaimContrast]) -> str:
     for claim_contrast in claim_contrasts:
         without_margin = decide(
             claim_contrast.contrast.simultaneous,
-            claim_contrast.claim.claimed(claim_contrast.outcome),
+            claim_contrast.claim.direction_of(claim_contrast.outcome),
             margin=None,
         )
         if claim_contrast.verdict == REFUTED and without_margin != SUPPORTED:
@@ -212,12 +215,10 @@ def _reason(verdict: str, claim_contrasts: Sequence[ClaimContrast]) -> str:
 
 def _judge_contrast(claim_runs: ClaimRuns, outcome: str, pair: Pair, alpha: float) -> ClaimContrast:
     claim, world, (a, b) = claim_runs.claim, claim_runs.world, pair
-    value = None
-    if not b:
-        value = claim.value_of(world, outcome)
+    value = None if b else claim.value_of(world, outcome)
     margin, registered_margin = claim.margin_of(world, outcome), claim.registered_margin_of(world, outcome)
     if value and not isinstance(value, str):
-        margin = registered_margin = None
+        margin = registered_margin = None  # the constant is itself what counts
     conditions = tuple(dict.fromkeys(a + b))
     reason = claim.not_tested or claim_runs.why_incomparable(outcome, conditions)
     claim_contrast = ClaimContrast(
@@ -238,22 +239,22 @@ def _judge_contrast(claim_runs: ClaimRuns, outcome: str, pair: Pair, alpha: floa
     )
     if reason:
         return claim_contrast
-    arms = {condition: claim_runs.values(outcome, condition) for condition in conditions}
-    arms_a = {condition: arms[condition] for condition in a}
-    arms_b = {condition: arms[condition] for condition in b}
+    groups = {condition: claim_runs.values(outcome, condition) for condition in conditions}
+    groups_a = {condition: groups[condition] for condition in a}
+    groups_b = {condition: groups[condition] for condition in b}
     constant = value or 0.0
-    if isinstance(constant, str):  # of each run its own other outcome is taken away, their mean added again
+    if isinstance(constant, str):  # each run's other outcome is subtracted, and their mean added again
         other_values = claim_runs.values(constant, a[0])
         constant = float(other_values.mean())
-        arms_a[a[0]] = arms_a[a[0]] - other_values + constant
-    contrast = compare(claim.kind, arms_a, arms_b, 1 - alpha, constant)
+        groups_a[a[0]] = groups_a[a[0]] - other_values + constant
+    contrast = compare(claim.kind, groups_a, groups_b, 1 - alpha, constant)
     none_learned = _have_none_learned(claim_runs, outcome, conditions)
 
     def verdict_by(margin: float | None) -> tuple[str, str]:
-        reason = _why_untestable(claim_runs, outcome, arms, margin)
+        reason = _why_untestable(claim_runs, outcome, groups, margin)
         if reason:
             return UNTESTABLE, reason
-        return decide(contrast.simultaneous, claim.claimed(outcome), margin, not none_learned), ""
+        return decide(contrast.simultaneous, claim.direction_of(outcome), margin, not none_learned), ""
 
     verdict, reason = verdict_by(margin)
     registered_verdict, _ = verdict_by(registered_margin)
@@ -269,27 +270,27 @@ def _judge_contrast(claim_runs: ClaimRuns, outcome: str, pair: Pair, alpha: floa
 
 
 def _why_untestable(
-    claim_runs: ClaimRuns, outcome: str, arms: Mapping[str, np.ndarray], margin: float | None
+    claim_runs: ClaimRuns, outcome: str, groups: Mapping[str, np.ndarray], margin: float | None
 ) -> str:
-    """Return why arms of finished runs decide nothing; empty if they can be compared.
+    """Return why finished runs of conditions decide nothing; empty if they can be compared.
 
-    They cannot if every run of all arms is at the outcome's least or greatest value: within the margin, or
-    without one within the outcome's own tolerance. Of an incidence the arms' shares of runs count.
+    They cannot if every run of all conditions is at the outcome's least or greatest value: within the margin,
+    or without one within the outcome's own tolerance. Of an incidence the shares of runs count.
     """
     declared = find_outcome(outcome)
-    for condition in arms:
+    for condition in groups:
         if declared.requires_learning and claim_runs.learned[condition] is False:
             random_player = "is not shown to play better than the random player"
             return f"the agents learned nothing there: {condition} {random_player}"
-    if len(arms) < 2 or claim_runs.claim.kind == "hazard":
+    if len(groups) < 2 or claim_runs.claim.kind == "hazard":
         return ""
-    all_values = np.concatenate(list(arms.values()))
+    all_values = np.concatenate(list(groups.values()))
     bounds, tolerance = declared.bounds, margin or declared.alike
     if claim_runs.claim.is_incidence:
-        all_values = np.array(list(map(np.mean, arms.values())))
+        all_values = np.array(list(map(np.mean, groups.values())))
         bounds, tolerance = (0.0, 1.0), RARE
     ends = {"floor": bounds[0], "ceiling": bounds[1]}
-    if _is_of_play(claim_runs.claim, outcome) and None not in map(claim_runs.learned.get, arms):
+    if _is_of_play(claim_runs.claim, outcome) and None not in map(claim_runs.learned.get, groups):
         del ends["floor"]  # the comparison with the random player decides it
     for end_name, bound in ends.items():
         if np.isfinite(bound) and (np.abs(all_values - bound) <= tolerance).all():
@@ -298,14 +299,14 @@ def _why_untestable(
 
 
 def _have_none_learned(claim_runs: ClaimRuns, outcome: str, conditions: Sequence[str]) -> bool:
-    """Return whether play is compared of arms of which none is shown to play better than the random player.
+    """Return whether play is compared, and no condition is shown to play better than the random player.
 
-    Such arms may be alike because nothing was learned, so that only a difference between them counts.
+    They may then be alike because nothing was learned, so that only a difference between them counts.
     """
     claim = claim_runs.claim
     if claim.kind == "hazard" or len(conditions) < 2:
         return False
-    needs_play = _is_of_play(claim, outcome) or claim.claimed(outcome) in ("equal", "no-less")
+    needs_play = _is_of_play(claim, outcome) or claim.direction_of(outcome) in ("equal", "no-less")
     return needs_play and set(map(claim_runs.learned.get, conditions)) == {False}
 
 
@@ -343,23 +344,12 @@ def decide(interval: Interval, claimed: str, margin: float | None, alike_counts:
     return INCONCLUSIVE
 
 
-def all_of(verdicts: Iterable[str]) -> str:
-    """Return the verdict where all must be as claimed: one that is refuted refutes."""
-    return min(verdicts, key=DECIDING_FIRST.index)
+def combine(verdicts: Sequence[str], need: str) -> str:
+    """Return the verdict on several outcomes, or contrasts of one, of which all or one must be as claimed.
 
-
-def combine(verdicts: Sequence[str], need: str = "one") -> str:
-    """Return the verdict on a claim, given those on its outcomes.
-
-    If it needs one, one outcome that is as claimed supports it unless another is not, which makes it mixed;
-    and in the opposite case it is refuted. An outcome that cannot be tested then decides nothing. A verdict
-    is false only if that on one of the outcomes is.
+    If one is needed, it supports the claim unless another is refuted, which makes the verdict mixed. What
+    cannot be tested then decides nothing. A verdict is false only if that on one of the outcomes is.
     """
-    if need == "all":
-        return all_of(verdicts)
-    if SUPPORTED in verdicts and REFUTED in verdicts:
+    if need == "one" and SUPPORTED in verdicts and REFUTED in verdicts:
         return MIXED
-    for decisive in (SUPPORTED, REFUTED, INCONCLUSIVE, DESCRIBED):
-        if decisive in verdicts:
-            return decisive
-    return UNTESTABLE
+    return min(verdicts, key=DECIDING_ORDER[need].index)
