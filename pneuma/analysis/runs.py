@@ -172,10 +172,8 @@ def runs_of_plan(index: RunIndex, plan: Plan) -> StudyData:
     is_missing = runs["run_id"].isna()
     if is_missing.any():
         older_runs = _runs_of_older_versions(index, stored_runs, runs[is_missing], plan.configurations)
-        runs = pd.concat([runs[~is_missing], older_runs], ignore_index=True)
-        cell_order = cell_frame.reset_index(names="place")[["condition", "seed", "place"]]
-        runs = runs.merge(cell_order, on=["condition", "seed"]).sort_values("place", ignore_index=True)
-        runs = runs.drop(columns="place").astype({"end": int})
+        runs = pd.concat([runs[~is_missing], older_runs]).astype({"end": int})
+        runs = cell_frame[["condition", "seed"]].merge(runs, on=["condition", "seed"])
     return StudyData(plan.study, _fields_by_condition(plan.configurations), runs, plan.configurations, plan)
 
 

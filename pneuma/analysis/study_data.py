@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from pneuma.config import Run
 from pneuma.env.fields import are_own_characters, is_own_level
-from pneuma.errors import Hint, Message, UserError, counted, unknown_name
+from pneuma.errors import Hint, Message, counted, unknown_name
 from pneuma.presets import WORLDS
 from pneuma.seeds import format_seeds
 from pneuma.store.quantities import WINDOWS
@@ -52,13 +52,15 @@ class StudyCall(Hint):
         arguments = [repr(self.value)]
         if self.plan is not None:
             query, study = self.plan.query, self.plan.study
-            keyword_arguments: dict[str, Any] = {
+            keyword_arguments = {
                 "preset": self.plan.preset,
                 "world": study.world,
                 "settings": dict(study.settings),
+                "conditions": query.conditions,
+                "seeds": query.seeds,
+                "steps": query.steps,
             }
-            keyword_arguments |= {"conditions": query.conditions, "seeds": query.seeds, "steps": query.steps}
-            arguments += [f"{argument}={value!r}" for argument, value in keyword_arguments.items() if value]
+            arguments += [f"{name}={value!r}" for name, value in keyword_arguments.items() if value]
         return f"{self.field}({', '.join(arguments)})"
 
 
@@ -300,9 +302,8 @@ class StudyData:
             configurations=with_new_keys(self.configurations),
         )
 
-    def of_conditions(self, conditions: str | Sequence[str]) -> StudyData:
-        """Return the study with one or some of its conditions."""
-        selected = [conditions] if isinstance(conditions, str) else conditions
+    def of_conditions(self, selected: Sequence[str]) -> StudyData:
+        """Return the study with some of its conditions."""
         for condition in selected:
             if condition not in self.fields:
                 raise unknown_name(f"condition of study {self.study.name}", condition, self.fields)
@@ -316,8 +317,7 @@ class StudyData:
         )
 
     def engines(self, condition: str) -> set[str]:
-        engines = {str(run.fields.get("engine") or "") for run in self.of_condition(condition)}
-        return engines - {""}
+        return {str(run.fields.get("engine") or "") for run in self.of_condition(condition)} - {""}
 
     @cached_property
     def averaged_over(self) -> int | None:
@@ -378,20 +378,11 @@ class StudyData:
         """Return a run's training curve on the study's grid, (points,); NaN where it has no value.
 
         Args:
-            run: a finished run; its curve is blank if it lacks the quantity.
+            run: a finished run; its curve is blank if it lacks the quantity, or has it in no such window.
             quantity: one of `quantities`.
             window: one of `windows`; default: the first. Quantities of updates have only one.
         """
-        window = self.checked_window(window)
-        if quantity in self.quantities and quantity not in run.quantities:
-            return np.full(self.grid.shape, np.nan)
-        if quantity not in self.quantities or window not in run.windows_of(quantity):
-            curve_names = ", ".join(self.quantities) or "none"
-            raise UserError(
-                f"study {self.study.name}: {self.what} holds no {quantity} in the window {window}; "
-                f"its curves are: {curve_names}"
-            )
-        curve_values = run.curve(quantity, window)
+        curve_values = run.curve(quantity, self.checked_window(window))
         if run.budget == self.budget:
             return curve_values
         return held_curve(run.grid, curve_values, self.grid, run.end)

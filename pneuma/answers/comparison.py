@@ -120,7 +120,7 @@ def _compare_studies(study_data: StudyData, other_data: StudyData, outcomes: Seq
 
 def _group(study_data: StudyData, condition: str) -> Group:
     """Return the runs of a condition, which must have finished ones."""
-    if not study_data.of_conditions(condition).of_condition(condition):
+    if not study_data.of_conditions([condition]).of_condition(condition):
         raise UserError(f"{condition}: none of its runs has finished ({study_data.label}); train them first")
     return Group(study_data, condition, condition)
 

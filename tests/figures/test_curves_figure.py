@@ -232,7 +232,7 @@ def test_columns_share_colours_and_a_label_is_written_once(
     other = HandMade(tmp_path / "other")
     for condition in ("relu", "tanh"):
         other.add(condition, 0)
-    both = find_curves({"One": study.data.of_conditions("tanh"), "Other": other.data})
+    both = find_curves({"One": study.data.of_conditions(["tanh"]), "Other": other.data})
     save_page(curves_page(both), tmp_path, ("svg",))
     axes = figures[0].axes
     colours = [{line.get_color() for line in panel.lines if line.get_marker() == "o"} for panel in axes]

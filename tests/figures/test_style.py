@@ -26,7 +26,7 @@ def test_colours_are_in_the_files_order_but_for_those_that_it_names(study: HandM
     assert colours() == {"tanh": "C0", "relu": "C1"}
     assert colours(relu="C0") == {"tanh": "C1", "relu": "C0"}
     assert colours(tanh="#123456") == {"tanh": "#123456", "relu": "C0"}
-    part = study.data.of_conditions("relu")
+    part = study.data.of_conditions(["relu"])
     assert len(part.runs) == 2 and looks_of([part])["relu"] == looks_of([study.data])["relu"]
 
 
