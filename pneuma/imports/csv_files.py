@@ -6,13 +6,13 @@ Nothing is guessed: what could be read in two ways is refused.
 from __future__ import annotations
 
 import io
+import json
 import math
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import pandas as pd
@@ -142,7 +142,6 @@ def _read_runs(path: Path, shared_folder: Path, file_text: str, columns: Columns
         runs["seed"] = _whole_numbers(path, table[columns.seed])
     elif columns.seed:
         runs["seed"] = _read_seed(columns.seed, list(table.columns))
-    missing_column = "" if columns.condition in table else columns.condition
     values_by_column = {column: _numbers(path, table[column]) for column in quantities}
     for _, run_rows in runs.groupby(["condition", "seed"], sort=False):
         condition, seed = str(run_rows["condition"].iloc[0]), int(run_rows["seed"].iloc[0])
@@ -156,7 +155,7 @@ def _read_runs(path: Path, shared_folder: Path, file_text: str, columns: Columns
                 notes.append(
                     f"{lost_rows} of {counted(len(rows), 'row')} have no finite {column} and are left out"
                 )
-            _refuse_two_runs(path, steps[finite.index], run_name, missing_column)
+            _refuse_two_runs(path, steps[finite.index], run_name)
             mean_tag, single_tag = QUANTITIES[quantity]
             are_means = quantity in EPISODE_QUANTITIES and columns.averaged_over != 1
             tag = mean_tag if are_means else single_tag
@@ -175,9 +174,6 @@ def _read_runs(path: Path, shared_folder: Path, file_text: str, columns: Columns
 
 def _read_cells(path: Path, file_text: str) -> pd.DataFrame:
     """Return the cells of a table as text, by the number of their row."""
-    header_line = file_text.partition("\n")[0]
-    if ";" in header_line and "," not in header_line:
-        raise UserError(f"{path}: has semicolons between its columns; write it with commas")
     try:
         cell_rows = pd.read_csv(io.StringIO(file_text), header=None, dtype=str, keep_default_na=False)
     except ValueError as error:
@@ -227,11 +223,6 @@ def _column_and_quantity(table: pd.DataFrame, column_option: str) -> tuple[str, 
     _find_column(table, "values", column)
     if quantity not in QUANTITIES:
         raise unknown_name(Message("quantity in ", Hint("values", column_option), ":"), quantity, QUANTITIES)
-    min_column, max_column = f"{column}__MIN", f"{column}__MAX"
-    if min_column in table and max_column in table and not table[min_column].equals(table[max_column]):
-        raise UserError(
-            Hint("values", column), f": holds means, as {min_column} shows; export all rows of single runs"
-        )
     return column, quantity
 
 
@@ -260,15 +251,13 @@ def _refuse_cells(path: Path, wrong_cells: pd.Series, allowed: str) -> None:
         raise UserError(f"{first_cell} must be {allowed}, without thousands separators")
 
 
-def _refuse_two_runs(path: Path, steps: pd.Series, run: str, missing_column: str) -> None:
+def _refuse_two_runs(path: Path, steps: pd.Series, run_name: str) -> None:
     backward = steps.index[steps.diff() <= 0]
     if len(backward):
-        again = f"{path}, row {backward[0]}: step {steps[backward[0]]:,} of {run} is not after the one before"
+        step = steps[backward[0]]
+        problem = f"{path}, row {backward[0]}: step {step:,} of {run_name} is not after the one before: "
         arguments = Hint("condition"), " and ", Hint("seed")
-        if missing_column:
-            reason = f"all rows have the condition {missing_column}, because no column is called so"
-            raise UserError(f"{again}: {reason}")
-        raise UserError(f"{again}: distinguish the runs with ", *arguments, ", or keep one row per step")
+        raise UserError(f"{problem}distinguish the runs with ", *arguments, ", or keep one row per step")
 
 
 # --- Monitors of Stable-Baselines3 ------------------------------------------------------------------
@@ -277,48 +266,42 @@ def _refuse_two_runs(path: Path, steps: pd.Series, run: str, missing_column: str
 def _read_monitors(monitors: Mapping[Path, str], shared_folder: Path, columns: Columns) -> Log:
     """Return the run of one monitor, or of those of its environments, whose rows are ordered by their clock.
 
-    The clock begins again where a monitor was appended to after a restart: one has the order of its rows, and
-    several are refused.
+    The clock begins again where a monitor was appended to after a restart. A single monitor keeps the order
+    of its rows; several are refused.
     """
-    first_path = next(iter(monitors))
-    episodes = _load_monitors(monitors)
+    episode_tables = []
+    for path, file_text in monitors.items():
+        episodes = _read_episodes(path, file_text)
+        if len(monitors) > 1 and not episodes["t"].is_monotonic_increasing:
+            raise UserError(
+                f"{path}: its clock restarts, so it cannot join other monitor files; import it alone"
+            )
+        episode_tables.append(episodes)
+    episodes = pd.concat(episode_tables, ignore_index=True)
     if len(monitors) > 1:
-        for path, file_text in monitors.items():
-            if not _load_monitors({path: file_text})["t"].is_monotonic_increasing:
-                raise UserError(
-                    f"{path}: its clock restarts, so it cannot join other monitor files; import it alone"
-                )
         episodes = episodes.sort_values("t", kind="stable")
-    is_sound = episodes["l"].between(1, 2**53) & episodes[["r", "t"]].map(math.isfinite).all(axis="columns")
-    if not is_sound.all():
-        raise UserError(f"{first_path}: a row lacks its return r, length l or time t; remove it")
-    condition, seed = condition_and_seed(_name_parts(first_path, shared_folder))
-    if columns.seed:
-        seed = _read_seed(columns.seed)
     steps = episodes["l"].cumsum().astype("int64")
     points = []
     for quantity, column in (("return", "r"), ("length", "l")):
         points.append(pd.DataFrame({"tag": TAGS[quantity][1], "step": steps, "value": episodes[column]}))
+    condition, seed = condition_and_seed(_name_parts(next(iter(monitors)), shared_folder))
+    if columns.seed:
+        seed = _read_seed(columns.seed)
     log_name = ", ".join(path.name for path in monitors)
     run_key = (columns.condition or condition, seed)
     return _make_log(log_name, run_key, points, monitors.values(), averaged_over=1, selection=["monitors"])
 
 
-def _load_monitors(monitors: Mapping[Path, str]) -> pd.DataFrame:
-    """Return the episodes in monitors, by Stable-Baselines3's own reader, in the order of each file's rows.
-
-    The reader sorts them by their clock; its column `index` has their order.
-    """
-    from stable_baselines3.common.monitor import load_results
-
+def _read_episodes(path: Path, file_text: str) -> pd.DataFrame:
+    """Return the episodes of a monitor: return r, length l, and end t in seconds since 1970."""
+    header, _, episodes_text = file_text.partition("\n")
     try:
-        with TemporaryDirectory() as folder:
-            for file_number, file_text in enumerate(monitors.values()):
-                (Path(folder) / f"{file_number}.{MONITOR}").write_text(file_text, encoding="utf-8")
-            episodes = load_results(folder).sort_values("index", kind="stable")
-        return episodes.astype(dict.fromkeys("rlt", float))
-    except Exception as error:  # whatever the reader raises of a file that is none
-        reason = str(error).partition("\n")[0] or type(error).__name__
-        raise UserError(
-            f"{next(iter(monitors))}: Stable-Baselines3 cannot read this monitor ({reason})"
-        ) from None
+        start_second = json.loads(header.removeprefix("#"))["t_start"]
+        episodes = pd.read_csv(io.StringIO(episodes_text))[list("rlt")].astype(float)
+    except Exception as error:  # of a file that is not a monitor it may be any
+        reason = str(error).partition("\n")[0]
+        raise UserError(f"{path}: is not a monitor of Stable-Baselines3 ({reason})") from None
+    is_sound = episodes["l"].between(1, 2**53) & episodes[["r", "t"]].map(math.isfinite).all(axis="columns")
+    if not is_sound.all():
+        raise UserError(f"{path}: a row lacks its return r, length l or time t; remove it")
+    return episodes.assign(t=episodes["t"] + start_second)

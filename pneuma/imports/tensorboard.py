@@ -53,9 +53,6 @@ def find_logs(folders: Sequence[Path]) -> dict[tuple[str, ...], list[Path]]:
         if not paths:
             raise UserError(f"{folder}: contains no TensorBoard event files (events.out.tfevents…)")
         for path in paths:
-            readable = os.fsencode(path).decode(errors="backslashreplace")
-            if readable != str(path):
-                raise UserError(f"{readable}: this name is not UTF-8; rename the file")
             folder_paths = paths_by_folder.setdefault(path.parent, [])
             if path not in folder_paths:  # folders may be given twice
                 folder_paths.append(path)
