@@ -48,7 +48,7 @@ def plan_(
     if detect is not None:
         study_data = None if sd else selection.open(name)
         answer = planned.seeds_to_detect(study_data, detect, outcome or "", sd)
-        return replace(answer_result(answer), numbers=None)
+        return answer_result(answer)
     if outcome or sd:
         raise UserError(f"{'--outcome' if outcome else '--sd'} requires --detect")
     planned_runs = _plan(selection, name, unpublished)
