@@ -234,11 +234,9 @@ class Row:
         return self._points(curve_column(quantity, windows[0]) if windows else "")
 
     def _points(self, column: str) -> np.ndarray:
-        if column in self._columns:
-            points = self.table[column][0].values
-            if len(points) == GRID_POINTS:
-                return points.to_numpy(zero_copy_only=False).astype(float)
-        return np.full(GRID_POINTS, np.nan)
+        if column not in self._columns:
+            return np.full(GRID_POINTS, np.nan)
+        return self.table[column][0].values.to_numpy(zero_copy_only=False).astype(float)
 
     def known_curve(self, quantity: str) -> Series:
         """Return the points of a curve that have a value; empty if there is no such curve."""

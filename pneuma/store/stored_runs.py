@@ -34,24 +34,16 @@ def find_run(store: Store, prefix: str) -> str:
 
 
 def run_files(store: Store, run_id: str) -> list[dict[str, Any]]:
-    """Return the files of a run's folder: sound, damaged, missing, or unlisted (without a checksum)."""
-    folder, checksums = store.run_folder(run_id), store.checksums(run_id)
-    bytes_by_file = {}
-    for file_path in folder.rglob("[!.]*"):
-        if file_path.is_file():
-            bytes_by_file[file_path.relative_to(folder).as_posix()] = file_path.stat().st_size
+    """Return the files that a run's status lists: sound, damaged or missing."""
+    folder = store.run_folder(run_id)
     file_rows = []
-    for file_name in dict.fromkeys(list(checksums) + sorted(bytes_by_file)):
-        state = "sound"
-        if file_name == "status.json":
-            continue
-        if file_name not in checksums:
-            state = "unlisted"
-        elif file_name not in bytes_by_file:
-            state = "missing"
-        elif read_sound(folder, file_name, checksums[file_name]) is None:
-            state = "damaged"
-        file_rows.append({"name": file_name, "bytes": bytes_by_file.get(file_name, 0), "state": state})
+    for file_name, expected_checksum in store.checksums(run_id).items():
+        file_size, state = 0, "missing"
+        if (folder / file_name).is_file():
+            file_size = (folder / file_name).stat().st_size
+            is_sound = read_sound(folder, file_name, expected_checksum) is not None
+            state = "sound" if is_sound else "damaged"
+        file_rows.append({"name": file_name, "bytes": file_size, "state": state})
     return file_rows
 
 
