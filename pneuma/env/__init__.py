@@ -2,7 +2,7 @@
 
 `rules.py` holds the compiled rules, `layouts.py` and `observe.py` what a player perceives and `reward.py`
 what it is paid; `kernel.py` calls them, `worlds.py` owns the state, `slots.py` has the players one by one.
-`gym.py`, `gym_vector.py`, `pettingzoo.py` and `sb3.py` are the faces that other libraries know.
+`gym.py`, `gym_vector.py`, `pettingzoo.py` and `sb3.py` are interfaces of other libraries, on `interface.py`.
 """
 
 from pneuma.env.fields import ENVIRONMENTS
@@ -12,7 +12,7 @@ def register_environments() -> None:
     """Register all environments with Gymnasium, with vector environments for Pneuma's worlds.
 
     Worlds end their episodes themselves, by `episode_steps`: none has a limit of Gymnasium's beside it
-    (`pneuma.env.slots.WithSpec`).
+    (`pneuma.env.interface.Interface`).
     """
     import gymnasium  # which takes long, and registers them when it is imported
 

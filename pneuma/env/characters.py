@@ -26,9 +26,7 @@ TICKS_PER_STEP = 8
 """Godot RL Agents repeats every action for this many ticks."""
 
 DATA = Path(__file__).parent / "data"
-DIRECTIONS = {"down": (0, 1), "left": (-1, 0), "up": (0, -1), "right": (1, 0)}
-"""Where one who faces that way looks, on x and y."""
-FACINGS = tuple(DIRECTIONS)
+FACINGS = ("down", "left", "up", "right")
 """Names of `rules.DOWN`, `LEFT`, `UP` and `RIGHT`."""
 
 _Points = Annotated[float, Field(ge=0, le=1e6)]
@@ -38,7 +36,6 @@ _Seconds = Annotated[float, Field(ge=0, le=60)]
 _Duration = Annotated[float, Field(ge=1 / TICKS_PER_SECOND, le=60)]
 _Side = Annotated[float, Field(ge=1, le=4096), Rounded]
 _Offset = Annotated[float, Field(ge=-4096, le=4096), Rounded]
-_Ahead = Annotated[float, Field(ge=0, le=4096)]
 _Box = Annotated[tuple[_Side, ...], Field(min_length=2, max_length=2)]
 _Place = Annotated[tuple[_Offset, ...], Field(min_length=2, max_length=2)]
 
@@ -70,23 +67,12 @@ class Player(_Body):
 
 
 class Reach(Table):
-    """For each facing, a place relative to the player, or a distance straight ahead."""
+    """For each facing, a place relative to the player."""
 
-    down: _Place | _Ahead
-    left: _Place | _Ahead
-    up: _Place | _Ahead
-    right: _Place | _Ahead
-
-    def places(self) -> list[tuple[float, ...]]:
-        """Return x and y relative to the player, by facing."""
-        positions = []
-        for facing, (x, y) in DIRECTIONS.items():
-            reach = getattr(self, facing)
-            if isinstance(reach, tuple):
-                positions.append(reach)
-            else:
-                positions.append((reach * x, reach * y))
-        return positions
+    down: _Place
+    left: _Place
+    up: _Place
+    right: _Place
 
 
 class Weapon(Table):
@@ -165,27 +151,27 @@ class Characters(Table):
 
 
 def load_characters(characters_name: str = "") -> Characters:
-    """Read the shipped characters, of which a file overrides some.
+    """Read the shipped characters, and a file that overrides some of them.
 
     It is a user's own, by its path, or a shipped variant, by its name; empty for none.
     """
     characters_file = read_toml(DATA / "characters.toml")
-    overriding = character_files(characters_name)
+    override_files = character_files(characters_name)
     if characters_name in SHIPPED_CHARACTERS:
-        overriding = [DATA / f"{characters_name}.toml"]
-    for path in overriding:
+        override_files = [DATA / f"{characters_name}.toml"]
+    for path in override_files:
         override = read_toml(path)
         characters_file = TomlFile(path, override.text, _overridden(characters_file.data, override.data))
     return read_model(Characters, characters_file)
 
 
-def _overridden(shipped: Any, override: Any, depth: int = 2) -> Any:
+def _overridden(shipped: Any, override: Any) -> Any:
     """Return tables in which a file's keys replace those of the shipped ones, key by key."""
-    if depth < 0 or not isinstance(override, dict) or not isinstance(shipped, dict):
+    if not isinstance(override, dict) or not isinstance(shipped, dict):
         return override
     joined_tables = dict(shipped)
     for key, override_value in override.items():
-        joined_tables[key] = _overridden(shipped.get(key, {}), override_value, depth - 1)
+        joined_tables[key] = _overridden(shipped.get(key, {}), override_value)
     return joined_tables
 
 
@@ -206,7 +192,7 @@ def monster_codes(characters: Characters) -> dict[int, str]:
     return {monster.code: monster_name for monster_name, monster in characters.monsters.items()}
 
 
-def player_stats(characters: Characters, classes: Sequence[str]) -> np.ndarray:
+def make_player_stats(characters: Characters, classes: Sequence[str]) -> np.ndarray:
     """Return the stats of each player, (P,) `state.PLAYER_STATS`."""
     stats = np.zeros(len(classes), state.PLAYER_STATS)
     for stats_row, class_name in zip(stats, classes, strict=True):
@@ -217,7 +203,7 @@ def player_stats(characters: Characters, classes: Sequence[str]) -> np.ndarray:
     return stats
 
 
-def monster_stats(
+def make_monster_stats(
     characters: Characters, levels: Sequence[Level], players: np.ndarray, magic: bool
 ) -> np.ndarray:
     """Return the stats of each monster of each level, (L, M) `state.MONSTER_STATS`."""
@@ -233,7 +219,7 @@ def monster_stats(
     return np.array(rows_by_level, state.MONSTER_STATS)
 
 
-def fastest(players: np.ndarray, monsters: np.ndarray) -> float:
+def greatest_speed(players: np.ndarray, monsters: np.ndarray) -> float:
     """Return the greatest speed of any body, in pixels per tick."""
     speeds = players["speed"], players["sword"]["knock_speed"], monsters["speed"], monsters["knock_speed"]
     return float(max(speed.max(initial=0.0) for speed in speeds))
@@ -265,19 +251,26 @@ def _fill_player(stats: Any, player: Player, weapon: Weapon, spells: Spells) -> 
     stats["heal"] = spells.heal.strength
     stats["heal_reach"] = spells.heal.reach
     sword = stats["sword"]
-    _fill_strike(sword, weapon.box, weapon.reach, weapon.damage + player.attack)
-    sword["hilt_x"], sword["hilt_y"] = np.transpose((weapon.hilt or weapon.reach).places())
+    _fill_strike(sword, weapon.box, weapon.damage + player.attack)
+    sword["x"], sword["y"] = _by_facing(weapon.reach)
+    sword["hilt_x"], sword["hilt_y"] = _by_facing(weapon.hilt or weapon.reach)
     sword["knock_speed"] = weapon.knock_back / TICKS_PER_SECOND
     sword["knock_ticks"] = _ticks(weapon.knock_back_time)
-    flame_box = (spells.flame.length, spells.flame.width)
-    flame_reach = Reach(**dict.fromkeys(FACINGS, spells.flame.length / 2))
-    _fill_strike(stats["flame"], flame_box, flame_reach, spells.flame.strength + player.magic)
-    stats["flame"]["knock_ticks"] = -1
+    flame = stats["flame"]
+    ahead = spells.flame.length / 2
+    _fill_strike(flame, (spells.flame.length, spells.flame.width), spells.flame.strength + player.magic)
+    flame["x"] = [0, -ahead, 0, ahead]
+    flame["y"] = [ahead, 0, -ahead, 0]
+    flame["knock_ticks"] = -1
 
 
-def _fill_strike(strike: Any, box: tuple[float, ...], reach: Reach, damage: float) -> None:
+def _by_facing(reach: Reach) -> np.ndarray:
+    """Return x and y relative to the player, by facing, (2, 4)."""
+    return np.transpose([getattr(reach, facing) for facing in FACINGS])
+
+
+def _fill_strike(strike: Any, box: tuple[float, ...], damage: float) -> None:
     ahead, aside = box[0] / 2, box[1] / 2  # its sides are those of facing left or right
-    strike["x"], strike["y"] = np.transpose(reach.places())
     strike["half_width"] = [aside, ahead, aside, ahead]
     strike["half_height"] = [ahead, aside, ahead, aside]
     strike["damage"] = damage

@@ -1,4 +1,4 @@
-"""Gymnasium's face of one world; of N worlds: `gym_vector.py`."""
+"""Gymnasium's interface to one world; to N worlds: `gym_vector.py`."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ import gymnasium
 import numpy as np
 from gymnasium.error import ResetNeeded
 
-from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.slots import ending_info, read_options, read_starts
-from pneuma.env.watch import Face, keys_to_action
-from pneuma.env.worlds import Worlds
+from pneuma.env.fields import ENVIRONMENTS
+from pneuma.env.interface import Interface, read_options
+from pneuma.env.watch import keys_to_action
 from pneuma.errors import UserError
 
 
-class PneumaEnv(Face, gymnasium.Env[np.ndarray, np.int64]):
+class PneumaEnv(Interface, gymnasium.Env[np.ndarray, np.int64]):
     """PneumaRL: one player against the monsters of a level.
 
     A top-down island of snow, field and desert (thesis chapter 5). Monsters notice a player within 300
@@ -141,14 +140,14 @@ class PneumaEnv(Face, gymnasium.Env[np.ndarray, np.int64]):
         camera: str = "map",
         **settings: object,
     ) -> None:
-        env_config = make_env_config(settings, env_id)
-        if env_config.players != 1:
+        if settings.get("players", 1) != 1:
             alternative = "make the vector environment, or pneuma.env.pettingzoo.parallel_env"
-            raise UserError(f"players = {env_config.players}: this environment has one player; {alternative}")
-        self.state = Worlds(1, env_config)
-        self.observation_space = self.state.space
-        self.action_space = self.state.action_space
-        self._set_up(self.state, env_id, render_mode, camera)
+            raise UserError(
+                f"players = {settings['players']}: this environment has one player; {alternative}"
+            )
+        self._set_up(1, env_id, render_mode, camera, settings)
+        self.observation_space = self.worlds.space
+        self.action_space = self.worlds.action_space
         self._actions = np.zeros((1, 1), np.int64)
         self._is_playing = False
 
@@ -156,34 +155,33 @@ class PneumaEnv(Face, gymnasium.Env[np.ndarray, np.int64]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start an episode; see `gymnasium.Env.reset`. The same seed starts the same world."""
-        starts = read_starts(self.state, read_options(options, "start").get("start"))
+        own_options = read_options(options, "start")
         super().reset(seed=seed)
-        self.state.seed([seed])
+        self._begin([seed], own_options.get("start"))
         self._is_playing = True
-        self.state.reset(starts=starts)
         return self._observation_and_info()
 
     def _observation_and_info(self) -> tuple[np.ndarray, dict[str, Any]]:
-        return self.state.observations[0, 0].copy(), {"action_mask": self.state.masks[0, 0].copy()}
+        return self.worlds.observations[0, 0].copy(), {"action_mask": self.worlds.masks[0, 0].copy()}
 
     def step(self, action: np.int64) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Play one action; see `gymnasium.Env.step`."""
         action_index = operator.index(action)
-        if not 0 <= action_index < self.state.action_space.n:
+        if not 0 <= action_index < self.worlds.action_space.n:
             raise ValueError(f"action {action!r} is outside {self.action_space}")
         if not self._is_playing:
             raise ResetNeeded("no episode is under way: call reset first")
         self._actions[0, 0] = action_index
-        has_ended = self.state.advance(self._actions) > 0
+        has_ended = self.worlds.advance(self._actions) > 0
         self._is_playing = not has_ended
         observation, info = self._observation_and_info()
         truncated = False
         if has_ended:
-            info |= ending_info(self.state)
-            truncated = bool(self.state.truncated[0])
-        reward = self.state.events["reward"].item()
+            info |= self.slots.ending_info()
+            truncated = bool(self.worlds.truncated[0])
+        reward = self.worlds.events["reward"].item()
         return observation, reward, has_ended and not truncated, truncated, info
 
     def get_keys_to_action(self) -> dict[tuple[int, ...], int]:
         """Return the keys that `gymnasium.utils.play.play` asks for; see `pneuma.env.watch.KEYS`."""
-        return keys_to_action(self.state.action_names)
+        return keys_to_action(self.worlds.action_names)

@@ -1,4 +1,4 @@
-"""Gymnasium's face of N worlds as one environment.
+"""Gymnasium's interface to N worlds as one environment.
 
 It gives the same bits as `gym.py` for the same seeds and actions. A slot of several players' worlds is as in
 `Slots`.
@@ -14,12 +14,11 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.slots import ending_info, make_slots, read_options, read_starts, world_seeds
-from pneuma.env.watch import Face
+from pneuma.env.fields import ENVIRONMENTS
+from pneuma.env.interface import Interface, read_options, world_seeds
 
 
-class PneumaVectorEnv(Face, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+class PneumaVectorEnv(Interface, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """N worlds as one environment; see `pneuma.env.gym.PneumaEnv` for each.
 
     World i of a batch reset with seed s is the single world reset with seed s + i, bit for bit. With several
@@ -48,15 +47,14 @@ class PneumaVectorEnv(Face, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     ) -> None:
         if max_episode_steps is not None:
             settings = {"episode_steps": max_episode_steps, **settings}
-        self.slots = make_slots(num_envs, make_env_config(settings, env_id))
-        self.state, self.num_envs = self.slots.worlds, num_envs
+        self._set_up(num_envs, env_id, render_mode, camera, settings)
+        self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
-        self._set_up(self.state, env_id, render_mode, camera)
-        self.single_observation_space = self.state.slot_space
-        self.single_action_space = self.state.action_space
+        self.single_observation_space = self.worlds.slot_space
+        self.single_action_space = self.worlds.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.state.action_space, num_envs)
+        self.action_space = batch_space(self.worlds.action_space, num_envs)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -70,23 +68,16 @@ class PneumaVectorEnv(Face, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             ResetNeeded: when the first reset leaves out some worlds.
         """
         own_options = read_options(options, "start", "reset_mask")
-        starts = read_starts(self.state, own_options.get("start"))
-        seeds = world_seeds(seed, len(self.state))
-        mask = self._reset_mask(own_options.get("reset_mask"))
+        slot_mask = np.broadcast_to(own_options.get("reset_mask", True), self.num_envs)
+        mask = np.asarray(slot_mask.reshape(len(self.worlds), -1).any(axis=1))
         if not self.slots.begun and not mask.all():
             raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
+        seeds = world_seeds(seed, len(self.worlds))
         super().reset(seed=seeds[0])
-        self.state.seed(seeds, mask)
-        self.slots.begun = True
-        self.state.reset(mask, starts)
+        for world in np.flatnonzero(~mask):
+            seeds[world] = None
+        self._begin(seeds, own_options.get("start"), mask)
         return self.slots.observations, self._infos()
-
-    def _reset_mask(self, mask: object) -> np.ndarray:
-        if mask is None:
-            return np.ones(len(self.state), np.bool_)
-        if not (isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == (self.num_envs,)):
-            raise TypeError(f"reset_mask must be an array of {self.num_envs} booleans, not {mask!r}")
-        return np.asarray(mask.reshape(len(self.state), -1).any(axis=1))
 
     def step(
         self, actions: np.ndarray
@@ -101,7 +92,7 @@ class PneumaVectorEnv(Face, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             waiting = slots.world_over
         rewards = slots.rewards.copy()
         if waiting.any():  # in NEXT_STEP this step resets what the last one ended
-            self.state.reset(waiting)
+            self.worlds.reset(waiting)
         infos = self._infos() | infos
         return slots.observations, rewards, slots.terminated, slots.truncated, infos
 
@@ -116,11 +107,11 @@ class PneumaVectorEnv(Face, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     def _final_infos(self, ended: np.ndarray) -> dict[str, Any]:
         """Return the infos of the slots that ended, in Gymnasium's form for this autoreset mode."""
-        observations = self.state.observations.reshape(self.num_envs, -1)
-        masks = self.state.masks.reshape(self.num_envs, -1)
+        observations = self.worlds.observations.reshape(self.num_envs, -1)
+        masks = self.worlds.masks.reshape(self.num_envs, -1)
         infos: dict[str, Any] = {}
         for slot_index in np.flatnonzero(ended).tolist():
-            slot_info = ending_info(self.state, slot_index)
+            slot_info = self.slots.ending_info(slot_index)
             if self.autoreset_mode == AutoresetMode.SAME_STEP:
                 slot_info["action_mask"] = masks[slot_index].copy()
                 slot_info = {"final_obs": observations[slot_index].copy(), "final_info": slot_info}

@@ -1,7 +1,8 @@
-"""The face for PettingZoo: one world with several players, each with its own class, reward and view."""
+"""PettingZoo's interface: one world with several players, each with its own class, reward and view."""
 
 from __future__ import annotations
 
+import operator
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,11 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from pettingzoo import ParallelEnv
 
-from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.slots import ending_info, make_slots, read_options, read_starts
-from pneuma.env.watch import Face
+from pneuma.env.fields import ENVIRONMENTS
+from pneuma.env.interface import Interface, read_options
 
 
-class PneumaParallelEnv(Face, ParallelEnv[str, np.ndarray, np.int64]):
+class PneumaParallelEnv(Interface, ParallelEnv[str, np.ndarray, np.int64]):
     """One world of 1 to 8 players, named `player_0` and so on; see `PneumaEnv` for the world.
 
     A player leaves `agents` when it dies. The episode ends for all when no player is alive, at the time
@@ -35,13 +35,11 @@ class PneumaParallelEnv(Face, ParallelEnv[str, np.ndarray, np.int64]):
         camera: str = "map",
         **settings: object,
     ) -> None:
-        self.slots = make_slots(players, make_env_config({"players": players, **settings}, env_id))
-        self.worlds = self.slots.worlds
+        self._set_up(players, env_id, render_mode, camera, {"players": players, **settings})
         self.possible_agents = [f"player_{player_index}" for player_index in range(players)]
         self.agents: list[str] = []
         self._actions = np.zeros(players, np.int64)
         self._action_spaces = [spaces.Discrete(int(self.worlds.action_space.n)) for _ in range(players)]
-        self._set_up(self.worlds, env_id, render_mode, camera)
 
     def observation_space(self, agent: str) -> spaces.Box:
         return self.worlds.spaces[self.possible_agents.index(agent)]
@@ -59,10 +57,7 @@ class PneumaParallelEnv(Face, ParallelEnv[str, np.ndarray, np.int64]):
         """
         own_options = dict(options or {})
         own_options.pop("options", None)  # which PettingZoo's checker passes to every environment
-        starts = read_starts(self.worlds, read_options(own_options, "start").get("start"))
-        self.worlds.seed([seed])
-        self.worlds.reset(starts=starts)
-        self.slots.begun = True
+        self._begin([seed], read_options(own_options, "start").get("start"))
         self.agents = list(self.possible_agents)
         return self._observations_and_infos()
 
@@ -70,18 +65,16 @@ class PneumaParallelEnv(Face, ParallelEnv[str, np.ndarray, np.int64]):
         """Play one action of each living player; return five dictionaries by player, as PettingZoo does.
 
         Raises:
-            ValueError: for an invalid action, or when a living player has no action.
+            KeyError: when a living player has no action.
+            TypeError: for an action that is not a whole number.
+            ValueError: for one that is not in the action space.
             ResetNeeded: before the first reset and after the end of an episode.
         """
         if not self.agents:
             raise ResetNeeded("no episode is under way: call reset first")
         for player_index, agent in enumerate(self.possible_agents):
             if agent in self.agents:
-                action: Any = actions.get(agent)
-                if not self._action_spaces[player_index].contains(action):
-                    problem = f"action {action!r} of {agent}, who is alive,"
-                    raise ValueError(f"{problem} is outside {self._action_spaces[player_index]}")
-                self._actions[player_index] = action
+                self._actions[player_index] = operator.index(actions[agent])
         has_ended = self.slots.step(self._actions)
         observations, infos = self._observations_and_infos()
         rewards, terminations, truncations = {}, {}, {}
@@ -91,7 +84,7 @@ class PneumaParallelEnv(Face, ParallelEnv[str, np.ndarray, np.int64]):
             terminations[agent] = self.slots.terminated[player_index].item()
             truncations[agent] = self.slots.truncated[player_index].item()
             if has_ended[player_index]:
-                infos[agent] |= ending_info(self.worlds, player_index)
+                infos[agent] |= self.slots.ending_info(player_index)
                 self.agents.remove(agent)
         return observations, rewards, terminations, truncations, infos
 

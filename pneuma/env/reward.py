@@ -31,11 +31,10 @@ RewardFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], Any]
 
 
 class OwnReward:
-    """A user's own reward, and the players that it pays."""
+    """A user's own reward."""
 
     def __init__(self, reward_name: str) -> None:
         self.name = reward_name
-        self.players: list[int] = []
         module_name, _, function_name = reward_name.partition(":")
         try:
             module = load_module(module_name)
@@ -54,14 +53,12 @@ class OwnReward:
             description = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
             raise OwnCodeError(f"reward {self.name!r}: {_raised_at(error)}{description}") from error
         if rewards.shape != events.shape:
-            raise self._refusal(f"returned shape {rewards.shape}, where {events.shape} was asked for")
+            raise self._refusal(f"returned shape {rewards.shape}, not {events.shape}")
         was_present = events["present"] > 0
         rewards = np.where(was_present, rewards, 0.0)
         if not np.isfinite(rewards).all():
-            problem = "returned a number that is not finite"
-            if np.isinf(events["distance"][was_present]).any():
-                problem += "; events['distance'] is infinite where no monster lives"
-            raise self._refusal(problem)
+            hint = "events['distance'] is infinite where no monster lives"
+            raise self._refusal(f"returned a number that is not finite; {hint}")
         return rewards
 
     def _refusal(self, problem: str) -> UserError:

@@ -10,9 +10,8 @@ import gymnasium
 import numpy as np
 from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
 
-from pneuma.env.fields import ENVIRONMENTS, make_env_config
-from pneuma.env.slots import ending_info, make_slots, read_options, read_starts, world_seeds
-from pneuma.env.watch import Face
+from pneuma.env.fields import ENVIRONMENTS
+from pneuma.env.interface import Interface, read_options, world_seeds
 
 
 class SlotsVecEnv(VecEnv):
@@ -45,7 +44,7 @@ class SlotsVecEnv(VecEnv):
         """Do nothing: there is nothing to close."""
 
 
-class PneumaVecEnv(Face, SlotsVecEnv):
+class PneumaVecEnv(Interface, SlotsVecEnv):
     """A vector environment of slots that resets ended worlds at once.
 
     Slot i is player i % players of world i // players. `infos` of a step that ends a slot's episode hold
@@ -73,13 +72,11 @@ class PneumaVecEnv(Face, SlotsVecEnv):
         camera: str = "map",
         **settings: object,
     ) -> None:
-        self.slots = make_slots(num_envs, make_env_config(settings, env_id))
-        self.state = self.slots.worlds
-        self.state.seed(world_seeds(seed, len(self.state)))
-        self._set_up(self.state, env_id, render_mode, camera)
+        self._set_up(num_envs, env_id, render_mode, camera, settings)
+        self.worlds.seed(world_seeds(seed, len(self.worlds)))
         self.spec = replace(gymnasium.spec(env_id), kwargs={"env_id": env_id, **settings})
-        VecEnv.__init__(self, num_envs, self.state.slot_space, self.state.action_space)
-        self.metadata = {**Face.metadata, **self.metadata}  # type: ignore[misc]
+        VecEnv.__init__(self, num_envs, self.worlds.slot_space, self.worlds.action_space)
+        self.metadata = {**Interface.metadata, **self.metadata}  # type: ignore[misc]
 
     def reset(self) -> np.ndarray:
         """Start an episode in each world, with the seeds and options set before.
@@ -89,30 +86,28 @@ class PneumaVecEnv(Face, SlotsVecEnv):
         """
         by_world = self._options[:: self.slots.players]
         starts = [read_options(options, "start").get("start") for options in by_world]
-        self.state.seed(world_seeds(self._seeds[0], len(self.state)))
+        self._begin(world_seeds(self._seeds[0], len(self.worlds)), starts)
         self._reset_seeds()
         self._reset_options()
-        self.state.reset(starts=read_starts(self.state, starts))
-        self.slots.begun = True
         return self.slots.observations
 
     def step_wait(self) -> VecEnvStepReturn:
         slots = self.slots
         dones = slots.step(self._actions)
-        observations = self.state.observations.reshape(self.num_envs, -1)
+        observations = self.worlds.observations.reshape(self.num_envs, -1)
         rewards = slots.rewards.astype(np.float32)  # a copy: the learner adds to it at time limits
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for slot_index in np.flatnonzero(dones).tolist():
-            slot_book = slots.book[slot_index]
+            episode = slots.episode_stats[slot_index]
             infos[slot_index] = {
-                **ending_info(self.state, slot_index),
+                **slots.ending_info(slot_index),
                 "terminal_observation": observations[slot_index].copy(),
                 "TimeLimit.truncated": bool(slots.truncated[slot_index]),
-                "episode": {"r": float(slot_book["returns"]), "l": int(slot_book["lengths"])},
+                "episode": {"r": float(episode["returns"]), "l": int(episode["lengths"])},
             }
         is_over = slots.world_over
         if is_over.any():
-            self.state.reset(is_over)
+            self.worlds.reset(is_over)
         return slots.observations, rewards, dones, infos
 
     def action_masks(self) -> np.ndarray:

@@ -1,9 +1,8 @@
-"""The players of N worlds as slots, as learners need them, and what every interface reports on episodes."""
+"""The players of N worlds as slots, as learners need them."""
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from pneuma.env import rules
 from pneuma.env.fields import EnvConfig
 from pneuma.env.state import LAYOUT_DIGEST, as_bytes
 from pneuma.env.worlds import ENDINGS, Worlds
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError
 
 
 class Slots:
@@ -51,20 +50,20 @@ class Slots:
         if not self.begun:
             raise ResetNeeded("no episode has begun: call reset first")
         self.worlds.step(actions)
-        ending = self.book["ending"]
+        ending = self.episode_stats["ending"]
         self.truncated = (ending == rules.TIME_LIMIT) & self._truncates
         self.terminated = (ending != rules.RUNNING) & ~self.truncated
         return self.terminated | self.truncated
 
     @property
-    def book(self) -> np.ndarray:
+    def episode_stats(self) -> np.ndarray:
         """What the rules count of episodes, (slots,) `state.SLOT`."""
         return self.worlds.slots.reshape(-1)
 
     @property
     def begins(self) -> np.ndarray:
         """Whether each slot's next step begins an episode: 1 or 0, (slots,)."""
-        return self.book["begins"]
+        return self.episode_stats["begins"]
 
     @property
     def world_over(self) -> np.ndarray:
@@ -81,7 +80,7 @@ class Slots:
         """A copy of all observations, (slots, features); zeros for idle slots."""
         observations = self.worlds.observations.reshape(self.count, -1).copy()
         if self.players > 1:
-            observations[self.book["idle"]] = 0.0
+            observations[self.episode_stats["idle"]] = 0.0
         return observations
 
     @property
@@ -89,8 +88,18 @@ class Slots:
         """A copy of all action masks, (slots, actions); idle slots may only attack."""
         masks = self.worlds.masks.reshape(self.count, -1).copy()
         if self.players > 1:
-            masks[self.book["idle"]] = np.arange(masks.shape[1]) == rules.ATTACK
+            masks[self.episode_stats["idle"]] = np.arange(masks.shape[1]) == rules.ATTACK
         return masks
+
+    def ending_info(self, slot_index: int = 0) -> dict[str, Any]:
+        """Describe how a slot's episode ended."""
+        player = self.worlds.players.reshape(-1)[slot_index]
+        return {
+            "ending": ENDINGS[self.episode_stats["ending"][slot_index]],
+            "kills": int(player["kills"]),
+            "xp": float(player["xp"]),
+            "hp": float(player["hp"]),
+        }
 
     def saved_state(self) -> dict[str, np.ndarray]:
         """Copy everything that the next step depends on, including episodes in progress: arrays by name.
@@ -107,10 +116,7 @@ class Slots:
         if saved["layout"].tobytes() != LAYOUT_DIGEST.encode():
             raise ValueError("the state of the worlds was laid out otherwise")
         for array_name in SAVED:
-            array = as_bytes(getattr(self.worlds, array_name))
-            if saved[array_name].shape != array.shape:
-                raise ValueError(f"{array_name} is of shape {saved[array_name].shape}, not {array.shape}")
-            array[:] = saved[array_name]
+            as_bytes(getattr(self.worlds, array_name))[:] = saved[array_name]
         self.worlds.observe()
         self.begun = True
 
@@ -125,50 +131,3 @@ def make_slots(count: int, config: EnvConfig) -> Slots:
         allowed = f"a multiple of the {config.players} players in a world"
         raise UserError(f"{count} slots are not allowed: {allowed}")
     return Slots(Worlds(count // config.players, config))
-
-
-def world_seeds(seed: int | Sequence[int | None] | None, world_count: int) -> list[int | None]:
-    """Return a seed for each of `world_count` worlds, None where its random stream goes on."""
-    if seed is None:
-        return [None] * world_count
-    if isinstance(seed, int | np.integer):
-        return list(range(int(seed), int(seed) + world_count))
-    if len(seed) != world_count:
-        raise ValueError(f"{len(seed)} seeds for {world_count} worlds")
-    return list(seed)
-
-
-def ending_info(worlds: Worlds, slot_index: int = 0) -> dict[str, Any]:
-    """Describe how a slot's episode ended."""
-    player = worlds.players.reshape(-1)[slot_index]
-    return {
-        "ending": ENDINGS[worlds.slots.reshape(-1)["ending"][slot_index]],
-        "kills": int(player["kills"]),
-        "xp": float(player["xp"]),
-        "hp": float(player["hp"]),
-    }
-
-
-def read_options(options: Mapping[str, Any] | None, *allowed: str) -> dict[str, Any]:
-    """Return the options of a reset, of which some are allowed."""
-    reset_options = dict(options or {})
-    for option_name in reset_options:
-        if option_name not in allowed:
-            raise unknown_name("option of reset", option_name, allowed)
-    return reset_options
-
-
-def read_starts(worlds: Worlds, start: Any) -> np.ndarray:
-    """Return the start places that `reset` is asked for, shape (N,).
-
-    `start` is the index of a start place, None for the default one, or one of these for each world.
-    """
-    starts = worlds.usual_starts.copy()
-    try:
-        for world, start_index in enumerate(np.broadcast_to(np.array(start, object), len(worlds))):
-            if start_index is not None:
-                starts[world] = operator.index(start_index)
-    except (TypeError, ValueError, OverflowError):
-        allowed = f"the index of a start place, or one for each of {len(worlds)} worlds"
-        raise ValueError(f"start = {start!r}: must be {allowed}") from None
-    return starts

@@ -1,4 +1,4 @@
-"""Showing a world: what all interfaces share, episodes in smooth motion, GIFs, and keys to play with.
+"""Showing a world: episodes in smooth motion, PNGs and GIFs, and keys to play with.
 
 Environments give one frame per step. Episodes show the 8 ticks of a step in two frames, so that motion is
 smooth.
@@ -7,19 +7,15 @@ smooth.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
 from io import BytesIO
 from itertools import combinations, pairwise
-from typing import Any, ClassVar
 
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from PIL import Image
 
 from pneuma.env.characters import TICKS_PER_SECOND, TICKS_PER_STEP
-from pneuma.env.render import CAMERAS, Renderer
+from pneuma.env.render import Renderer
 from pneuma.env.worlds import Worlds
-from pneuma.errors import UserError, unknown_name
 
 STEPS_PER_SECOND = TICKS_PER_SECOND / TICKS_PER_STEP
 
@@ -50,64 +46,6 @@ def keys_to_action(action_names: Sequence[str]) -> dict[tuple[int, ...], int]:
     for first_key, second_key in combinations(sorted(action_by_key), 2):
         actions[first_key, second_key] = max(action_by_key[first_key], action_by_key[second_key])
     return actions
-
-
-class Face:
-    """What all interfaces share: rendering, and a `spec` with the world's time limit.
-
-    Frames are drawn only when they are asked for. The environments are not registered with a limit, because
-    `gymnasium.make` would put it around the world whatever `episode_steps` is. `gymnasium.make(env.spec)`
-    does, with the world's own limit: a step that terminates at the limit is then truncated, too, as in all
-    environments of Gymnasium.
-    """
-
-    metadata: ClassVar[dict[str, Any]] = {
-        "name": "pneuma",
-        "render_modes": ["rgb_array"],
-        "render_fps": round(STEPS_PER_SECOND),
-        "is_parallelizable": True,
-    }
-    render_mode: str | None = None
-    _worlds: Worlds
-    _camera: str
-    _env_id: str
-    _renderer: Renderer | None = None
-    _spec: EnvSpec | None = None
-
-    def _set_up(self, worlds: Worlds, env_id: str, render_mode: str | None, camera: str) -> None:
-        if render_mode not in (None, "rgb_array"):
-            allowed = "rgb_array, or none; for a window there is gymnasium.wrappers.HumanRendering"
-            raise UserError(f"render_mode = {render_mode!r} is not allowed: {allowed}")
-        if camera not in CAMERAS:
-            raise unknown_name("camera", camera, CAMERAS)
-        self._worlds, self._env_id = worlds, env_id
-        self.render_mode, self._camera = render_mode, camera
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """How Gymnasium makes the environment."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        if spec is not None:
-            spec = replace(spec, max_episode_steps=self._worlds.config.episode_steps)
-        self._spec = spec
-
-    def render(self) -> Any:
-        """Return the frame of the first world, (height, width, 3) uint8, if there is a render mode."""
-        if self.render_mode is None:
-            return None
-        return self._frame(0, 0)
-
-    def get_images(self) -> tuple[np.ndarray, ...]:
-        """Return a frame for each slot, of its world with its player in view."""
-        return tuple(self._frame(*slot) for slot in np.ndindex(*self._worlds.players.shape))
-
-    def _frame(self, world_index: int, player_index: int) -> np.ndarray:
-        if self._renderer is None:
-            self._renderer = Renderer(self._worlds, self._camera, env_id=self._env_id)
-        return self._renderer.frame(world_index, player_index)
 
 
 # --- Episodes to watch ---------------------------------------------------------------------------

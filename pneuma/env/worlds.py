@@ -14,7 +14,16 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import seeding
 
-from pneuma.env import characters, fields, kernel, rules, state
+from pneuma.env import fields, kernel, rules, state
+from pneuma.env.characters import (
+    TICKS_PER_SECOND,
+    TICKS_PER_STEP,
+    greatest_speed,
+    load_characters,
+    make_monster_stats,
+    make_player_stats,
+    monster_codes,
+)
 from pneuma.env.fields import EnvConfig, make_env_config
 from pneuma.env.layouts import fill_scales, observation_space
 from pneuma.env.level import Level, refuse_stuck_bodies
@@ -36,28 +45,34 @@ class Worlds:
         observations: (N, P, features) float32, overwritten by every step.
         masks: (N, P, actions) int8, 0 if an action would do nothing in the next step; the dead count as
             alive.
-        slots, tallies, taken: the book of the episodes in progress: (N, P) `state.SLOT`, (N,) `TALLY`, and
+        slots, tallies, taken: statistics of the episodes in progress: (N, P) `state.SLOT`, (N,) `TALLY`, and
             how often each action was taken, (N, actions).
         levels: the levels played; one, unless random ones are drawn.
-        usual_starts: (N,) the default start places; negative ones are drawn at random.
+        default_starts: (N,) the default start places; negative ones are drawn at random.
         player_stats, monster_stats: (P,) and (L, M), the numbers that the rules read.
         handle: the argument of the compiled rules; see `state.make_handle`.
     """
 
     def __init__(self, count: int, config: EnvConfig | None = None) -> None:
-        config = self.config = make_env_config(vars(config or EnvConfig()))  # checked, however it was made
-        cast = characters.load_characters(config.characters)
-        self.player_stats = characters.player_stats(cast, _by_player(config.classes, config))
+        config = self.config = config or make_env_config({})
+        characters = load_characters(config.characters)
+        classes = np.broadcast_to(config.classes, config.players).tolist()
+        self.player_stats = make_player_stats(characters, classes)
         if config.attack_ticks:
             self.player_stats["swing"] = config.attack_ticks
         self.action_names: tuple[str, ...] = fields.ACTION_NAMES
         if config.magic:
             self.action_names += fields.SPELL_NAMES
-        self.levels = load_levels(config, characters.monster_codes(cast))
-        self._choose_rewards(_by_player(config.reward, config))
-        self.monster_stats = characters.monster_stats(cast, self.levels, self.player_stats, config.magic)
+        self.levels = load_levels(config, monster_codes(characters))
+        self.monster_stats = make_monster_stats(characters, self.levels, self.player_stats, config.magic)
         for level, level_stats in zip(self.levels, self.monster_stats, strict=True):
             refuse_stuck_bodies(level, self.player_stats, level_stats, config)
+        self._reward_names = np.broadcast_to(config.reward, config.players)
+        self.player_stats["reward"] = -1
+        for formula, reward_name in enumerate(fields.REWARDS):
+            self.player_stats["reward"][self._reward_names == reward_name] = formula
+        own_names = dict.fromkeys(filter(fields.is_own_reward, config.reward))
+        self._own_rewards = [OwnReward(reward_name) for reward_name in own_names]
         self.settings = self._settings(config)
         fill_scales(self)
         self.spaces = [observation_space(self, stats) for stats in self.player_stats]
@@ -65,19 +80,6 @@ class Worlds:
         self.action_space = spaces.Discrete(self._actions)
         self._allocate(count)
         self._try_rewards()
-
-    def _choose_rewards(self, rewards: tuple[str, ...]) -> None:
-        """Note the formula of each player, and a user's own functions with the players that they pay."""
-        own_rewards: dict[str, OwnReward] = {}
-        for player_index, reward in enumerate(rewards):
-            if reward in fields.REWARDS:
-                self.player_stats["reward"][player_index] = fields.REWARDS.index(reward)
-                continue
-            self.player_stats["reward"][player_index] = -1
-            if reward not in own_rewards:
-                own_rewards[reward] = OwnReward(reward)
-            own_rewards[reward].players.append(player_index)
-        self._own_rewards = list(own_rewards.values())
 
     def _allocate(self, count: int) -> None:
         """Make the arrays of all worlds, in which no episode has begun."""
@@ -124,10 +126,9 @@ class Worlds:
         self.slots["begins"] = 1.0
         self._no_actions = np.zeros((count, players), np.int64)  # which a reset does not read
         self._take_addresses()
-        self._all_worlds = np.ones(count, np.bool_)
-        self.usual_starts = np.zeros(count, np.int64)
+        self.default_starts = np.zeros(count, np.int64)
         if self.config.start == "random":
-            self.usual_starts[:] = -1
+            self.default_starts[:] = -1
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the addresses, as the arrays of a copy lie elsewhere."""
@@ -172,7 +173,7 @@ class Worlds:
         settings_row = settings[0]
         settings_row["corner"] = self.level.left, self.level.top
         settings_row["tile"] = self.level.tile
-        settings_row["ticks"] = characters.TICKS_PER_STEP
+        settings_row["ticks"] = TICKS_PER_STEP
         settings_row["episode_steps"] = config.episode_steps
         settings_row["end_on_clear"] = config.end_on_clear
         settings_row["ending_cost"] = config.ending_cost
@@ -188,10 +189,10 @@ class Worlds:
         settings_row["player_stops"] = stops
         if config.terrain_stops == "all":
             settings_row["monster_stops"] = stops
-        fastest = characters.fastest(self.player_stats, self.monster_stats.ravel())
-        settings_row["body_reach"] = 2 * (self._largest_body() + fastest * characters.TICKS_PER_STEP) + 1.0
+        fastest = greatest_speed(self.player_stats, self.monster_stats)
+        settings_row["body_reach"] = 2 * (self._largest_body() + fastest * TICKS_PER_STEP) + 1.0
         if fastest > self.level.tile:
-            speed = fastest * characters.TICKS_PER_SECOND
+            speed = fastest * TICKS_PER_SECOND
             raise UserError(f"a speed of {speed:g} px/s jumps over tiles of {self.level.tile:g} px")
         return settings
 
@@ -204,44 +205,33 @@ class Worlds:
                 largest = max(largest, float(reach.max(initial=0.0)))
         return largest
 
-    def seed(self, seeds: Sequence[int | None], mask: np.ndarray | None = None) -> None:
-        """Seed the random stream of all worlds, or of those in `mask`; with None it goes on.
+    def seed(self, seeds: Sequence[int | None]) -> None:
+        """Seed the random stream of each world; with None it goes on.
 
         Equal seeds make equal worlds; XP that outlives episodes starts again from 0.
         """
-        if mask is None:
-            mask = self._all_worlds
-        for world in np.flatnonzero(mask).tolist():
-            world_seed = seeds[world]
+        for world, world_seed in enumerate(seeds):
             if world_seed is not None:
                 generator, _ = seeding.np_random(operator.index(world_seed))
                 self.worlds["key"][world] = generator.integers(2**64, dtype=np.uint64)
                 self.worlds["draws"][world] = 0
                 self.players["xp"][world] = 0.0
 
-    def reset(self, mask: np.ndarray | None = None, starts: np.ndarray | None = None) -> None:
+    def reset(self, mask: np.ndarray | bool = True, starts: np.ndarray | None = None) -> None:
         """Start an episode in all worlds, or in those of `mask`, and observe all.
 
         Args:
-            mask: (N,) booleans.
+            mask: (N,) booleans; True for all.
             starts: (N,) indices of start places; below zero, drawn at random.
 
         Raises:
-            ValueError: for a mask or starts of a wrong shape or type, or an unknown start place.
+            ValueError: for arrays of a wrong shape, or an unknown start place.
         """
-        if mask is None:
-            mask = self._all_worlds
         if starts is None:
-            starts = self.usual_starts
-        mask = np.asarray(mask)
-        starts = np.asarray(starts)
-        if mask.shape != (len(self),) or mask.dtype != np.bool_:
-            raise ValueError(_wrong_array("mask", mask, f"booleans of shape {(len(self),)}"))
-        if starts.shape != (len(self),) or starts.dtype.kind not in "iu":
-            raise ValueError(_wrong_array("starts", starts, f"whole numbers of shape {(len(self),)}"))
+            starts = self.default_starts
         start_count = len(self.level.starts)
-        if starts.max(initial=0) >= start_count:
-            raise ValueError(f"start {starts.max()} is none of the level's {start_count}")
+        if starts.max() >= start_count:
+            raise ValueError(f"start {starts.max()} is not one of the level's {start_count}")
         self._begin(np.where(mask, starts, kernel.GO_ON))
 
     def step(self, actions: np.ndarray) -> int:
@@ -266,8 +256,8 @@ class Worlds:
             return int(kernel.call_rules(self._address, actions, kernel.STEP | kernel.RECORD))
         ended = int(kernel.call_rules(self._address, actions, kernel.STEP))
         for own_reward in self._own_rewards:
-            rewards = own_reward.pay(*self._read_only)
-            self.events["reward"][:, own_reward.players] = rewards[:, own_reward.players]
+            is_paid = self._reward_names == own_reward.name
+            self.events["reward"][:, is_paid] = own_reward.pay(*self._read_only)[:, is_paid]
         if self.config.shared_reward:
             mean_rewards = self.events["reward"].sum(axis=1) / self.players.shape[1]
             self.events["reward"] = np.where(self.present, mean_rewards[:, None], 0.0)
@@ -315,28 +305,15 @@ class Worlds:
         self._begin(kernel.GO_ON)
 
     def _refuse_nowhere(self) -> None:
-        """Refuse positions that are none. Dead monsters may be anywhere."""
         grid = self.level.grid
-        living = self.monsters[self.monsters["hp"] > 0]
-        for array_name, bodies in (("players", self.players), ("monsters", living)):
+        for array_name, bodies in (("players", self.players), ("monsters", self.monsters)):
             x, y = bodies["x"], bodies["y"]
             inside = (grid.left <= x) & (x < grid.right) & (grid.top <= y) & (y < grid.bottom)  # NaN is not
             if not inside.all():
                 area = f"{grid.left:g} to {grid.right:g}, {grid.top:g} to {grid.bottom:g}"
-                raise ValueError(f"{array_name}: x or y lies off the grid, {area}")
+                raise ValueError(f"{array_name}: x or y is off the grid, {area}")
         if not np.isin(self.players["facing"], range(4)).all():
-            raise ValueError("players: facing is none of 0 to 3")
-
-
-def _wrong_array(array_name: str, array: np.ndarray, expected: str) -> str:
-    return f"{array_name}: must be {expected}, not {array.dtype} of {array.shape}"
-
-
-def _by_player(names: tuple[str, ...], config: EnvConfig) -> tuple[str, ...]:
-    """Return one name for each player."""
-    if len(names) == 1:
-        return names * config.players
-    return names
+            raise ValueError("players: facing must be 0 to 3")
 
 
 _ADDRESSES = ("handle", "_address", "_read_only")

@@ -70,7 +70,7 @@ def test_evaluation_worlds_are_none_of_the_training_worlds() -> None:
     run = run_of(seed=3, slots=16, minibatch=64)
     evaluation = Evaluation(run)
     evaluation.evaluate(constant([0, 0, 0, 0, 0], 60), 1)
-    training = set(make_vec_env(run).state.worlds["key"].tolist())
+    training = set(make_vec_env(run).worlds.worlds["key"].tolist())
     held_out = set(evaluation.worlds.worlds["key"].tolist())
     assert len(training) == 16
     assert not training & held_out

@@ -82,7 +82,7 @@ class Pair:
         resets = np.zeros(len(worlds), bool)
         resets[list(indices)] = True
         if seed is not None:
-            worlds.seed(range(seed, seed + len(worlds)), resets)
+            worlds.seed([seed + index if resets[index] else None for index in range(len(worlds))])
         if start is None:
             start = -1 if worlds.config.start == "random" else 0
         worlds.reset(resets, np.full(len(worlds), start))

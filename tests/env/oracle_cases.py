@@ -109,8 +109,8 @@ def maps(draw: st.DrawFn) -> Map:
 _BODIES = ([24, 50], [56, 56], [13.3, 70.1], [47, 48])
 _OFFSETS = ([0, 0], [-1.5, 2], [6.1, -9.3])  # of a body or a circle from the position
 _REACHES = (
-    "{down = 52, left = 54, up = 44, right = 54}",
-    "{down = 9.7, left = [-38.5, 24.5], up = 0, right = [1, -20.1]}",
+    "{down = [0, 52], left = [-54, 0], up = [0, -44], right = [54, 0]}",
+    "{down = [0, 9.7], left = [-38.5, 24.5], up = [0, 0], right = [1, -20.1]}",
 )
 CLASSES = ("base", "tank", "mage", "warrior")
 WEAPONS = ("blade", "sword", "lance", "axe", "rapier", "sai")

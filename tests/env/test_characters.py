@@ -79,7 +79,7 @@ rogue = { hp = 80, energy = 50, attack = 9, magic = 3, speed = 360, body = [40, 
 weapon = "club", invulnerable = 0.5, energy_recovery = 1.0 }
 [weapons]
 club = { damage = 33, swing = 1.0, knock_back = 240, knock_back_time = 0.25, box = [60, 50], \
-reach = { down = 40, left = [-41, 6], up = 42, right = 43 } }
+reach = { down = [0, 40], left = [-41, 6], up = [0, -42], right = [43, 0] } }
 [monsters]
 wolf = { code = 500, hp = 12, speed = 90, body = [30, 20], notice = 150, attack = 50, stand_off = 25, \
 damage = 4, bite_time = 0.5, invulnerable = 0.1, xp = 3, heal = 2 }

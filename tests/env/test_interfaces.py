@@ -195,17 +195,17 @@ def test_every_autoreset_mode_does_what_gymnasiums_vector_does(pit: str, mode: A
 def test_a_seed_with_a_mask_leaves_the_other_worlds_streams_alone() -> None:
     env = PneumaVectorEnv(3, autoreset_mode=AutoresetMode.DISABLED)
     env.reset(seed=[7, 2, 7])
-    before = env.state.worlds.copy()
+    before = env.worlds.worlds.copy()
     assert before["key"][0] == before["key"][2] != before["key"][1]
     env.reset(seed=50, options={"reset_mask": np.array([True, False, False])})
-    assert env.state.worlds["key"][0] != before["key"][0]
-    assert (env.state.worlds[1:] == before[1:]).all()
+    assert env.worlds.worlds["key"][0] != before["key"][0]
+    assert (env.worlds.worlds[1:] == before[1:]).all()
 
 
 def test_xp_outlives_an_unseeded_reset_and_not_a_seeded_one() -> None:
     env = PneumaEnv(GODOT)
     env.reset(seed=0)
-    env.state.players["xp"] = -7.0
+    env.worlds.players["xp"] = -7.0
     assert env.reset()[0][3] == -7.0
     env.step(np.int64(ATTACK))
     assert (env.reset()[0][3], env.reset(seed=0)[0][3]) == (-7.0, 0.0)
@@ -244,7 +244,7 @@ def test_a_limit_is_the_worlds_own(name: str, steps: int, arena: str) -> None:
 def test_a_slot_whose_player_dies_ends_at_once_and_idles_till_its_world_ends(mode: AutoresetMode) -> None:
     env = PneumaVectorEnv(4, autoreset_mode=mode, players=2, episode_steps=6)
     env.reset(seed=0)
-    second, monster = env.state.players[0, 1], env.state.monsters[0, 0]
+    second, monster = env.worlds.players[0, 1], env.worlds.monsters[0, 0]
     second["hp"], second["facing"] = 7.0, RIGHT
     monster["x"], monster["y"] = second["x"] - 40, second["y"]  # out of the sword's way
     stand = np.full(4, ATTACK)
@@ -271,7 +271,7 @@ def test_a_slot_whose_player_dies_ends_at_once_and_idles_till_its_world_ends(mod
     elif mode == AutoresetMode.NEXT_STEP:
         _, rewards, terminated, truncated, _ = env.step(stand)  # which resets and does nothing else
         assert rewards.tolist() == [0] * 4 and not (terminated | truncated).any()
-    assert (env.state.players["hp"] == 100).all() and (env.state.worlds["steps"] == 0).all()
+    assert (env.worlds.players["hp"] == 100).all() and (env.worlds.worlds["steps"] == 0).all()
 
 
 def test_each_has_a_class_a_reward_and_a_view_of_its_own() -> None:
@@ -283,7 +283,7 @@ def test_each_has_a_class_a_reward_and_a_view_of_its_own() -> None:
     assert not np.array_equal(observations["player_0"][:2], observations["player_1"][:2])
     _, rewards, *_ = step(env, np.full(2, ATTACK))
     assert rewards == {"player_0": -1.0, "player_1": 1.0}
-    with pytest.raises(ValueError, match="action None of player_1"):
+    with pytest.raises(KeyError, match="player_1"):
         env.step({"player_0": np.int64(ATTACK)})
 
 

@@ -148,7 +148,7 @@ def test_eight_players_fill_every_bit(tmp_path: Path) -> None:
 
 def test_a_monster_right_at_the_hilt_flies_nowhere(tmp_path: Path) -> None:
     """Its flight is too short to be flown: with a longer one, the NaN of 0 / 0 once ended the process."""
-    hilt = "[weapons.blade]\nhilt = {down = 0, left = 0, up = 0, right = 0}\n"
+    hilt = "[weapons.blade]\nhilt = {down = [0, 0], left = [0, 0], up = [0, 0], right = [0, 0]}\n"
     file = characters_file(tmp_path, f"{hilt}[monsters.bamboo]\nknock_back = 120\nknock_back_time = 0\n")
     pair = stage(FIELD.write(tmp_path), (0.0, 0.0), characters=file)
     pair.play(ATTACK)

@@ -122,7 +122,7 @@ def test_gymnasium_gets_frames(arena: str) -> None:
     assert env.metadata["render_fps"] == 8  # 60 ticks a second, 8 a step
     env.reset(seed=0)
     for _ in range(2):
-        assert np.array_equal(env.render(), Renderer(env.unwrapped.state, "follow", env_id=name).frame())
+        assert np.array_equal(env.render(), Renderer(env.unwrapped.worlds, "follow", env_id=name).frame())
         env.step(RIGHT)
 
 
@@ -176,7 +176,7 @@ def test_the_recipe_shows_an_agent_in_a_window(pygame: ModuleType) -> None:
     exec(recipe("from gymnasium.wrappers import HumanRendering"), names)
     env = names["env"]
     on_screen = np.asarray(pygame.surfarray.array3d(pygame.display.get_surface())).swapaxes(0, 1)
-    assert np.array_equal(on_screen, Renderer(env.unwrapped.state, env_id=ENVIRONMENTS[2]).frame())
+    assert np.array_equal(on_screen, Renderer(env.unwrapped.worlds, env_id=ENVIRONMENTS[2]).frame())
     env.close()
 
 

@@ -95,7 +95,7 @@ def test_it_is_computed_from_events_players_and_stats_and_may_be_shared(folder: 
     ("body", "line", "message"),
     [
         ("x = 1\nreturn events['kilss']", 6, "ValueError: no field of name kilss"),
-        ("return np.ones(2)", 4, "returned shape (2,), where (2, 1) was asked for"),
+        ("return np.ones(2)", 4, "returned shape (2,), not (2, 1)"),
         ("return np.full((2, 1), np.nan)", 4, "returned a number that is not finite"),
         ("return -events['distance']", 4, "events['distance'] is infinite where no monster lives"),
         ("players['hp'][:] = 99", 5, "is read-only"),

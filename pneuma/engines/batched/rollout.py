@@ -99,15 +99,15 @@ class Collector:
     def _play(self, actor: Network, draws: np.ndarray, rollout: Rollout) -> int:
         """Fill in a rollout; return the number of endings."""
         worlds = self.slots.worlds
-        handle, usual_starts = worlds.handle, worlds.usual_starts
+        handle, default_starts = worlds.handle, worlds.default_starts
         if not any(map(is_own_reward, self._run.reward)):
-            return _play(handle, actor, draws, usual_starts, rollout)
+            return _play(handle, actor, draws, default_starts, rollout)
         actions = np.zeros(worlds.players.shape, np.int64)
         endings = 0
         for step, step_draws in enumerate(draws):  # as `_play` does: a user's reward is plain Python
             _choose(handle, actor, step_draws, rollout, step, actions)
             worlds.advance(actions)
-            endings = _keep_step(handle, usual_starts, rollout, step, endings, actions)
+            endings = _keep_step(handle, default_starts, rollout, step, endings, actions)
         return endings
 
     def episode_rows(self, rollout: Rollout, first_step: int) -> list[dict[str, Any]]:
@@ -159,14 +159,14 @@ def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.nd
 
 
 @kernel
-def _play(handle: Any, actor: Any, draws: Any, usual_starts: Any, rollout: Any) -> int:
+def _play(handle: Any, actor: Any, draws: Any, default_starts: Any, rollout: Any) -> int:
     state = open_state(handle)
     actions = np.zeros((state.players.shape[0], state.players.shape[1]), np.int64)
     endings = 0
     for step in range(draws.shape[0]):
         _choose(handle, actor, draws[step], rollout, step, actions)
         run_worlds(handle.ctypes.data, actions.ctypes, STEP | RECORD)
-        endings = _keep_step(handle, usual_starts, rollout, step, endings, actions)
+        endings = _keep_step(handle, default_starts, rollout, step, endings, actions)
     return endings
 
 
@@ -188,7 +188,7 @@ def _choose(handle: Any, actor: Any, draws: Any, rollout: Any, step: int, action
 
 
 @kernel
-def _keep_step(handle: Any, usual_starts: Any, rollout: Any, step: int, endings: int, actions: Any) -> int:
+def _keep_step(handle: Any, default_starts: Any, rollout: Any, step: int, endings: int, actions: Any) -> int:
     """Keep each slot's reward and ending of a step and reset ended worlds; return the number of endings."""
     state = open_state(handle)
     players = state.players.shape[1]
@@ -198,7 +198,7 @@ def _keep_step(handle: Any, usual_starts: Any, rollout: Any, step: int, endings:
         player, slot = state.players[w, p], state.slots[w, p]
         has_ended = state.worlds[w].ending != rules.RUNNING
         any_ended |= has_ended
-        state.begins[w] = usual_starts[w] if has_ended else GO_ON
+        state.begins[w] = default_starts[w] if has_ended else GO_ON
         rollout.rewards[i, step] = state.events[w, p].reward
         if slot.ending != rules.RUNNING:
             ended_row = rollout.ended[endings]
