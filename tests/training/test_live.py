@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from pneuma.api import open_data
+from pneuma.engines.loop import Progress
+from pneuma.engines.records import Checkpoint, Records
 from pneuma.imports.tensorboard import read_event_file
 from pneuma.store.row_builder import record_frame, stored_row
 from pneuma.store.store import Store
+from pneuma.training.live import open_log
 
-from ..cli.calls import TINY, described, printed, refused
-from .begun import hold, outcome, wait_until
-from .storm import children, kill, wait_for_end
+from ..cli.calls import TINY, described, refused
+from .begun import outcome
 from .tiny import TINY_RUN
 
 TABLES = ("episodes", "metrics")
@@ -75,40 +75,17 @@ def _activation(store: Store, name: str) -> object:
     return fields.get("activation") if "seed" in fields else None  # imported logs tell neither
 
 
-@pytest.mark.slow
-def test_a_log_over_kills_has_every_point_of_one_without_once(tmp_path: Path) -> None:
-    """As TensorBoard reads it; killed is a worker, once before it has kept anything, once after."""
-    reward = f"reward={hold(tmp_path)}"
-    run = ["study", "run", "activation", *TINY[2:4], *TINY[6:], "--set", "horizon=1024", "--set", reward]
-    run += ["--seeds", "5,", "--steps", "20_480", "--quiet"]
-    words = {own: [*run, "--results", tmp_path / own, "--tensorboard", tmp_path / own] for own in ("a", "b")}
-    store, log = Store(tmp_path / "a"), "a/activation/tanh_5/*"
-
-    def is_logged(number: int) -> bool:
-        return len([path for path in tmp_path.glob(log) if path.stat().st_size > 5000]) == number
-
-    for number, seconds in enumerate(("1000", "0.1"), start=1):
-        command = [*words["a"], "--checkpoint-seconds", seconds]
-        process = subprocess.Popen([sys.executable, "-m", "pneuma", *map(str, command)])
-        wait_until(partial(is_logged, number), 600)
-        if seconds == "0.1":
-            wait_until(lambda: any(store.status(run_id).step for run_id in store.runs()), 600)
-        workers = [*children(process.pid)]
-        for pid in (process.pid, *workers):
-            kill(pid)
-        process.wait()
-        wait_for_end(workers)
-    (tmp_path / "hold").unlink()
-    for own in words.values():
-        printed(*own)
-    killed, whole = (_points(path) for path in sorted(tmp_path.glob("?/activation/tanh_5")))
-    assert len([*tmp_path.glob(log)]) == 3
-    assert killed == whole and whole["charts/episodic_return"]
-
-
-def _points(folder: Path) -> dict[str, list[tuple[int, float]]]:
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    log = EventAccumulator(str(folder), {"scalars": 0})
+def test_a_log_that_goes_on_after_a_kill_has_every_point_once(tmp_path: Path) -> None:
+    """As TensorBoard reads it: the run was killed after step 30, and resumes from a checkpoint at step 20."""
+    records = Records()
+    for first_step, steps in ((0, (10, 20, 30)), (20, (30, 40))):
+        live_log = open_log(str(tmp_path), first_step)
+        records = Records(metrics=[row for row in records.metrics if row["step"] <= first_step])
+        for step in steps:
+            records.metrics.append({"step": step, "entropy": step / 8})
+            live_log.update(Progress(step, records, lambda: Checkpoint(0, {})))
+        live_log.close()
+    log = EventAccumulator(str(tmp_path), {"scalars": 0})
     log.Reload()
-    return {tag: [(own.step, own.value) for own in log.Scalars(tag)] for tag in log.Tags()["scalars"]}
+    points = [(point.step, point.value) for point in log.Scalars("train/entropy_loss")]
+    assert points == [(step, -step / 8) for step in (10, 20, 30, 40)]

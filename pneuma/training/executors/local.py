@@ -15,7 +15,6 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-import resource
 import selectors
 import signal
 import subprocess
@@ -222,12 +221,10 @@ class Supervisor:
             return
         try:
             event = parse_json(event_line)
-            event_name = event["event"]
-            if task is None or event["run_id"] != task.name:
-                raise ValueError
-        except (ValueError, KeyError):
-            worker.kill()  # it sends invalid events; reading on finds its end
-            return
+        except ValueError:
+            return  # a library printed this while it was loaded
+        assert task is not None
+        event_name = event["event"]
         if event.get("storage"):
             self._storage_problem = str(event["reason"])
         if event.get("status") == "crashed":
@@ -284,14 +281,10 @@ class Supervisor:
 def _reason(exit_code: int) -> str:
     if exit_code >= 0:
         return f"the worker process ended with code {exit_code}"
-    signal_name = signal.Signals(-exit_code).name
-    memory_limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    hint = ""
-    if signal_name == "SIGKILL":
-        hint = " (by hand, or by the system when memory ran out)"
-    elif memory_limit != resource.RLIM_INFINITY:  # many libraries do not survive a request that is refused
-        hint = f" (perhaps because memory ran out: its limit is {memory_limit / 2**30:.1f} GiB)"
-    return f"the worker process was killed by {signal_name}{hint}"
+    reason = f"the worker process was killed by {signal.Signals(-exit_code).name}"
+    if exit_code == -signal.SIGKILL:
+        reason += " (by hand, or by the system when memory ran out)"
+    return reason
 
 
 # --- Workers --------------------------------------------------------------------------------------
