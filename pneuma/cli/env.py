@@ -1,50 +1,34 @@
-"""`pneuma env …`: list and render environments."""
+"""`pneuma env render`: draw environments."""
 
 from __future__ import annotations
 
-from contextlib import closing
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, check_file, rows_result, write_file
+from pneuma.cli.output import Result, check_file, write_file
 from pneuma.env.fields import ENVIRONMENTS
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.presets import WORLDS
 
 if TYPE_CHECKING:
     from pneuma.engines.policy import Policy
+    from pneuma.engines.sb3_open import LearnedPolicy
     from pneuma.env.worlds import Worlds
 
-app = opt.Commands("env", "List and draw environments.")
-
-ABOUT = {
-    "pneuma/Pneuma-v0": "the thesis's text, well posed: unit-scale observations, 1,000 steps",
-    "pneuma/PneumaGodot-v0": "its published code with the quirks: raw pixels, rewarded events, XP for ever",
-    "pneuma/PneumaArena-v0": "the text's rules, rewarded for XP gained less HP lost, the facing observed",
-}
-"""A description of each environment."""
+app = opt.Commands("env", "Draw environments.")
 
 RANDOM, HUNTER = "random", "hunter"
 BEST = "best:"
 
-Environment = Annotated[str, opt.argument("ID", "An environment's id, as in `pneuma env list`.")]
+Environment = Annotated[str, opt.argument("ID", "An environment's id, as in docs/environment.md.")]
 Seed = Annotated[int, opt.option("N", "Seed of the world.", min=0)]
 
 
-@app.command("list")
-def list_() -> Result:
-    """List the environments and what they are."""
-    import gymnasium
-
-    rows: list[dict[str, Any]] = []
-    for env_id in ENVIRONMENTS:
-        with closing(gymnasium.make(env_id).unwrapped) as env:
-            observation = str(env.observation_space.shape or env.observation_space)
-            actions = int(env.action_space.n)  # type: ignore[attr-defined]
-        rows.append({"id": env_id, "observation": observation, "actions": actions, "about": ABOUT[env_id]})
-    return rows_result("environments", rows)
+@app.callback()
+def _group() -> None:
+    """Draw environments."""
 
 
 @app.command()
@@ -66,36 +50,51 @@ def render(
     run's policy plays in the environment that it was trained in, changed by --set. Environments that are
     not Pneuma's are drawn by their own render method.
     """
-    from pneuma.config import is_gymnasium_id
+    from pneuma.config import WORLD_FIELDS, is_gymnasium_id, make_run
+    from pneuma.env import watch
 
     check_file(out, (".gif", ".png"))
     is_moving = out.suffix.lower() == ".gif"
     if player != RANDOM and not is_moving:
         raise UserError(f"--player {player} plays an episode, but {out} is a picture: name a .gif")
-    if is_gymnasium_id(name):
-        if player == HUNTER or set_:
-            raise UserError(f"--player hunter and --set work only in Pneuma's environments, not in {name}")
-        return _render_other(name, out, player, seed, seconds, trust, results)
-    if name not in ENVIRONMENTS:
+    is_own = not is_gymnasium_id(name)
+    if is_own and name not in ENVIRONMENTS:
         raise unknown_name("environment", name, ENVIRONMENTS)
+    if not is_own and (player == HUNTER or set_):
+        raise UserError(f"--player hunter and --set work only in Pneuma's environments, not in {name}")
+    policy: Policy | LearnedPolicy | None = None
+    settings: dict[str, Any] = {"env": name}
+    if player not in (RANDOM, HUNTER):
+        policy, settings = _load_player(player, name, results, trust)
+    if not is_own:
+        from pneuma.engines.gymnasium_frames import episode_frames, frame_rate
+        from pneuma.store.stored_runs import stored_run
+
+        run = stored_run(settings) if policy else make_run(settings)
+        frames = episode_frames(run, policy, seed)
+        if is_moving:
+            rate = frame_rate(run)
+            write_file(out, watch.encode_gif(islice(frames, round(seconds * rate)), rate))
+        else:
+            write_file(out, watch.encode_png(next(frames)))
+        return Result({"file": out}, [f"wrote {out}"])
     import numpy as np
 
-    from pneuma.engines.policy import drawing
-    from pneuma.env import watch
-    from pneuma.env.fields import make_env_config
+    from pneuma.engines.policy import Policy, drawing
+    from pneuma.env.fields import REWARDS, make_env_config
     from pneuma.env.players import Hunter, RandomPlayer
     from pneuma.env.render import GIF_FACTOR, Renderer
     from pneuma.env.worlds import Worlds
 
-    policy: Policy | None = None
-    settings: dict[str, Any] = {}
-    if player not in (RANDOM, HUNTER):
-        policy, settings = _load_player(player, name, results, trust)
-    worlds = Worlds(1, make_env_config({**settings, **dict(set_ or ())}, name))
+    world_settings = {field: value for field, value in settings.items() if field in WORLD_FIELDS}
+    if policy:  # pictures do not show rewards, whose code is not run
+        rewards = world_settings.get("reward") or REWARDS[:1]
+        world_settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in rewards]
+    worlds = Worlds(1, make_env_config({**world_settings, **dict(set_ or ())}, name))
     worlds.seed([seed])
     worlds.reset()
     generator = np.random.default_rng(seed)
-    if policy is not None:
+    if isinstance(policy, Policy):
         act = drawing(policy, worlds, generator)
     elif player == HUNTER:
         act = Hunter(worlds).act
@@ -110,68 +109,36 @@ def render(
     return Result({"file": out}, [f"wrote {out}: {_story(worlds)}"])
 
 
-def _render_other(
-    env_id: str, out: Path, player: str, seed: int, seconds: float, trust: bool, results: Path
-) -> Result:
-    """Draw an environment that is not Pneuma's, by its own rendering."""
+def _load_player(
+    player: str, env_id: str, results: Path, trust: bool
+) -> tuple[Policy | LearnedPolicy, dict[str, Any]]:
+    """Return the policy and the settings of a stored run, which must be of an environment."""
     from pneuma.api import stored_policy
-    from pneuma.config import make_run
-    from pneuma.engines.gymnasium_frames import episode_frames, frame_rate
-    from pneuma.env import watch
     from pneuma.store.store import Store
-    from pneuma.store.stored_runs import find_run, stored_run, trusted_settings
+    from pneuma.store.stored_runs import find_run, trusted_settings
 
-    run, policy = make_run({"env": env_id}), None
-    if player != RANDOM:
-        store = Store(results)
-        run_id = find_run(store, _run_id(player, env_id, results))
-        settings = trusted_settings(store, run_id, trust)
-        run, policy = stored_run(settings), stored_policy(store, run_id, settings)
-        if run.env != env_id:
-            raise UserError(f"--player {player}: was trained in {run.env}, not in {env_id}")
-    frames = episode_frames(run, policy, seed)
-    if out.suffix.lower() == ".png":
-        write_file(out, watch.encode_png(next(frames)))
-    else:
-        rate = frame_rate(run)
-        write_file(out, watch.encode_gif(islice(frames, round(seconds * rate)), rate))
-    return Result({"file": out}, [f"wrote {out}"])
-
-
-def _load_player(player: str, env_id: str, results: Path, trust: bool) -> tuple[Policy, dict[str, Any]]:
-    """Return a stored run's policy, and its settings.
-
-    A reward is left out if it is code, because pictures do not show it.
-    """
-    from pneuma.api import load_policy
-    from pneuma.engines.policy import Policy
-    from pneuma.env.fields import REWARDS
-
+    store = Store(results)
     try:
-        policy, trained_in, settings = load_policy(_run_id(player, env_id, results), results, trust=trust)
+        run_id = find_run(store, _best_run(player, env_id, results) if player.startswith(BEST) else player)
+        settings = trusted_settings(store, run_id, trust)
+        policy = stored_policy(store, run_id, settings)
     except UserError as error:
         raise UserError(f"--player {player}: ", *error.args) from None
-    if trained_in != env_id or not isinstance(policy, Policy):
-        raise UserError(f"--player {player}: was trained in {trained_in}, not in {env_id}")
-    rewards = settings.get("reward") or REWARDS[:1]
-    settings["reward"] = [reward if reward in REWARDS else REWARDS[0] for reward in rewards]
+    if settings.get("env") != env_id:
+        raise UserError(f"--player {player}: was trained in {settings.get('env')}, not in {env_id}")
     return policy, settings
 
 
-def _run_id(player: str, env_id: str, results: Path) -> str:
-    """Return a player's run; of best:STUDY the best stored one in an environment, by the primary outcome."""
+def _best_run(player: str, env_id: str, results: Path) -> str:
+    """Return the best stored run of best:STUDY in an environment, by the primary outcome."""
     from pneuma.analysis.environments import by_environment
     from pneuma.analysis.ranking import ranked_runs
 
-    if not player.startswith(BEST):
-        return player
     worlds = [name for name, world in WORLDS.items() if world.env == env_id]
     data = opt.RunFilter(world=next(iter(worlds), None), results=results).open(player.removeprefix(BEST))
     data_by_environment = by_environment(data)
     if env_id not in data_by_environment:
-        raise UserError(
-            f"--player {player}: was trained in {' and '.join(data_by_environment)}, not in {env_id}"
-        )
+        raise UserError(f"was trained in {' and '.join(data_by_environment)}, not in {env_id}")
     _, ranked_frame = ranked_runs(data_by_environment[env_id])
     return str(ranked_frame["run_id"].iloc[0])
 
