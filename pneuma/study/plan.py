@@ -9,12 +9,11 @@ one plan, and no other runs.
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 from pneuma.config import (
     ENGINES,
@@ -46,14 +45,6 @@ from pneuma.values import format_short, read_value, split_list
 MOST_RUNS = 50_000
 Swept = Mapping[str, Mapping[str, Any]]
 """The values of each field to sweep, by what the user wrote."""
-
-
-class _Variant(NamedTuple):
-    """A condition of the study's file, the fields that are changed in it, and what was written of each."""
-
-    origin: str
-    fields: Mapping[str, Any]
-    levels: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -164,8 +155,8 @@ def make_plan(study: Study, query: Query, engine: Callable[[Run], str] | None = 
         for condition, run in runs.items():
             if seed in seeds_by_condition[condition]:
                 cells.append(Cell(condition, seed, replace(run, seed=seed)))
-    notes = _rounding_notes(query.steps, runs) + _notes(configurations.study, runs)
-    return Plan(configurations.study, tuple(cells), preset, query, tuple(notes))
+    notes = tuple(_notes(configurations.study, query.steps, runs))
+    return Plan(configurations.study, tuple(cells), preset, query, notes)
 
 
 def _capable_engine_finder() -> Callable[[Run], str]:
@@ -173,9 +164,8 @@ def _capable_engine_finder() -> Callable[[Run], str]:
     from pneuma.engines.environment import first_capable_engine  # gymnasium: not for Pneuma's own worlds
 
     cached_engine = cache(first_capable_engine)
-    return lambda run: cached_engine(
-        Run(**{name: getattr(run, name) for name in ("env",) + GYMNASIUM_FIELDS})
-    )
+    environment_fields = ("env",) + GYMNASIUM_FIELDS
+    return lambda run: cached_engine(Run(**{name: getattr(run, name) for name in environment_fields}))
 
 
 @dataclass(frozen=True)
@@ -201,8 +191,7 @@ def configure(
 ) -> Configurations:
     """Return the configurations of a study's conditions with changed fields.
 
-    A condition is named as in the file, or with fields that it changes: `tanh, engine=sb3`. The conditions of
-    swept fields are named likewise.
+    Swept fields follow a condition's name: `tanh, learning_rate=1e-4`.
 
     Args:
         study: in its world.
@@ -220,33 +209,37 @@ def configure(
             text = f" {key}: conditions of study {study.name} differ in it; choose one with "
             raise UserError(Hint("settings"), text, Hint("conditions"))
     overrides, swept = _read_settings(study, settings)
-    variants = _sweep(study, swept)
-    for condition in selection:
-        if condition not in variants and condition not in study.conditions:
-            variants[condition] = _with_changes(study, condition, variants)
+    condition_count = math.prod(map(len, [study.conditions, *swept.values()]))
+    if swept and condition_count > MOST_CONDITIONS:
+        text = f": {condition_count:,} conditions are too many: at most {MOST_CONDITIONS:,}"
+        raise UserError(Hint("settings"), text)
     conditions: dict[str, Mapping[str, Any]] = {}
     levels: dict[str, Mapping[str, str]] = {}
     origins: dict[str, str] = {}
-    for condition, variant in variants.items():
-        origin = variant.origin
-        conditions[condition] = {**study.conditions[origin], **variant.fields}
+    for *value_texts, origin in product(*swept.values(), study.conditions):
+        condition, fields = origin, dict(study.conditions[origin])
+        changed = dict(zip(swept, value_texts, strict=True))
+        for field_name, value_text in changed.items():
+            condition += f", {field_name}={value_text}"
+            fields[field_name] = swept[field_name][value_text]
+        conditions[condition], origins[condition] = fields, origin
         if study.levels or swept:
-            levels[condition] = {**(study.levels.get(origin) or {CONDITION: origin}), **variant.levels}
-        if not selection or condition in selection or (swept and origin in selection):
-            origins[condition] = origin
-    baseline = next(condition for condition, variant in variants.items() if variant.origin == study.baseline)
+            levels[condition] = {**(study.levels.get(origin) or {CONDITION: origin}), **changed}
+    baseline = next(condition for condition, origin in origins.items() if origin == study.baseline)
+    if selection:
+        for condition in selection:
+            if condition not in conditions and condition not in study.conditions:
+                raise unknown_name(f"condition of study {study.name}", condition, conditions)
+        origins = {name: origin for name, origin in origins.items() if {name, origin} & set(selection)}
     changes = {"conditions": conditions, "levels": levels, "baseline": baseline, "settings": dict(settings)}
     crossed = study.model_copy(update=changes)
     runs = {name: make_run(crossed.fields(name, {"steps": 1, **overrides})) for name in origins}
     for key in unread_fields(runs.values(), settings):
         raise UserError(Hint("settings"), f" {key}: {no_effect_message(key, runs.values())}")
     for condition, run in runs.items():
-        if (
-            _leaves_engine_open(crossed, condition)
-            and is_gymnasium_id(run.env)
-            and not batched_limitation(run)
-        ):
-            # the chosen engine may lack the optimizer
+        if not is_gymnasium_id(run.env) or batched_limitation(run):
+            continue
+        if _leaves_engine_open(crossed, condition):  # the engine may lack the optimizer: all is checked again
             runs[condition] = make_run({**as_fields(run), "engine": engine(run)})
     return Configurations(crossed, runs, origins)
 
@@ -258,8 +251,8 @@ def _leaves_engine_open(study: Study, condition: str) -> bool:
 def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str, Any], Swept]:
     """Split settings into fields with one value and fields with several values to sweep.
 
-    A user's files are looked for beside the study's, as those in it are. Where there is one player, several
-    classes or rewards are swept.
+    A user's files are searched for in the folder of the study's file. Several classes or rewards are swept
+    where there is one player.
     """
 
     def read(field_name: str, field_value: Any) -> Any:
@@ -286,33 +279,6 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
     return single_values, swept
 
 
-def _sweep(study: Study, swept: Swept) -> dict[str, _Variant]:
-    """Cross the conditions of a study with the values of swept fields."""
-    condition_count = math.prod(map(len, [study.conditions, *swept.values()]))
-    if swept and condition_count > MOST_CONDITIONS:
-        text = f": {condition_count:,} conditions are too many: at most {MOST_CONDITIONS:,}"
-        raise UserError(Hint("settings"), text)
-    variants = {}
-    for *value_texts, origin in product(*swept.values(), study.conditions):
-        condition, fields, levels = origin, {}, {}
-        for field_name, value_text in zip(swept, value_texts, strict=True):
-            condition += f", {field_name}={value_text}"
-            fields[field_name], levels[field_name] = swept[field_name][value_text], value_text
-        variants[condition] = _Variant(origin, fields, levels)
-    return variants
-
-
-def _with_changes(study: Study, condition: str, condition_names: Iterable[str]) -> _Variant:
-    """Read the name of a condition with changed fields."""
-    for origin in sorted(study.conditions, key=len, reverse=True):
-        changes = re.split(r", (?=\w+=)", condition.removeprefix(origin))
-        if condition.startswith(f"{origin}, ") and not changes[0]:
-            levels = dict(change.split("=", 1) for change in changes[1:])
-            settings = own_fields({key: read_value(text) for key, text in levels.items()})
-            return _Variant(origin, _read_settings(study, settings)[0], levels)
-    raise unknown_name(f"condition of study {study.name}", condition, condition_names)
-
-
 def differing_fields(conditions: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """Return the fields in which conditions differ: for each, its value in every condition."""
     field_names = dict.fromkeys(name for fields in conditions.values() for name in fields if name != "seed")
@@ -337,12 +303,15 @@ def find_preset(study: Study, preset_name: str) -> Preset:
     return study.presets[preset_name]
 
 
-def _notes(study: Study, runs: Mapping[str, Run]) -> list[str]:
-    """Return notes on conditions of the same runs, and on those that need a slower engine."""
+def _notes(study: Study, steps: int | None, runs: Mapping[str, Run]) -> list[str]:
+    """Return notes on rounded steps, on conditions with the same runs, and on slower engines."""
     notes: list[str] = []
     names_by_configuration: dict[str, list[str]] = {}
     for name, run in runs.items():
         names_by_configuration.setdefault(config_id(run), []).append(name)
+        if steps and steps != run.steps:
+            update = run.steps_per_update
+            notes.append(f"{steps:,} steps are rounded up to {run.steps:,}, whole updates of {update:,}")
     for conditions in names_by_configuration.values():
         if len(conditions) > 1:
             notes.append(f"{', '.join(conditions)} have identical settings: a comparison shows noise")
@@ -350,14 +319,4 @@ def _notes(study: Study, runs: Mapping[str, Run]) -> list[str]:
         if run.engine != ENGINES[0] and _leaves_engine_open(study, name):
             reason = batched_limitation(run) or "such actions"
             notes.append(f"{name}: trained by {run.engine}, because the engine batched cannot train {reason}")
-    return notes
-
-
-def _rounding_notes(steps: int | None, runs: Mapping[str, Run]) -> list[str]:
-    """Return notes on runs of more steps than were asked for."""
-    notes: dict[str, None] = {}
-    for run in runs.values():
-        if steps and steps != run.steps:
-            update = run.steps_per_update
-            notes[f"{steps:,} steps are rounded up to {run.steps:,}, whole updates of {update:,}"] = None
-    return list(notes)
+    return list(dict.fromkeys(notes))
