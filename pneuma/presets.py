@@ -65,11 +65,6 @@ def checked_world(world: str | None) -> str | None:
     return world
 
 
-def usual_world(worlds: Collection[str]) -> str:
+def default_world(worlds: Collection[str]) -> str:
     """Return the world that is meant where none is named: the arena, or else the first."""
     return ARENA if ARENA in worlds else next(iter(worlds))
-
-
-def world_option(world: str, worlds: Collection[str] = tuple(WORLDS)) -> list[str]:
-    """Return the command-line words that choose one of a study's worlds; none for the usual one."""
-    return [] if world == usual_world(worlds) else ["--world", world]

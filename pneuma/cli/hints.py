@@ -7,8 +7,8 @@ from typing import Any
 
 from pneuma.errors import printable
 from pneuma.seeds import seeds_option
+from pneuma.study.command_words import results_words, study_words
 from pneuma.study.plan import Plan, default_preset
-from pneuma.study.spec import asked_words, results_words
 
 OPTIONS = {
     "conditions": "--condition", "settings": "--set", "outcomes": "--outcome", "formats": "--format",
@@ -25,7 +25,7 @@ def command(*words: object) -> str:
 
 def query_words(plan: Plan) -> list[str]:
     """Return the words of a command that name a plan's study and query."""
-    query, words = plan.query, asked_words(plan.study)
+    query, words = plan.query, study_words(plan.study)
     if plan.preset != default_preset(plan.study):
         words += ["--preset", plan.preset]
     for condition in query.conditions:

@@ -10,7 +10,7 @@ from pneuma.cli.hints import command, write_hint
 from pneuma.cli.output import Result, say
 from pneuma.errors import counted, write_hints
 from pneuma.store.store import Store
-from pneuma.study.spec import results_words
+from pneuma.study.command_words import results_words
 
 if TYPE_CHECKING:
     from pneuma.imports.logs import Import, Log

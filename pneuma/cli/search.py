@@ -27,6 +27,7 @@ from pneuma.errors import UserError, unknown_name
 from pneuma.search import FIRST_SEED
 from pneuma.store.store import Store
 from pneuma.study import shipped, spec
+from pneuma.study.command_words import results_words
 
 if TYPE_CHECKING:
     from pneuma.answers.answer import Answer
@@ -51,7 +52,7 @@ class Location:
     def command(self, verb: str, search_name: str) -> str:
         """Return a command about the same search."""
         world_words = [] if self.world is None else ["--world", self.world]
-        return command("search", verb, search_name, *world_words, *spec.results_words(self.results))
+        return command("search", verb, search_name, *world_words, *results_words(self.results))
 
     def read(self, search_name: str) -> Record:
         from pneuma.search.log import read_record
@@ -204,7 +205,7 @@ def promote(
     promoted = find_trial(search_record, trial)
     study_text = promotion_study(search_record, promoted, seeds, steps)
     document = {"search": search_record.search.name, "trial": promoted.number, "params": promoted.params}
-    results = spec.results_words(store.root)
+    results = results_words(store.root)
     if out is not None:
         check_file(out, (".toml",))
         if out.exists():

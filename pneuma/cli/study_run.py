@@ -20,6 +20,7 @@ from pneuma.errors import UserError, counted, install_extra, tallied
 from pneuma.store.provenance import uncommitted
 from pneuma.store.store import Store
 from pneuma.study import plan, spec
+from pneuma.study.command_words import results_words, study_words
 from pneuma.training import execute
 from pneuma.training.executors.base import ExecutorConfig
 
@@ -181,5 +182,5 @@ def _outcome(planned: plan.Plan, cell_results: Sequence[execute.CellResult], sto
     states = tallied(cell_result.status.name for cell_result in cell_results) or "nothing to train"
     yield f"{planned.study.name}: {states}; {trained} trained now, {len(cell_results) - trained} were stored."
     if cell_results and all(cell_result.status.finished for cell_result in cell_results):
-        study_words = spec.asked_words(planned.study) + spec.results_words(store.root)
-        yield f"Draw it with: {command('study', 'plot', *study_words)}"
+        words = study_words(planned.study) + results_words(store.root)
+        yield f"Draw it with: {command('study', 'plot', *words)}"

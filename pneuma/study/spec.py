@@ -15,7 +15,6 @@ file → Study, checked here → Plan (`plan.py`). A study owns no results.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterable, Mapping
 from itertools import product
 from pathlib import Path
@@ -34,17 +33,15 @@ from pneuma.presets import (
     NO_BASE,
     TEXT,
     WORLDS,
-    checked_world,
-    usual_world,
+    default_world,
     world_fields,
-    world_option,
 )
 from pneuma.sb3_names import fields_and_keys
 from pneuma.schema import Table, TomlFile, Where, all_wrong, read_model, read_toml, wrong
 from pneuma.seeds import SEEDS_ALLOWED, read_seeds
 from pneuma.study.identity import with_file_paths
 from pneuma.study.shipped import find_file, studies_by_figure, studies_folder
-from pneuma.values import format_json, format_short, setting_words
+from pneuma.values import format_json, format_short
 
 PRESETS = ("quick", "standard", "paper")
 """The presets of searches, and the usual ones of studies."""
@@ -183,9 +180,7 @@ class Scale(Table):
 
     @model_validator(mode="after")
     def _not_flat(self) -> Scale:
-        if self.random == self.expert:
-            raise wrong(f"random and expert are both {self.random:g}: a scale needs two numbers", "expert")
-        if self.expert < self.random:
+        if self.expert <= self.random:
             raise wrong(f"expert ({self.expert:g}) must be above random ({self.random:g})", "expert")
         return self
 
@@ -226,17 +221,15 @@ class Study(Table):
     @model_validator(mode="before")
     @classmethod
     def _spread_budget(cls, study_table: Any) -> Any:
-        """Take `n_timesteps` of [run] as the steps of presets that say none."""
+        """Take `n_timesteps` of [run] as the steps of presets that set none."""
         run, presets = study_table.get("run"), study_table.get("presets")
         if not isinstance(run, Mapping) or "n_timesteps" not in run or not isinstance(presets, Mapping):
             return study_table
-        run, presets = {**run}, {**presets}
-        try:
-            steps = read_field(Run, "steps", run.pop("n_timesteps"))
-        except UserError as error:
-            raise wrong(f"[run] n_timesteps: {error}", "run") from None
+        run, presets = dict(run), dict(presets)
+        steps = run.pop("n_timesteps")
         for preset_name, table in presets.items():
-            presets[preset_name] = {"steps": steps, **table} if isinstance(table, Mapping) else table
+            if isinstance(table, Mapping):
+                presets[preset_name] = {"steps": steps, **table}
         return {**study_table, "presets": presets, "run": run}
 
     @classmethod
@@ -300,10 +293,10 @@ def load_study(
 ) -> Study:
     """Load a shipped study by its name, or any study by the path of its file or by NAME for NAME.toml here.
 
-    Its usual world is the arena, if it is run in it. `find_file` tells of the others.
+    Its default world is the arena, if it runs there. See `find_file` for the other arguments.
     """
     study = _read_study(find_file("study", study_name, studies_folder(), other_names, copies))
-    return study.in_world(checked_world(world) or usual_world(study.worlds))
+    return study.in_world(world or default_world(study.worlds))
 
 
 def _read_study(study_path: Path) -> Study:
@@ -313,64 +306,58 @@ def _read_study(study_path: Path) -> Study:
     conditions = study.conditions
     if not conditions:
         raise study_file.mistake((), "a study needs at least one condition", "conditions")
-    baseline = study.baseline or next(iter(conditions))
-    mentioned: list[tuple[Where, str, str]] = [((), "baseline", baseline)]
-    factor_names = {name for factor_values in study.factors.values() for name in factor_values}
-    for levels in study.levels.values():
-        factor_names.add(levels.get(CONDITION, ""))
-    for key in ("labels", "colors"):
-        for name in getattr(study, key):
-            if name not in factor_names:
-                mentioned.append(((key,), name, name))
-    for preset, amounts in study.presets.items():
-        mentioned += _mentioned_conditions(("presets", preset), amounts)
-        for world in WORLDS:
-            in_world = getattr(amounts, world)
-            if not in_world:
-                continue
-            if study.worlds and world not in study.worlds:
-                raise study_file.mistake(
-                    ("presets", preset), f"{world}: not one of the study's worlds", world
-                )
-            mentioned += _mentioned_conditions(("presets", preset, world), in_world)
-    for table_path, key, name in mentioned:
-        if name not in conditions:
-            message = str(unknown_name("condition", name, conditions))
-            if key in ("baseline", "only"):
-                message = f"{key}: {message}"
-            raise study_file.mistake(table_path, message, key)
     changes = {
         "name": study_path.stem,
         "path": study_path,
         "figure": _figure(study_path, study.figure),
-        "baseline": baseline,
+        "baseline": study.baseline or next(iter(conditions)),
         "run": with_file_paths(study_path, study.run),
         "conditions": {name: with_file_paths(study_path, fields) for name, fields in conditions.items()},
         "worlds": tuple(dict.fromkeys(study.worlds)) or _worlds(study),
     }
     study = study.model_copy(update=changes)
+    _check_names(study_file, study)
     for world in study.worlds:
         _check_runs(study_file, study.in_world(world))
     return study
 
 
+def _check_names(study_file: TomlFile, study: Study) -> None:
+    """Refuse worlds and conditions that are mentioned but are not the study's."""
+    mentioned: list[tuple[Where, str, str]] = [((), "baseline", study.baseline)]
+    labelled = {name for factor_values in study.factors.values() for name in factor_values}
+    labelled.update(levels.get(CONDITION, "") for levels in study.levels.values())
+    for key, names in (("labels", study.labels), ("colors", study.colors)):
+        mentioned += [((key,), name, name) for name in names if name not in labelled]
+    for preset_name, preset in study.presets.items():
+        preset_path: Where = ("presets", preset_name)
+        mentioned += _mentioned_conditions(preset_path, preset)
+        for world in WORLDS:
+            in_world = getattr(preset, world)
+            if in_world and world not in study.worlds:
+                raise study_file.mistake(preset_path, f"{world}: not one of the study's worlds", world)
+            if in_world:
+                mentioned += _mentioned_conditions(preset_path + (world,), in_world)
+    for table_path, key, name in mentioned:
+        if name not in study.conditions:
+            message = str(unknown_name("condition", name, study.conditions))
+            if key in ("baseline", "only"):
+                message = f"{key}: {message}"
+            raise study_file.mistake(table_path, message, key)
+
+
 def _mentioned_conditions(table_path: Where, amounts: Amounts) -> list[tuple[Where, str, str]]:
-    """Return the places, keys and names of the conditions that a preset mentions."""
-    mentioned: list[tuple[Where, str, str]] = []
-    for condition in amounts.conditions:
-        mentioned.append((table_path + ("conditions",), condition, condition))
-    for condition in amounts.only:
-        mentioned.append((table_path, "only", condition))
-    return mentioned
+    """Return table, key and name of the conditions that a preset mentions."""
+    listed = [(table_path, "only", condition) for condition in amounts.only]
+    return listed + [(table_path + ("conditions",), condition, condition) for condition in amounts.conditions]
 
 
 def _figure(study_path: Path, figure_name: str) -> str:
     """Return a figure's name, which in a copy of a shipped study is not the shipped one's."""
-    default = f"study-{study_path.stem}"
     is_shipped = study_path.resolve().parent == studies_folder().resolve()
-    if not is_shipped and figure_name in studies_by_figure():
-        return default
-    return figure_name or default
+    if not figure_name or not is_shipped and figure_name in studies_by_figure():
+        return f"study-{study_path.stem}"
+    return figure_name
 
 
 def _worlds(study: Study) -> tuple[str, ...]:
@@ -475,19 +462,3 @@ def no_effect_message(field_name: str, runs: Iterable[Run]) -> str:
     if "ppo" not in algorithms:
         hint = f". Put arguments of {next(iter(algorithms))} in algorithm_kwargs"
     return f"{field_name} has no effect: none of {', '.join(reader_names)} uses it with these settings{hint}"
-
-
-def asked_words(study: Study) -> list[str]:
-    """Return a command's words for a study as it is: its name or file, world and changed fields.
-
-    A file has the shorter of its absolute path and that from the current folder.
-    """
-    study_word = study.name
-    if study.own_path:
-        study_word = min(os.path.relpath(study.own_path), study.own_path, key=len)
-    return [study_word] + world_option(study.world, study.worlds) + setting_words(study.settings)
-
-
-def results_words(folder: Path) -> list[str]:
-    """Return the option that names a results folder, unless it is the default."""
-    return [] if folder == Path(os.environ.get("PNEUMA_RESULTS") or "results") else ["--results", str(folder)]

@@ -20,10 +20,11 @@ from pneuma.errors import Hint, UserError
 from pneuma.seeds import seeds_option
 from pneuma.store.index import RunIndex
 from pneuma.store.rows import Row
+from pneuma.study.command_words import results_words, study_words
 from pneuma.study.identity import config_id
 from pneuma.study.plan import Cell, Plan, configure
 from pneuma.study.shipped import CLAIMS_FILES
-from pneuma.study.spec import CLAIMS, Amount, Preset, Study, asked_words, results_words
+from pneuma.study.spec import CLAIMS, Amount, Preset, Study
 
 TRAIN_WITH = "train with:"
 """The beginning of the part of a reason that names the command."""
@@ -112,7 +113,7 @@ class ClaimRuns:
     def training_command(self) -> str:
         """The command that trains the missing runs: by a preset, or all conditions and seeds."""
         claim = self.claim
-        command_words = ["pneuma", "study", "run"] + asked_words(self.data.study)
+        command_words = ["pneuma", "study", "run"] + study_words(self.data.study)
         if claim.preset:
             command_words += ["--preset", claim.preset]
         else:
