@@ -70,7 +70,7 @@ def diagnose(run: Row) -> Diagnosis:
     lasting_losses = _lasting(loss_periods or [], gap, least_length)
     spells = joined(spells + fall_periods + lasting_losses, gap)
     if not spells:
-        is_evaluated = len(steps) > 0 and not run.begun  # a fork's best was its parent's
+        is_evaluated = len(steps) > 0 and not run.start_step  # a fork's best was its parent's
         is_known = NO_ENTROPY in signs or loss_periods is not None or is_evaluated
         return Diagnosis(False if is_known else None)
     onset, last_step = spells[0]
@@ -149,7 +149,7 @@ def _losses(run: Row) -> list[Stretch] | None:
     In a world that resets XP, a low return is that of one episode only. The world of imported logs is
     unknown.
     """
-    steps, returns = run.known_curve("return")
+    steps, returns = run.curve_points("return")
     if not len(steps) or run.fields.get("xp_scope") == "episode":
         return None
     return stretches(steps, (returns < 0) & (np.maximum.accumulate(returns) > 0))
@@ -161,13 +161,13 @@ def _played(run: Row) -> tuple[np.ndarray, np.ndarray, float | None]:
     This is the share of monsters killed. In other environments it is the gain in return over the random
     player, in a unit in which `DEPTH` is twice the standard deviation of that player's returns.
     """
-    _, random_returns = run.known_evaluations("random_return")
+    _, random_returns = run.evaluation_points("random_return")
     if not len(random_returns):
-        steps, shares = run.known_evaluations("share_killed")
-        _, random_shares = run.known_evaluations("random_share_killed")
+        steps, shares = run.evaluation_points("share_killed")
+        _, random_shares = run.evaluation_points("random_share_killed")
         return steps, shares, float(random_shares[0]) if len(random_shares) else None
-    _, spreads = run.known_evaluations("random_spread")
-    steps, returns = run.known_evaluations("return")
+    _, spreads = run.evaluation_points("random_spread")
+    steps, returns = run.evaluation_points("return")
     return_unit = 2 * max(spreads[0], 0.01 * abs(random_returns[0]), 1e-9) / DEPTH
     return steps, (returns - random_returns[0]) / return_unit, 0.0
 

@@ -115,7 +115,7 @@ def study_curves(
     for quantity in quantities:
         if quantity not in available:
             raise unknown_name(
-                f"curve in {study_data.what} of study {study_data.study.name}", quantity, available
+                f"curve in {study_data.origin} of study {study_data.study.name}", quantity, available
             )
         curves[quantity] = []
         for condition in study_data.conditions:
@@ -168,17 +168,17 @@ def _on_one_grid(run_series: Sequence[pd.Series], is_even: bool) -> pd.DataFrame
 
 def _seconds(run: Row, steps: np.ndarray) -> np.ndarray:
     """Return the seconds that a run had trained at some steps, from its own start."""
-    trained_steps = run.end - run.begun
+    trained_steps = run.end - run.start_step
     if not run.wall_seconds or trained_steps <= 0:
-        raise UserError(Hint("x", WALL_CLOCK), f": run {run.run_id} in {run.what} has no times")
-    return (steps - run.begun) * run.wall_seconds / trained_steps
+        raise UserError(Hint("x", WALL_CLOCK), f": run {run.run_id} in {run.origin} has no times")
+    return (steps - run.start_step) * run.wall_seconds / trained_steps
 
 
 def _episodes(run: Row, steps: np.ndarray) -> np.ndarray:
     """Return the episodes that a run had finished at some steps."""
-    known_steps, lengths = run.known_curve("length")
+    known_steps, lengths = run.curve_points("length")
     if not len(lengths):
-        raise UserError(Hint("x", EPISODES), f": run {run.run_id} in {run.what} has no lengths of episodes")
+        raise UserError(Hint("x", EPISODES), f": run {run.run_id} in {run.origin} has no lengths of episodes")
     finished_episodes = np.cumsum(np.diff(run.grid, prepend=0.0) / np.interp(run.grid, known_steps, lengths))
     return np.interp(steps, [0.0, *run.grid], [0.0, *finished_episodes])
 

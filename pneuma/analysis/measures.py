@@ -33,7 +33,7 @@ LEAST_NORM = 1e-8
 
 def evaluated(run: Row, column: str, take: Take) -> float:
     """Return what a function takes from a column of the evaluations."""
-    _, curve_values = run.known_evaluations(column)
+    _, curve_values = run.evaluation_points(column)
     return float(take(curve_values)) if len(curve_values) else NAN
 
 
@@ -104,7 +104,7 @@ def lasting_one_action(run: Row) -> float:
 
     Infinite if there are none.
     """
-    steps, shares = run.known_evaluations("commonest_action")
+    steps, shares = run.evaluation_points("commonest_action")
     if not len(shares):
         return NAN
     in_one_action = shares > ONE_ACTION
@@ -115,12 +115,12 @@ def lasting_one_action(run: Row) -> float:
 
 
 def share_area(run: Row) -> float:
-    return mean_height(*run.known_evaluations("share_killed"), run.budget)
+    return mean_height(*run.evaluation_points("share_killed"), run.budget)
 
 
 def steps_to(run: Row, threshold: float, column: str) -> float:
     """Return the step of the first evaluation that reaches a value; infinite if none does."""
-    steps, curve_values = run.known_evaluations(column)
+    steps, curve_values = run.evaluation_points(column)
     if not len(curve_values):
         return NAN
     reached = steps[curve_values >= threshold]
@@ -129,8 +129,8 @@ def steps_to(run: Row, threshold: float, column: str) -> float:
 
 def overestimation(run: Row) -> float:
     """Return by how much the learner's estimate of its return exceeds the actual return."""
-    steps, estimates = run.known_evaluations("q_estimate")
-    true_steps, returns = run.known_evaluations("q_true")
+    steps, estimates = run.evaluation_points("q_estimate")
+    true_steps, returns = run.evaluation_points("q_true")
     _, estimate_places, return_places = np.intersect1d(steps, true_steps, return_indices=True)
     if not len(return_places):
         return NAN
@@ -152,7 +152,7 @@ def log_max(run: Row, name: str) -> float:
 
 def log_growth(run: Row) -> float:
     """Return how much the norm's logarithm grows, from the mean of the first tenth to that of the last."""
-    _, curve_values = run.known_curve("grad_norm")
+    _, curve_values = run.curve_points("grad_norm")
     if not len(curve_values):
         return NAN
     log_norms = np.log(np.maximum(curve_values, LEAST_NORM))
@@ -163,13 +163,13 @@ def log_growth(run: Row) -> float:
 def low_entropy_share(run: Row) -> float:
     """Return the share of training in which the entropy is below `LEAST_ENTROPY`; NaN if not recorded."""
     stretches, update_steps = run.signs.get(NO_ENTROPY), run.update_steps
-    if stretches is None or update_steps is None or run.end <= run.begun:
+    if stretches is None or update_steps is None or run.end <= run.start_step:
         return NAN
     low_entropy_steps = 0.0
     for first_step, last_step in stretches:
         if first_step <= run.end:
             low_entropy_steps += min(last_step, run.end) - first_step + update_steps
-    return low_entropy_steps / (run.end - run.begun)
+    return low_entropy_steps / (run.end - run.start_step)
 
 
 def stuck_share(run: Row) -> float:
@@ -199,4 +199,4 @@ def wall_seconds(run: Row) -> float:
 
 def pace(run: Row) -> float:
     """Return the steps trained per second."""
-    return (run.end - run.begun) / run.wall_seconds if run.wall_seconds else NAN
+    return (run.end - run.start_step) / run.wall_seconds if run.wall_seconds else NAN

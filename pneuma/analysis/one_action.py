@@ -33,7 +33,9 @@ def runs_not_staying(study_data: StudyData, condition: str) -> pd.DataFrame:
     runs = study_data.of_condition(condition)
     staying_steps = np.array([lasting_one_action(run) for run in runs])
     if np.isnan(staying_steps).any():
-        raise UserError(f"study {study_data.study.name}: {study_data.what} has no evaluations with {COLUMN}")
+        raise UserError(
+            f"study {study_data.study.name}: {study_data.origin} has no evaluations with {COLUMN}"
+        )
     last_steps = np.array([run.evaluations("step")[-1] for run in runs])
     ever_stays = np.isfinite(staying_steps)
     survival = stats.ecdf(
@@ -53,7 +55,7 @@ def time_in_one_action(study_data: StudyData, condition: str) -> Curve:
     """Return in which share of the evaluations runs are in one action, over the fifths of training."""
     shares_by_run: list[list[float]] = []
     for run in study_data.of_condition(condition):
-        steps, actions = run.known_evaluations(COLUMN)
+        steps, actions = run.evaluation_points(COLUMN)
         fifths = np.ceil(PARTS * steps / run.budget).clip(1, PARTS)
         share_by_fifth = pd.Series(actions > ONE_ACTION).groupby(fifths).mean()
         shares_by_run.append(share_by_fifth.reindex(range(1, PARTS + 1)).tolist())

@@ -185,7 +185,7 @@ def reason(run: Row, outcome_name: str) -> str:
     if declared.source == "signs" and not diagnose(run).collapsed:
         return "no sign of collapse is recorded, or there was none"
     subject = f"the run {run.status} at step {run.end:,} and" if run.status == "diverged" else "the run"
-    return f"{subject} has nothing that {outcome_name} is taken from ({declared.source}) in {run.what}"
+    return f"{subject} has nothing that {outcome_name} is taken from ({declared.source}) in {run.origin}"
 
 
 # --- Returns --------------------------------------------------------------------------------------

@@ -241,9 +241,9 @@ class StudyData:
         return _joined(self.study.name, self.world, settings_name(self.study.settings))
 
     @property
-    def what(self) -> str:
+    def origin(self) -> str:
         """Where the runs are, for messages."""
-        return " with ".join(sorted({run.what for run in self.rows}))
+        return " with ".join(sorted({run.origin for run in self.rows}))
 
     @property
     def ends(self) -> str:

@@ -57,7 +57,9 @@ def _curves(study_data: StudyData, window: str | None, band: str) -> pd.DataFram
     if "share_killed" in recorded_names:
         quantities.append("share_killed")
     if not quantities:
-        raise UserError(f"study {study_data.study.name}: {study_data.what} has no returns, and so no curves")
+        raise UserError(
+            f"study {study_data.study.name}: {study_data.origin} has no returns, and so no curves"
+        )
     curve_table = curves_table(study_curves(study_data, quantities, window), [band]).rename(
         columns={"x": "step"}
     )
@@ -71,7 +73,7 @@ def _records(study_data: StudyData, table_name: str, store: Store) -> pd.DataFra
     if table_name == "evaluations" or (study_data.averaged_over and table_name != "metrics"):
         other_tables = ", ".join(other_table for other_table in EXPORT_TABLES if other_table != table_name)
         raise UserError(
-            f"study {study_data.study.name}: {study_data.what} holds no {table_name}; try {other_tables}"
+            f"study {study_data.study.name}: {study_data.origin} holds no {table_name}; try {other_tables}"
         )
     if any(run.published for run in study_data.rows):
         problem = f"study {study_data.study.name}: published tables do not contain {table_name}"

@@ -16,7 +16,7 @@ RUN_COLUMNS = ("run_id", "condition", "seed")
 """Columns that name the run of an evaluation; a log's tags of these names are left out."""
 
 
-def of_log(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> Recorded:
+def recorded_from_log(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> Recorded:
     """Return what the points (tag, step, value, superseded) of an imported log hold.
 
     Returns that are means of fewer episodes than elsewhere are averaged further. Those of which nobody said
@@ -30,7 +30,7 @@ def of_log(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> Recorded:
     return Recorded(series_by_quantity, _evaluations(points), averaged_over=averaged_over)
 
 
-def by_step(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> pd.DataFrame:
+def log_table(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> pd.DataFrame:
     """Return a log's points with a column for each quantity or tag; returns are named as averaged."""
     points, averaged_over = _named_points(scalars, provenance)
     points = points[~points["name"].str.startswith(WALL_CLOCK)]

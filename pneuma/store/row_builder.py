@@ -42,7 +42,7 @@ LEVELS = 512
 """Most steps into which a curve's range is divided; panels of figures are about as many pixels high."""
 
 
-def of_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> series.Recorded:
+def recorded_from_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> series.Recorded:
     """Return what a run's record tables contain."""
     quantities: dict[str, series.Series] = {}
     # from where every slot has finished an episode
@@ -110,11 +110,11 @@ def cells_of_files(
                 record_table = record_table.filter(pc.field("step") <= until)
             tables_by_file[file_name] = record_table
     if SCALARS_FILE in tables_by_file:
-        from pneuma.store.points import of_log
+        from pneuma.store.points import recorded_from_log
 
-        recorded = of_log(tables_by_file[SCALARS_FILE].to_pandas(use_threads=False), provenance)
+        recorded = recorded_from_log(tables_by_file[SCALARS_FILE].to_pandas(use_threads=False), provenance)
     else:
-        recorded = of_tables(fields, tables_by_file)
+        recorded = recorded_from_tables(fields, tables_by_file)
     return row_cells(run_id, status, fields, recorded, provenance)
 
 
@@ -124,9 +124,9 @@ def record_frame(store: Store, run_id: str, table_name: str) -> pd.DataFrame:
     with stored_file(store.run_folder(run_id) / file_name):
         frame = from_parquet(store.read_file(run_id, file_name)).to_pandas()
     if file_name == SCALARS_FILE:
-        from pneuma.store.points import by_step
+        from pneuma.store.points import log_table
 
-        frame = by_step(frame, parse_json(store.read_file(run_id, "provenance.json")))
+        frame = log_table(frame, parse_json(store.read_file(run_id, "provenance.json")))
     return frame
 
 

@@ -180,12 +180,12 @@ class Row:
         return self.cell(AVERAGED_OVER)
 
     @property
-    def begun(self) -> int:
+    def start_step(self) -> int:
         """Agent steps with which the run began: for a published fork, those of its parent."""
         return self.fields.get("fork_step") or 0
 
     @property
-    def what(self) -> str:
+    def origin(self) -> str:
         """Where it is, for messages."""
         if self.averaged_over:
             return "a study of imported logs"
@@ -238,7 +238,7 @@ class Row:
             return np.full(GRID_POINTS, np.nan)
         return self.table[column][0].values.to_numpy(zero_copy_only=False).astype(float)
 
-    def known_curve(self, quantity: str) -> Series:
+    def curve_points(self, quantity: str) -> Series:
         """Return the points of a curve that have a value; empty if there is no such curve."""
         return finite_points(self.grid, self.curve(quantity))
 
@@ -252,7 +252,7 @@ class Row:
             return float(exact_value)
         if statistic_name == PEAK:
             return float(EXTREMES[quantity].reduce(self._points(f"{quantity} {PEAKS}")))
-        step, values = self.known_curve(quantity)
+        step, values = self.curve_points(quantity)
         return curve_statistic(statistic_name, step, values, self.budget)
 
     # --- Evaluations -------------------------------------------------------------------------------
@@ -273,7 +273,7 @@ class Row:
             return np.empty(0)
         return self.evaluations_table[column].to_numpy().astype(float)
 
-    def known_evaluations(self, column: str) -> Series:
+    def evaluation_points(self, column: str) -> Series:
         """Return a column's finite values with their steps; empty if it has no such column."""
         values = self.evaluations(column)
         return finite_points(self.evaluations("step")[: len(values)], values)

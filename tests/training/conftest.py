@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from .begun import end_begun
+from .commands import end_commands
 
 
 @pytest.fixture(autouse=True)
 def no_command_is_left() -> Iterator[None]:
     """End what a failed test began."""
     yield
-    end_begun()
+    end_commands()

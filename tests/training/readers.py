@@ -24,7 +24,7 @@ from pneuma.store.store import ROW_FILE, Store
 from pneuma.training.executors.local import worker_environment
 
 from ..cli.calls import call
-from .begun import outcome
+from .commands import outcome
 from .tiny import TINY_RUN
 
 STUDY = f"""\

@@ -26,7 +26,7 @@ from pneuma.store.row_builder import stored_row
 from pneuma.store.store import ROW_FILE, Store
 from pneuma.training.executors.local import worker_environment
 
-from .begun import outcome, wait_until
+from .commands import outcome, wait_until
 
 STUDY = """\
 title = "Storm"

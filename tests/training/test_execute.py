@@ -19,7 +19,7 @@ from pneuma.training.execute import CellResult, OnProgress, execute, prepare
 from pneuma.training.executors.base import ExecutorConfig
 
 from ..training_here import training_here
-from .begun import outcome
+from .commands import outcome
 from .tiny import tiny_plan
 
 

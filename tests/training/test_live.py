@@ -17,7 +17,7 @@ from pneuma.store.store import Store
 from pneuma.training.live import open_log
 
 from ..cli.calls import TINY, described, refused
-from .begun import outcome
+from .commands import outcome
 from .tiny import TINY_RUN
 
 TABLES = ("episodes", "metrics")

@@ -21,7 +21,7 @@ from pneuma.training.executors import ray
 from pneuma.training.executors.base import ExecutorConfig, Job
 from pneuma.training.executors.local import worker_environment
 
-from .begun import begin, end_begun, hold, outcome, wait_until, write_study
+from .commands import begin, end_commands, hold, outcome, wait_until, write_study
 
 pytest.importorskip("ray")
 
@@ -71,7 +71,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
         assert first.wait(timeout=240) == 0
         yield nodes
     finally:
-        end_begun()
+        end_commands()
         end_nodes(process)
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from pneuma.store.store import Store
 
-from .begun import FOR_EVER, begin, wait_until, write_study
+from .commands import FOR_EVER, begin, wait_until, write_study
 from .storm import children, wait_for_end
 
 

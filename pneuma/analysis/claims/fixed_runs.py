@@ -70,7 +70,7 @@ class ClaimRuns:
         """
         learned: dict[str, bool | None] = {}
         for condition in self.data.conditions:
-            run_scores = [row.known_evaluations("score")[1] for row in self.data.of_condition(condition)]
+            run_scores = [row.evaluation_points("score")[1] for row in self.data.of_condition(condition)]
             learned[condition] = None
             if len(run_scores) > 1 and all(map(len, run_scores)):
                 mean_scores = np.array(list(map(np.mean, run_scores)))

@@ -19,7 +19,7 @@ from .tiny import TINY_RUN
 
 FOR_EVER = 64 * 10_000_000
 
-BEGUN: list[subprocess.Popen[str]] = []
+RUNNING: list[subprocess.Popen[str]] = []
 
 
 def write_study(folder: Path, steps: int = 256, seeds: int = 1, settings: str = "") -> Path:
@@ -41,7 +41,7 @@ def begin(folder: Path, study: Path, *options: str) -> subprocess.Popen[str]:
         text=True,
         preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # a shell's background ignores it
     )
-    BEGUN.append(process)
+    RUNNING.append(process)
     return process
 
 
@@ -52,10 +52,10 @@ def hold(folder: Path) -> str:
     return f"{path}:paid"
 
 
-def end_begun() -> None:
+def end_commands() -> None:
     """End what a failed test began: it would train for ever."""
-    while BEGUN:
-        process = BEGUN.pop()
+    while RUNNING:
+        process = RUNNING.pop()
         process.kill()
         process.communicate()
 
