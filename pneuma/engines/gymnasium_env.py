@@ -223,8 +223,8 @@ def actions_in(space: spaces.Space[Any], actions: np.ndarray) -> Sequence[Any]:
     return shaped_actions
 
 
-def choices_of(space: spaces.Space[Any]) -> np.ndarray:
-    """Return among how many each of an action's choices is."""
+def choice_counts(space: spaces.Space[Any]) -> np.ndarray:
+    """Return how many values each of an action's choices has."""
     if isinstance(space, spaces.MultiDiscrete):
         return np.asarray(space.nvec, np.int64)
     return np.full(space.shape or (), 2)

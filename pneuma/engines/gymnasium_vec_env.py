@@ -9,7 +9,7 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from pneuma.config import Run, slot_seeds
-from pneuma.engines.gymnasium_env import GymnasiumSlots, choices_of
+from pneuma.engines.gymnasium_env import GymnasiumSlots, choice_counts
 from pneuma.env.sb3 import SlotsVecEnv
 
 
@@ -49,4 +49,4 @@ def _learners_space(space: spaces.Space[Any]) -> spaces.Space[Any]:
     if isinstance(space, spaces.Box):
         low, high = space.low.astype(np.float32), space.high.astype(np.float32)
         return spaces.Box(low.reshape(-1), high.reshape(-1))
-    return spaces.MultiDiscrete(choices_of(space).reshape(-1))
+    return spaces.MultiDiscrete(choice_counts(space).reshape(-1))

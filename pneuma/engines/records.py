@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -40,7 +41,7 @@ share the kills. Older runs lack these four.
 
 Row = Mapping[str, Any]
 Numbers = Sequence[float] | np.ndarray
-NAN = float("nan")
+NAN = math.nan
 
 
 def episode_row(
@@ -55,6 +56,15 @@ def episode_row(
 
 def metrics_row(step: int, metrics: Row) -> dict[str, Any]:
     return {**dict.fromkeys(METRIC_COLUMNS, NAN), "step": step, **metrics}
+
+
+def has_finite_losses(metrics: Row) -> bool:
+    """Return whether an update's losses and gradient norm are finite, of those that its learner has.
+
+    The explained variance is left out, because it is undefined if all returns are equal.
+    """
+    watched_metrics = metrics.keys() & {"policy_loss", "value_loss", "entropy", "grad_norm"}
+    return all(math.isfinite(metrics[metric]) for metric in watched_metrics)
 
 
 def evaluation_row(
@@ -79,12 +89,9 @@ def evaluation_row(
 def action_shares(run: Run, actions: np.ndarray, action_count: int) -> dict[str, float]:
     """Return the share of each action, as columns of the metrics.
 
-    In other environments with more actions than columns, these are the most frequent ones. There are none for
-    continuous actions.
+    In other environments with more actions than columns, these are the most frequent ones.
     """
     column_count = len(ACTION_NAMES)
-    if actions.dtype.kind not in "iu":
-        return {}
     shares = np.bincount(actions.ravel(), minlength=max(action_count, column_count)) / actions.size
     if is_gymnasium_id(run.env) and len(shares) > column_count:
         shares = np.sort(shares)[::-1][:column_count]

@@ -7,7 +7,6 @@ and the training on it; for DQN it is as many steps with the gradient steps betw
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,10 +19,10 @@ from torch import nn
 
 from pneuma.config import Run
 from pneuma.engines.environment import make_vec_env
-from pneuma.engines.gymnasium_env import choices_of
+from pneuma.engines.gymnasium_env import choice_counts
 from pneuma.engines.loop import ResumableTrainer
-from pneuma.engines.policy import Layers, Policy, dead_share, overflows
-from pneuma.engines.records import Checkpoint, Records, action_shares, metrics_row
+from pneuma.engines.policy import Policy, dead_share, overflows
+from pneuma.engines.records import Checkpoint, Records, action_shares, has_finite_losses, metrics_row
 from pneuma.engines.sb3_learners import (
     Episodes,
     Learner,
@@ -53,32 +52,35 @@ class Sb3Trainer(ResumableTrainer):
         self._policy = extract_policy(self._model, self.run)
 
     def update(self, before: int, after: int, records: Records) -> bool:
-        """Let the learner collect and train, by values once every few steps.
+        """Let the learner collect and train; DQN does both once every few steps.
 
-        If a weight or logit is not a number, torch refuses to draw actions, or the next minibatch. Such a
+        If a weight or logit is not a number, torch refuses to sample actions, or the next minibatch. Such a
         run has diverged, not crashed, and has no losses.
         """
         model, run = self._model, self.run
         self._visited.forget()
         metrics: dict[str, float] = {}
+        has_diverged = False
         with GradientNorms(model, run) as gradient_norms:
             try:
                 with np.errstate(over="ignore", invalid="ignore"):  # values may overflow here
                     metrics |= self._learn()
             except (ValueError, RuntimeError):
-                if not self._has_diverged():
+                has_diverged = self._has_diverged()
+                if not has_diverged:
                     raise
         if len(self._visited.actions) == run.horizon:
             metrics |= self._visited_metrics()
-        records.metrics.append(metrics_row(after, metrics | gradient_norms.means()))
+        metrics |= gradient_norms.means()
+        records.metrics.append(metrics_row(after, metrics))
         records.episodes.extend(self._visited.take_rows())
-        if not is_finite(records.metrics[-1], model):
+        if has_diverged or not has_finite_losses(metrics) or not has_finite_weights(model):
             return False
         self._policy = extract_policy(model, run)
         return not overflows(self._policy, model._last_obs)
 
     def _learn(self) -> dict[str, float]:
-        """Train for an update's steps; return what the learner logged, of several times the mean loss."""
+        """Train for an update's steps; return what the learner logged, and its mean value loss."""
         run = self.run
         trainings = run.horizon // (run.train_every or run.horizon)
         metrics: dict[str, float] = {}
@@ -107,7 +109,7 @@ class Sb3Trainer(ResumableTrainer):
         observations = np.concatenate(self._visited.observations)
         actions = np.concatenate(self._visited.actions)
         metrics = {"dead_units": dead_share(policy, observations)}
-        if policy.deviation is None and policy.choices is None:
+        if isinstance(self._model.action_space, spaces.Discrete):
             metrics |= action_shares(self.run, actions, policy.actions)
         if isinstance(self._model, TRPO):  # which logs no entropy
             metrics["entropy"] = policy.entropy(observations)
@@ -121,7 +123,7 @@ class Sb3Trainer(ResumableTrainer):
 
 
 class Visited(Episodes):
-    """Collects also the observations and actions of each step of an update: (S, features) and (S, …)."""
+    """Also collects the observations, (S, features), and actions, (S, …), of each step of an update."""
 
     def forget(self) -> None:
         self.observations: list[np.ndarray] = []
@@ -137,24 +139,23 @@ class Visited(Episodes):
 
 
 ACTOR_PARAMETERS = ("policy_net", "action_net", "log_std")
-"""What is in the names of an actor's parameters."""
+"""Parts of the names of an actor's parameters."""
 
 
 class GradientNorms:
-    """Measures the gradient norms of an update's minibatches before clipping; clips parts apart if asked.
+    """Measures the gradient norms of an update's minibatches before clipping, and clips separately if asked.
 
     It uses torch's hooks, so that the learner's code and arithmetic are unchanged. TRPO is left out, because
     its actor takes no gradient steps.
     """
 
     def __init__(self, model: Learner, run: Run) -> None:
-        self._parameters = []
-        is_actor = []
+        self._actor: list[nn.Parameter] = []
+        self._critic: list[nn.Parameter] = []
         for parameter_name, parameter in model.policy.named_parameters():
             if "q_net_target" not in parameter_name:
-                self._parameters.append(parameter)
-                is_actor.append(any(layer in parameter_name for layer in ACTOR_PARAMETERS))
-        self._is_actor = torch.tensor(is_actor)
+                is_actor = any(part in parameter_name for part in ACTOR_PARAMETERS)
+                (self._actor if is_actor else self._critic).append(parameter)
         self._norms: list[torch.Tensor] = []
         self._limit = run.gradient_limit if run.clip == "separate" else None
         self._optimizer = None if isinstance(model, TRPO) else model.policy.optimizer
@@ -163,8 +164,8 @@ class GradientNorms:
     def __enter__(self) -> GradientNorms:
         if self._optimizer is not None:
             self._hooks = (
-                self._optimizer.register_step_pre_hook(self._clip_parts),
-                torch.autograd.graph.register_multi_grad_hook(self._parameters, self._measure),
+                self._optimizer.register_step_pre_hook(self._clip_separately),
+                torch.autograd.graph.register_multi_grad_hook(self._actor + self._critic, self._measure),
             )
         return self
 
@@ -173,19 +174,13 @@ class GradientNorms:
         for hook in self._hooks:
             hook.remove()
 
-    def _measure(self, gradients: Sequence[torch.Tensor | None]) -> None:
-        present = [gradient for gradient in gradients if gradient is not None]
-        self._norms.append(torch.stack(torch._foreach_norm(present)))
+    def _measure(self, gradients: Any) -> None:
+        self._norms.append(torch.stack(torch._foreach_norm(gradients)))
 
-    def _clip_parts(self, *_: Any) -> None:
-        if self._limit is None:
-            return
-        actor_parameters: list[nn.Parameter] = []
-        critic_parameters: list[nn.Parameter] = []
-        for parameter, is_actor in zip(self._parameters, self._is_actor, strict=True):
-            (actor_parameters if is_actor else critic_parameters).append(parameter)
-        nn.utils.clip_grad_norm_(actor_parameters, self._limit)
-        nn.utils.clip_grad_norm_(critic_parameters, self._limit)
+    def _clip_separately(self, *_: Any) -> None:
+        if self._limit is not None:
+            nn.utils.clip_grad_norm_(self._actor, self._limit)
+            nn.utils.clip_grad_norm_(self._critic, self._limit)
 
     def means(self) -> dict[str, float]:
         """Return the mean norms over the update's minibatches.
@@ -195,9 +190,10 @@ class GradientNorms:
         if not self._norms:
             return {}
         squares = torch.stack(self._norms).double() ** 2  # (minibatches, parameters)
-        actor_squares, critic_squares = squares[:, self._is_actor].sum(1), squares[:, ~self._is_actor].sum(1)
+        actor_squares = squares[:, : len(self._actor)].sum(1)
+        critic_squares = squares[:, len(self._actor) :].sum(1)
         squares_by_norm = {"grad_norm": actor_squares + critic_squares}
-        if self._is_actor.any():
+        if self._actor:
             squares_by_norm |= {"grad_norm_actor": actor_squares, "grad_norm_critic": critic_squares}
         return {name: float(square.sqrt().mean()) for name, square in squares_by_norm.items()}
 
@@ -207,33 +203,17 @@ class GradientNorms:
 
 def extract_policy(model: Any, run: Run) -> Policy:
     """Copy the learner's networks into a `Policy`; a network of action values is its actor."""
-    networks: dict[str, Layers] = {"actor": (), "critic": ()}
+    parts: dict[str, Any] = {"actor": (), "critic": ()}
     for network, modules in linear_layers(model).items():
         for layer in modules:
             weight, bias = layer.weight.detach().numpy(), layer.bias.detach().numpy()
-            networks[network] += ((weight.T.copy(), bias.copy()),)  # torch keeps (outputs, inputs)
-    of_actions: dict[str, Any] = {}
+            parts[network] += ((weight.T.copy(), bias.copy()),)  # torch keeps (outputs, inputs)
     if isinstance(model, DQN):
-        of_actions = {"exploration": run.exploration}
+        parts["exploration"] = run.exploration
     elif hasattr(model.policy, "log_std"):
         action_space = model.env.slots.action_space  # not the learner's, which is flat and of float32
-        bounds = np.stack([action_space.low, action_space.high])
-        of_actions = {"deviation": np.exp(model.policy.log_std.detach().numpy()), "bounds": bounds}
+        parts["deviation"] = np.exp(model.policy.log_std.detach().numpy())
+        parts["bounds"] = np.stack([action_space.low, action_space.high])
     elif isinstance(model.action_space, spaces.MultiDiscrete):
-        of_actions = {"choices": choices_of(model.env.slots.action_space)}
-    return Policy(run.activation, networks["actor"], networks["critic"], **of_actions)
-
-
-def is_finite(metrics: Mapping[str, float], model: Learner) -> bool:
-    """Return whether losses, gradient norms and all parameters are finite.
-
-    The explained variance is left out, because it is undefined if all returns are equal, and so are losses
-    that the learner does not have, or not before its first gradient.
-    """
-    watched_metrics = ["policy_loss", "value_loss", "entropy", "grad_norm"]
-    if isinstance(model, DQN):
-        watched_metrics = ["value_loss", "grad_norm"] if model._n_updates else []
-    if isinstance(model, TRPO):
-        watched_metrics.remove("grad_norm")
-    watched_values = [metrics[metric] for metric in watched_metrics]
-    return bool(np.isfinite(watched_values).all()) and has_finite_weights(model)
+        parts["choices"] = choice_counts(model.env.slots.action_space)
+    return Policy(run.activation, **parts)

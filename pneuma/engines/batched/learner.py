@@ -20,7 +20,7 @@ from pneuma.engines.batched.update import (
     run_numbers,
 )
 from pneuma.engines.policy import Layers, Policy
-from pneuma.engines.records import action_shares
+from pneuma.engines.records import action_shares, has_finite_losses
 from pneuma.env import rules
 
 Tree = Any
@@ -109,10 +109,8 @@ class Learner:
         return rewards
 
     def is_finite(self, metrics: Mapping[str, float]) -> bool:
-        for metric in ("policy_loss", "value_loss", "entropy", "grad_norm"):
-            if not math.isfinite(metrics[metric]):
-                return False
-        return all(bool(np.isfinite(leaf).all()) for leaf in jax.tree.leaves(self.networks))
+        weights = jax.tree.leaves(self.networks)
+        return has_finite_losses(metrics) and all(bool(np.isfinite(array).all()) for array in weights)
 
 
 def to_numpy(tree: Tree) -> Tree:
