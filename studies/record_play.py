@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.api import load_policy
-from pneuma.engines.policy import drawing
+from pneuma.engines.policy import action_sampler
 from pneuma.env.fields import make_env_config
 from pneuma.env.worlds import Worlds
 from pneuma.files import to_json
@@ -31,7 +31,7 @@ def record(run_id: str, results: str) -> dict[str, Any]:
     worlds = Worlds(1, make_env_config(settings, env))
     worlds.seed([SEED])
     worlds.reset()
-    act, actions = drawing(policy, worlds, np.random.default_rng(SEED)), ""
+    act, actions = action_sampler(policy, worlds, np.random.default_rng(SEED)), ""
     while worlds.worlds["ending"][0] == 0:
         chosen = act(worlds)
         actions += str(chosen[0, 0])

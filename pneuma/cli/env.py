@@ -80,7 +80,7 @@ def render(
         return Result({"file": out}, [f"wrote {out}"])
     import numpy as np
 
-    from pneuma.engines.policy import Policy, drawing
+    from pneuma.engines.policy import Policy, action_sampler
     from pneuma.env.fields import REWARDS, make_env_config
     from pneuma.env.players import Hunter, RandomPlayer
     from pneuma.env.render import GIF_FACTOR, Renderer
@@ -95,7 +95,7 @@ def render(
     worlds.reset()
     generator = np.random.default_rng(seed)
     if isinstance(policy, Policy):
-        act = drawing(policy, worlds, generator)
+        act = action_sampler(policy, worlds, generator)
     elif player == HUNTER:
         act = Hunter(worlds).act
     else:

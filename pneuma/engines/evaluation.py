@@ -30,17 +30,17 @@ WEIGHT_LEFT_OUT = 0.01
 """Rewards after a truncated episode count until their discount is below this."""
 
 Act = Callable[[np.ndarray], np.ndarray]
-"""Observations (N, features) to actions (N,), whole numbers."""
+"""From observations, (N, features), to actions, (N,) whole numbers."""
 Choose = Callable[[np.ndarray], np.ndarray]
-"""Which players still play, (N * P,) booleans, to the actions of all, (N, P)."""
+"""From which players still play, (N * P,) booleans, to the actions of all, (N, P)."""
 
 
 @dataclass(frozen=True)
 class OwnAgent:
     """A user's agent, with the methods of a `Policy`; its actions are checked.
 
-    `act` chooses as in training, and `choose` the best actions from the observations alone. Without it these
-    are not evaluated; their worlds are still stepped, so that random draws do not shift.
+    `act` chooses as in training, and `choose` the best actions from the observations alone. Without it,
+    attacks stand in for the best actions, so that random numbers do not shift.
     """
 
     act: Act
@@ -49,26 +49,26 @@ class OwnAgent:
 
     def sample(self, observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """Call `act`, which has its own random numbers: (N, features) -> (N,)."""
-        return self._ask(self.act, observations)
+        return self._call(self.act, observations)
 
     def best(self, observations: np.ndarray) -> np.ndarray:
         """Call `choose`, or attack if there is none: (N, features) -> (N,)."""
         if self.choose is None:
             return np.full(len(observations), rules.ATTACK)
-        return self._ask(self.choose, observations)
+        return self._call(self.choose, observations)
 
-    def _ask(self, act: Act, observations: np.ndarray) -> np.ndarray:
+    def _call(self, act: Act, observations: np.ndarray) -> np.ndarray:
         """Return a function's actions; refuse anything but one valid action per observation."""
         count = len(observations)
-        agent_answer = act(observations.copy())
+        agent_output = act(observations.copy())
         try:
-            actions = np.asarray(agent_answer)
+            actions = np.asarray(agent_output)
         except ValueError:  # lists of unlike lengths
             actions = np.empty(0)
         is_fitting = actions.shape == (count,) and actions.dtype.kind in "iu"
         if not is_fitting or not 0 <= actions.min() <= actions.max() < self.actions:
             raise UserError(
-                f"the agent gave {str(agent_answer)[:60]!r}: must be {count} whole numbers from 0 to "
+                f"the agent gave {str(agent_output)[:60]!r}: must be {count} whole numbers from 0 to "
                 f"{self.actions - 1}, one per observation (Stable-Baselines3's predict: take [0])"
             )
         return actions
@@ -90,35 +90,38 @@ class Evaluation:
     def evaluate(self, policy: Policy | OwnAgent, step: int) -> dict[str, Any]:
         """Return one row of `records.EVALUATION_COLUMNS` for the policy after `step` agent steps.
 
-        For a policy of action values it has `q_estimate` and `q_true` too.
+        It also has some of `VALUE_COLUMNS`, as `q_estimate` and `q_true` for a policy of action values.
         """
-        self._play(self._acting(policy, step))
-        returns, cleared = self.worlds.tallies["returns"], self.worlds.tallies["cleared"]
-        steps_to_clear = np.where(cleared, cleared, self.run.episode_steps)
-        kills = self.worlds.players["kills"]
-        killed_share = kills.sum(axis=1) / max(self.worlds.monsters.shape[1], 1)
-        has_died = self.worlds.worlds["ending"] == rules.KILLED
-        sampled_worlds, best_worlds = slice(None, self.episodes), slice(self.episodes, None)
-        action_counts = self.worlds.taken[sampled_worlds].sum(axis=0)
+        self._play(self._action_chooser(policy, step))
+        worlds, tallies = self.worlds, self.worlds.tallies
+        cleared = tallies["cleared"]
+        kills = worlds.players["kills"]
+        killed_share = kills.sum(axis=1) / max(worlds.monsters.shape[1], 1)
+        sampled, best = slice(None, self.episodes), slice(self.episodes, None)
+        action_counts = worlds.taken[sampled].sum(axis=0)
         evaluation_row = {
             "step": step,
             "episodes": self.episodes,
-            "share_killed": float(killed_share[sampled_worlds].mean()),
-            "score": self._score(killed_share[sampled_worlds]),
-            "return": float(returns[sampled_worlds].mean()),
-            "length": float(self.worlds.worlds["steps"][sampled_worlds].mean()),
-            "died": float(has_died[sampled_worlds].mean()),
             "argmax_starts": self.argmax_starts,
-            "argmax_share_killed": float(killed_share[best_worlds].mean()),
-            "argmax_score": self._score(killed_share[best_worlds]),
-            "argmax_return": float(returns[best_worlds].mean()),
+            "score": self._score(killed_share[sampled]),
+            "argmax_score": self._score(killed_share[best]),
+            "argmax_share_killed": float(killed_share[best].mean()),
+            "argmax_return": float(tallies["returns"][best].mean()),
             "random_share_killed": self.random_share,
-            "steps_to_clear": float(steps_to_clear[sampled_worlds].mean()),
-            "hp_lost": float(self.worlds.tallies["hp_lost"][sampled_worlds].mean()),
             "commonest_action": float(action_counts.max() / action_counts.sum()),
         }
+        sampled_values = {
+            "share_killed": killed_share,
+            "return": tallies["returns"],
+            "length": worlds.worlds["steps"],
+            "died": worlds.worlds["ending"] == rules.KILLED,
+            "steps_to_clear": np.where(cleared, cleared, self.run.episode_steps),
+            "hp_lost": tallies["hp_lost"],
+        }
+        for column, world_values in sampled_values.items():
+            evaluation_row[column] = float(world_values[sampled].mean())
         if kills.shape[1] > 1:
-            evaluation_row["kill_evenness"] = evenness(kills[sampled_worlds])
+            evaluation_row["kill_evenness"] = evenness(kills[sampled])
         if self.action_values and isinstance(policy, Policy):
             evaluation_row |= self.action_values.measure(policy)
         return evaluation_row
@@ -139,11 +142,11 @@ class Evaluation:
         kill_counts = self.worlds.players["kills"][: self.episodes].sum(axis=1)
         return float(kill_counts.mean()) / max(self.worlds.monsters.shape[1], 1)
 
-    def _acting(self, policy: Policy | OwnAgent, step: int) -> Choose:
-        """Return what chooses actions: sampled ones in the first worlds, else the best."""
+    def _action_chooser(self, policy: Policy | OwnAgent, step: int) -> Choose:
+        """Return a function that chooses actions: sampled ones in the first worlds, else the best."""
         generator = np.random.default_rng(stream_seed(self.run.seed, "evaluation-actions", step))
         players, features = self.worlds.observations.shape[1:]
-        sampled = self.episodes * players
+        sampled_rows = self.episodes * players
         observations = self.worlds.observations.reshape(-1, features)  # (N * P, features)
         actions = np.zeros(self.worlds.players.shape, np.int64)
         flat_actions = actions.reshape(-1)
@@ -151,23 +154,24 @@ class Evaluation:
             actor = network(policy.actor, policy.activation)
 
             def compute(is_playing: np.ndarray) -> np.ndarray:
-                choose(actor, observations, generator.random(sampled, np.float32), is_playing, flat_actions)
+                draws = generator.random(sampled_rows, np.float32)
+                choose(actor, observations, draws, is_playing, flat_actions)
                 return actions
 
             return compute
 
-        def ask(is_playing: np.ndarray) -> np.ndarray:
-            """Ask for the actions of a group of rows, always of all rows until the whole group has ended.
+        def call(is_playing: np.ndarray) -> np.ndarray:
+            """Choose for all rows of a group until its last world has ended.
 
             With fewer rows a policy's results would differ in the last bits.
             """
-            if is_playing[:sampled].any():
-                flat_actions[:sampled] = policy.sample(observations[:sampled], generator)
-            if is_playing[sampled:].any():
-                flat_actions[sampled:] = policy.best(observations[sampled:])
+            if is_playing[:sampled_rows].any():
+                flat_actions[:sampled_rows] = policy.sample(observations[:sampled_rows], generator)
+            if is_playing[sampled_rows:].any():
+                flat_actions[sampled_rows:] = policy.best(observations[sampled_rows:])
             return actions
 
-        return ask
+        return call
 
     def _is_compiled(self, policy: Policy) -> bool:
         """Return whether a policy's actions are computed by `mlp.choose`, whose last bits are not NumPy's."""
@@ -209,11 +213,11 @@ def evenness(kills: np.ndarray) -> float:
 class ActionValues:
     """Plays the greedy policy once from every start place, to measure the true value of its states.
 
-    Against it stand the greatest estimated values of actions, as in van Hasselt, Guez and Silver (2015); the
-    difference is the overestimation (thesis section 3.3).
+    The greatest estimated values of actions are compared with it, as in van Hasselt, Guez and Silver (2015);
+    the difference is the overestimation (thesis section 3.3).
 
-    Learners bootstrap at a time limit that truncates. So episodes continue past it until the last state that
-    counts is followed by enough steps. A time limit that terminates ends them.
+    Learners bootstrap at a time limit that truncates. So episodes continue past it, until the rewards of the
+    last state before it are known. A time limit that terminates ends them.
     """
 
     def __init__(self, run: Run, starts: int) -> None:

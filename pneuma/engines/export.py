@@ -22,7 +22,7 @@ from pneuma.algorithms import OPTIMIZERS
 from pneuma.config import Run, as_fields, env_config, is_gymnasium_id, make_run
 from pneuma.engines.gymnasium_env import make_env
 from pneuma.engines.normalization import CLIP, EPSILON, Scaling
-from pneuma.engines.policy import Policy, sizes
+from pneuma.engines.policy import Policy, layer_widths
 from pneuma.engines.sb3_learners import linear_layers, make_model
 from pneuma.env.fields import REWARDS
 from pneuma.env.worlds import Worlds
@@ -42,8 +42,8 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     """
     fields = as_fields(run) | {
         "activation": policy.activation,
-        "actor": sizes(policy.actor)[1:-1].tolist(),
-        "critic": sizes(policy.critic)[1:-1].tolist(),
+        "actor": layer_widths(policy.actor)[1:-1].tolist(),
+        "critic": layer_widths(policy.critic)[1:-1].tolist(),
         "clip": "joint",
         "value_baseline": True,
     }

@@ -1,13 +1,13 @@
 """Environments registered with Gymnasium, in parallel slots, with what engines need.
 
-    run → modules imported, environment made, wrapped → GymnasiumSlots → collector, vec_env, evaluation
+    run → make_env → GymnasiumSlots → collector, vector environment, evaluation
 
 Observations are flattened to one row of numbers, by Gymnasium's rules. When an episode ends, its slot begins
 the next one at once, as in a `SyncVectorEnv` that resets in the same step.
 
-A slot is seeded once, at its first episode. So its state follows from the seed and all actions since, and
-these are what a checkpoint contains. Nothing is unpickled, and an environment that draws only from its seed
-returns to the same state.
+A slot is seeded once, at its first episode. So its state follows from the seed and all actions since, and a
+checkpoint contains these. An environment whose random numbers come from its seed alone returns to the same
+state.
 """
 
 from __future__ import annotations
@@ -39,24 +39,26 @@ FLAT_SPACES = (spaces.Box, spaces.Discrete, spaces.MultiBinary, spaces.MultiDisc
 def check_spaces(run: Run) -> None:
     """Make an environment, take a step, and refuse spaces in which the run cannot be trained."""
     with closing(GymnasiumSlots(run, [0])) as slots:
-        space = slots.action_space
-        if not isinstance(space, spaces.Discrete):
-            if isinstance(space, spaces.Box) and np.issubdtype(space.dtype, np.floating):
-                problem = "its actions are numbers"
-                if not space.is_bounded():
-                    raise UserError(
-                        f"{run.env}: its actions {space} are unbounded: wrap it to give them bounds"
-                    )
-            elif isinstance(space, spaces.MultiDiscrete | spaces.MultiBinary):
-                problem = "an action is several choices"
-            else:
-                remedy = "wrap it to have Discrete, MultiDiscrete, MultiBinary or Box actions"
-                raise UserError(f"{run.env}: actions in {space} are not supported: {remedy}")
-            if run.algorithm in VALUE_BASED:
-                raise UserError(f"{run.env}: {problem}, which {run.algorithm} cannot handle: try ppo")
-            if run.engine != "sb3":
-                raise UserError(f'{run.env}: {problem}, which only engine = "sb3" trains')
-        slots.step(np.array([slots.any_action()]))
+        problem = _action_problem(run, slots.action_space)
+        if problem and run.algorithm in VALUE_BASED:
+            raise UserError(f"{run.env}: {problem}, which {run.algorithm} cannot handle: try ppo")
+        if problem and run.engine != "sb3":
+            raise UserError(f'{run.env}: {problem}, which only engine = "sb3" trains')
+        slots.step(np.array([slots.random_action()]))
+
+
+def _action_problem(run: Run, space: spaces.Space[Any]) -> str:
+    """Return what some learners cannot handle in an action space; refuse one that none of them handles."""
+    if isinstance(space, spaces.Discrete):
+        return ""
+    if isinstance(space, spaces.MultiDiscrete | spaces.MultiBinary):
+        return "an action is several choices"
+    if not isinstance(space, spaces.Box) or not np.issubdtype(space.dtype, np.floating):
+        remedy = "wrap it to have Discrete, MultiDiscrete, MultiBinary or Box actions"
+        raise UserError(f"{run.env}: actions in {space} are not supported: {remedy}")
+    if not space.is_bounded():
+        raise UserError(f"{run.env}: its actions {space} are unbounded: wrap it to give them bounds")
+    return "its actions are numbers"
 
 
 # --- Slots -----------------------------------------------------------------------------------------
@@ -67,8 +69,10 @@ class GymnasiumSlots:
 
     Attributes:
         raw_observations: (S, features) float32, the current ones.
-        terminal: (S, features), the last one of each slot's last finished episode, as the learner sees it.
-        returns, lengths, episodes: (S,) of the episodes so far.
+        terminal: (S, features), the last observation of each slot's last finished episode, as the learner
+            sees it.
+        returns, lengths: (S,) of the current episodes.
+        episodes: (S,), the number of finished ones.
         steps: number of steps taken in each slot.
         finished: episodes that ended since the list was last emptied.
     """
@@ -87,7 +91,7 @@ class GymnasiumSlots:
         self.finished: list[dict[str, Any]] = []
         self._log_type = np.float32 if isinstance(self.action_space, spaces.Box) else np.int32
         self._action_log = bytearray()
-        self._seeds = [seed % 2**31 for seed in seeds]  # all environments take these
+        self._seeds = [seed % 2**31 for seed in seeds]  # the range that all environments accept
         for slot, seed in enumerate(self._seeds):
             self._reset(slot, seed)
         self._training = training
@@ -97,7 +101,7 @@ class GymnasiumSlots:
 
     @property
     def observations(self) -> np.ndarray:
-        """The current observations as the learner sees them: normalised if the run says so."""
+        """The current observations as the learner sees them: normalised if the run asks for it."""
         return self._normalization.seen if self._normalization else self.raw_observations
 
     @property
@@ -113,15 +117,15 @@ class GymnasiumSlots:
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Apply (S,) or (S, dimensions) actions; return rewards, float64, and ended episodes: (S,) each.
 
-        `terminated` and `truncated` are never both set. Rewards are normalised if the run says so, records
-        are not.
+        `terminated` and `truncated` are never both set. Rewards are normalised if the run asks for it, but
+        not in `finished`.
         """
         self._actions_shape = actions.shape
         self._action_log += actions.astype(self._log_type).tobytes()
         rewards = np.zeros(len(self.envs))
         terminated, truncated = np.zeros((2, len(self.envs)), np.bool_)
         self.steps += 1
-        for slot, action in enumerate(actions_in(self.action_space, actions)):
+        for slot, action in enumerate(actions_in_space(self.action_space, actions)):
             reward, is_terminated, is_truncated, _ = self.step_one(slot, action)
             rewards[slot] = reward
             self.returns[slot] += reward
@@ -133,13 +137,13 @@ class GymnasiumSlots:
             rewards = self._normalization.step(self.raw_observations, rewards, has_ended, self.terminal)
         return rewards, terminated, truncated
 
-    def any_action(self) -> Any:
-        """Draw an action from the space's own generator; discrete ones count from 0."""
+    def random_action(self) -> Any:
+        """Sample an action by the space's own generator; discrete ones count from 0."""
         return self.action_space.sample() - getattr(self.action_space, "start", 0)
 
     def step_one(self, slot: int, action: Any) -> tuple[float, bool, bool, Mapping[str, Any]]:
         """Step one environment; return its reward, whether it terminated or was truncated, and its info."""
-        with blamed(f"{self.run.env} in step {self.lengths[slot] + 1} of episode {self.episodes[slot]}"):
+        with errors_from(f"{self.run.env} in step {self.lengths[slot] + 1} of episode {self.episodes[slot]}"):
             observation, reward, terminated, truncated, info = self.envs[slot].step(action)
             self._observe(slot, observation)
             reward = float(reward)
@@ -149,12 +153,12 @@ class GymnasiumSlots:
         return reward, bool(terminated), bool(truncated), info
 
     def _observe(self, slot: int, observation: Any) -> None:
-        row = np.asarray(self._flatten(observation))
-        current = self.raw_observations[slot]
-        if row.shape != current.shape:
-            raise ValueError(f"its observation is of shape {row.shape}, where its space says {current.shape}")
-        current[:] = row
-        if not math.isfinite(current.sum()):
+        flat_observation = np.asarray(self._flatten(observation))
+        row = self.raw_observations[slot]
+        if flat_observation.shape != row.shape:
+            raise ValueError(f"its observation has shape {flat_observation.shape}, its space {row.shape}")
+        row[:] = flat_observation
+        if not math.isfinite(row.sum()):
             raise ValueError("its observation is not finite")
 
     def _end(self, slot: int, ending: str) -> None:
@@ -173,19 +177,19 @@ class GymnasiumSlots:
         self._reset(slot)
 
     def _reset(self, slot: int, seed: int | None = None) -> None:
-        with blamed(f"{self.run.env} when it is reset"):
+        with errors_from(f"{self.run.env} when it is reset"):
             observation, _ = self.envs[slot].reset(seed=seed)
             self._observe(slot, observation)
 
     def close(self) -> None:
         for env in self.envs:
-            with blamed(f"{self.run.env} when it is closed"):
+            with errors_from(f"{self.run.env} when it is closed"):
                 env.close()
 
     # --- Where it stands ---------------------------------------------------------------------------
 
     def saved_state(self) -> dict[str, np.ndarray]:
-        """Return everything that the next step depends on, and what identifies the state: arrays by name."""
+        """Return all seeds and actions so far, and arrays that identify the state to which they lead."""
         actions = np.frombuffer(bytes(self._action_log), self._log_type)
         saved = {"actions": actions.reshape(self.steps, *self._actions_shape), "seeds": np.array(self._seeds)}
         for attribute in ("raw_observations", "returns", "lengths", "episodes"):
@@ -197,7 +201,8 @@ class GymnasiumSlots:
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
         """Play all actions again from the first seeds, in new environments, as wrappers may count resets.
 
-        Raises ValueError if it leads to another state: the randomness does not come from the seed alone.
+        Raises:
+            ValueError: if it leads to another state, because random numbers do not come from the seed alone.
         """
         self.close()
         replayed = GymnasiumSlots(self.run, saved["seeds"].tolist(), self._training)
@@ -207,13 +212,11 @@ class GymnasiumSlots:
         vars(self).update(vars(replayed))
         for array_name, array in self.saved_state().items():
             if not np.array_equal(array, saved[array_name]):
-                raise ValueError(
-                    f"{self.run.env} does not come to the same state by the same seed and actions"
-                )
+                raise ValueError(f"{self.run.env} reaches another state by the same seed and actions")
 
 
-def actions_in(space: spaces.Space[Any], actions: np.ndarray) -> Sequence[Any]:
-    """Return a policy's actions, (N,) or (N, dimensions), as an environment's space has them."""
+def actions_in_space(space: spaces.Space[Any], actions: np.ndarray) -> Sequence[Any]:
+    """Return a policy's actions, (N,) or (N, dimensions), as elements of an environment's space."""
     if isinstance(space, spaces.Discrete):
         first_action = int(space.start)
         return [first_action + action for action in actions.tolist()]
@@ -231,8 +234,8 @@ def choice_counts(space: spaces.Space[Any]) -> np.ndarray:
 
 
 def flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
-    """Return a function that makes an observation a row of numbers."""
-    for leaf_space in _parts(space):
+    """Return a function that flattens an observation to a row of numbers."""
+    for leaf_space in _leaf_spaces(space):
         if not isinstance(leaf_space, FLAT_SPACES):
             remedy = "name a wrapper that leaves that out"
             problem = f"{type(leaf_space).__name__} cannot be flattened to numbers"
@@ -243,31 +246,27 @@ def flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
     return lambda observation: spaces.flatten(space, observation)
 
 
-def _parts(space: spaces.Space[Any]) -> list[spaces.Space[Any]]:
+def _leaf_spaces(space: spaces.Space[Any]) -> list[spaces.Space[Any]]:
     """Return the spaces within a dictionary or tuple, or the space itself."""
-    if isinstance(space, spaces.Dict | spaces.Tuple):
-        subspaces = space.spaces.values() if isinstance(space, spaces.Dict) else space.spaces
-        return [leaf_space for subspace in subspaces for leaf_space in _parts(subspace)]
-    return [space]
+    if not isinstance(space, spaces.Dict | spaces.Tuple):
+        return [space]
+    subspaces = space.spaces.values() if isinstance(space, spaces.Dict) else space.spaces
+    return [leaf_space for subspace in subspaces for leaf_space in _leaf_spaces(subspace)]
 
 
 def refuse_flat_pictures(run: Run, space: spaces.Space[Any]) -> None:
     """Refuse a run whose policy would flatten pictures: a multilayer perceptron, as is the default."""
     if run.policy and not run.policy.startswith("Mlp"):
         return
-    dimensions = [len(leaf_space.shape or ()) for leaf_space in _parts(space) if _is_picture(leaf_space)]
-    if not dimensions:
-        return
-    policy_name = "MultiInputPolicy" if isinstance(space, spaces.Dict) else "CnnPolicy"
-    remedy = 'wrappers = ["FlattenObservation"]'
-    if min(dimensions) == 3:  # a picture without channels is none to Stable-Baselines3
-        remedy = f'set policy = "{policy_name}", or {remedy}'
-    raise UserError(f"{run.env}: its observations are pictures, which MlpPolicy would flatten: {remedy}")
+    if any(_is_picture(leaf_space) for leaf_space in _leaf_spaces(space)):
+        policy_name = "MultiInputPolicy" if isinstance(space, spaces.Dict) else "CnnPolicy"
+        remedy = f'set policy = "{policy_name}", or wrappers = ["FlattenObservation"]'
+        raise UserError(f"{run.env}: its observations are pictures, which MlpPolicy would flatten: {remedy}")
 
 
 def _is_picture(space: spaces.Space[Any]) -> bool:
-    """Return whether a space is of pictures, by Stable-Baselines3's rule; of one channel also without it."""
-    if not isinstance(space, spaces.Box) or space.dtype != np.uint8 or len(space.shape) not in (2, 3):
+    """Return whether a space is of pictures, as Stable-Baselines3's `is_image_space` decides it."""
+    if not isinstance(space, spaces.Box) or space.dtype != np.uint8 or len(space.shape) != 3:
         return False
     return bool((space.low == 0).all() and (space.high == 255).all())
 
@@ -282,15 +281,15 @@ def make_env(run: Run, render_mode: str = "") -> gymnasium.Env[Any, Any]:
     try:
         if run.env_module:
             _load(run.env_module)
-        with blamed(f"env = {run.env}"):
+        with errors_from(f"env = {run.env}"):
             env = gymnasium.make(run.env, disable_env_checker=True, **arguments)
     except UserError as error:
         if isinstance(error.__cause__, VersionNotFound | DeprecatedEnv):  # which name other versions
             raise
-        raise UserError(f"{error}{_how_to_register(run)}") from None
+        raise UserError(f"{error}{_registration_hint(run)}") from None
     for wrapper in run.wrappers:
         class_name, brace, arguments_text = wrapper.partition("{")
-        with blamed(f"wrappers = {wrapper}"):
+        with errors_from(f"wrappers = {wrapper}"):
             env = load_class(class_name)(env, **json.loads(brace + arguments_text or "{}"))
     return env
 
@@ -301,8 +300,8 @@ def load_class(class_path: str) -> Any:
     return getattr(_load(module_name), class_name)
 
 
-def _how_to_register(run: Run) -> str:
-    """Return what is to be done for an environment that is not registered; empty if it is."""
+def _registration_hint(run: Run) -> str:
+    """Return how to register an environment; empty if it is registered."""
     if run.env in gymnasium.registry:
         return ""
     package = "install its package"
@@ -313,8 +312,8 @@ def _how_to_register(run: Run) -> str:
 
 
 @contextmanager
-def blamed(source: str) -> Iterator[None]:
-    """Turn any exception of a user's own code into a one-line error that names its source, and its cause."""
+def errors_from(source: str) -> Iterator[None]:
+    """Turn any exception of a user's own code into a one-line error that names the source and the cause."""
     try:
         yield
     except UserError:
@@ -327,5 +326,5 @@ def blamed(source: str) -> Iterator[None]:
 
 
 def _load(module_name: str) -> Any:
-    with blamed(f"module {module_name} cannot be imported"):
+    with errors_from(f"module {module_name} cannot be imported"):
         return load_module(module_name)

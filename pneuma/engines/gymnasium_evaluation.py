@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pneuma.config import Run, stream_seed
-from pneuma.engines.gymnasium_env import GymnasiumSlots, actions_in, blamed
+from pneuma.engines.gymnasium_env import GymnasiumSlots, actions_in_space, errors_from
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import NAN, Row, evaluation_row
 from pneuma.errors import OwnCodeError
@@ -44,7 +44,7 @@ class Evaluation:
     def _play_at_random(self, slot_count: int) -> tuple[np.ndarray, np.ndarray]:
         slots = self._make_slots(slot_count)
         slots.action_space.seed(stream_seed(self.run.seed, "random-player") % 2**31)
-        returns, lengths, _ = _play(slots, lambda rows, _: np.array([slots.any_action() for _ in rows]))
+        returns, lengths, _ = _play(slots, lambda rows, _: np.array([slots.random_action() for _ in rows]))
         return returns, lengths
 
     def evaluate(self, policy: Policy, step: int) -> Row:
@@ -80,12 +80,12 @@ def _play(
     playing = np.arange(len(slots.envs))
     while len(playing):
         running = []
-        actions = actions_in(slots.action_space, choose_actions(playing, slots.observations[playing]))
+        actions = actions_in_space(slots.action_space, choose_actions(playing, slots.observations[playing]))
         for slot, action in zip(playing.tolist(), actions, strict=True):
             reward, terminated, truncated, info = slots.step_one(slot, action)
             returns[slot] += reward
             if terminated or truncated:
-                with blamed(f"{slots.run.env}: info['is_success']"):
+                with errors_from(f"{slots.run.env}: info['is_success']"):
                     success = info.get("is_success")
                     successes[slot] = NAN if success is None else float(success)
             else:

@@ -1,9 +1,9 @@
-"""Episodes to watch in any environment of Gymnasium that draws pictures of itself."""
+"""The frames of an episode in any environment of Gymnasium that draws pictures of itself."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from typing import Any
 
@@ -13,15 +13,13 @@ import torch
 from gymnasium.error import DependencyNotInstalled
 
 from pneuma.config import Run
-from pneuma.engines.gymnasium_env import actions_in, blamed, flattening, make_env
+from pneuma.engines.gymnasium_env import actions_in_space, errors_from, flattening, make_env
 from pneuma.engines.policy import Policy
 from pneuma.engines.sb3_open import LearnedPolicy
 from pneuma.errors import UserError, install_extra
 
 FRAMES_PER_SECOND = 30
-"""Of an environment that does not say how fast it is."""
-
-Act = Callable[[Any], Any]
+"""The frame rate of an environment whose metadata contain none."""
 
 
 def frame_rate(run: Run) -> float:
@@ -32,10 +30,12 @@ def frame_rate(run: Run) -> float:
 
 def episode_frames(run: Run, policy: Policy | LearnedPolicy | None, seed: int) -> Iterator[np.ndarray]:
     """Yield the frames of one episode, (height, width, 3) uint8; without a policy actions are random."""
-    os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # PyGame looks for a screen, and prints what it lacks
-    with closing(make_env(run, "rgb_array")) as env, blamed(f"{run.env} when it is drawn"):
+    os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # PyGame looks for a screen, and warns if there is none
+    with closing(make_env(run, "rgb_array")) as env, errors_from(f"{run.env} when it is drawn"):
         env.action_space.seed(seed)
-        choose_action = _acting(run, policy, env, seed)
+        torch.manual_seed(seed)
+        generator = np.random.default_rng(seed)
+        state: Any = None
         try:
             observation, _ = env.reset(seed=seed)
             first_frame = _frame(run, env)
@@ -44,11 +44,19 @@ def episode_frames(run: Run, policy: Policy | LearnedPolicy | None, seed: int) -
                 raise
             raise UserError(f"{run.env} is drawn by pygame: {install_extra('play')}") from None
         yield first_frame
-        has_ended = False
+        is_first, has_ended = True, False
         while not has_ended:
-            observation, _, terminated, truncated, _ = env.step(choose_action(observation))
+            if policy is None:
+                action = env.action_space.sample()
+            elif isinstance(policy, Policy):
+                flat_observation = np.asarray(flattening(run, env.observation_space)(observation), np.float32)
+                actions = policy.sample(flat_observation[None], generator)
+                action = actions_in_space(env.action_space, actions)[0]
+            else:
+                action, state = policy.predict(observation, state, np.array([is_first]))
+            observation, _, terminated, truncated, _ = env.step(action)
             yield _frame(run, env)
-            has_ended = terminated or truncated
+            is_first, has_ended = False, terminated or truncated
 
 
 def _frame(run: Run, env: gymnasium.Env[Any, Any]) -> np.ndarray:
@@ -56,28 +64,3 @@ def _frame(run: Run, env: gymnasium.Env[Any, Any]) -> np.ndarray:
     if not isinstance(frame, np.ndarray) or frame.ndim != 3:
         raise UserError(f"{run.env} does not draw pictures")
     return frame
-
-
-def _acting(run: Run, policy: Policy | LearnedPolicy | None, env: gymnasium.Env[Any, Any], seed: int) -> Act:
-    """Return a function that samples an action for an observation as the environment gives it."""
-    if policy is None:
-        return lambda observation: env.action_space.sample()
-    if isinstance(policy, Policy):
-        flatten, generator = flattening(run, env.observation_space), np.random.default_rng(seed)
-
-        def sample(observation: Any) -> Any:
-            flat_observation = np.asarray(flatten(observation), np.float32)
-            return actions_in(env.action_space, policy.sample(flat_observation[None], generator))[0]
-
-        return sample
-    torch.manual_seed(seed)
-    state: Any = None
-    starts = np.ones(1, bool)
-
-    def predict(observation: Any) -> Any:
-        nonlocal state, starts
-        action, state = policy.predict(observation, state, starts)
-        starts = np.zeros(1, bool)
-        return action
-
-    return predict

@@ -36,13 +36,11 @@ TRAINERS = {
 OPEN_TRAINER = "pneuma.engines.sb3_open:OpenTrainer"
 
 EVALUATIONS, EPISODES = 20, 50
-"""Evaluations per run, and the episodes of each unless a run says otherwise."""
+"""Evaluations per run, and the default number of episodes of each."""
 SHORT_STEPS, SHORT_STEPS_ELSEWHERE = 100_000, 1_000_000
-"""Below so many steps, in Pneuma's worlds and in others, a run is short: see `_evaluation_count`."""
+"""A run of fewer steps, in Pneuma's worlds and in others, is short: see `_evaluation_count`."""
 EVALUATE_EVERY, EVALUATE_EVERY_ELSEWHERE = 8_000, 20_000
 SHORT_EPISODES, LEAST_STEPS = 10, 5_000
-RESTORE_ERRORS = (KeyError, ValueError, TypeError, RuntimeError)
-"""What restoring a checkpoint raises that another engine, run or version wrote."""
 
 
 @dataclass(frozen=True)
@@ -103,11 +101,15 @@ class Trainer(ABC):
 
 
 class ResumableTrainer(Trainer):
-    """A trainer that knows the whole state of its run."""
+    """A trainer that can save and restore the complete state of its run."""
 
     @abstractmethod
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Resume from the run's own checkpoint; any of `RESTORE_ERRORS` says that it does not fit."""
+        """Resume from a checkpoint of the run.
+
+        Raises:
+            Exception: if another version of Pneuma wrote it, or the environment reaches another state.
+        """
 
     @abstractmethod
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
@@ -115,7 +117,11 @@ class ResumableTrainer(Trainer):
 
 
 def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
-    """Train a run, from its start or from a checkpoint; CheckpointError for one that does not fit."""
+    """Train a run, from its start or from a checkpoint of it.
+
+    Raises:
+        CheckpointError: if training cannot resume from the checkpoint.
+    """
     module_name, class_name = (TRAINERS[run.engine] if is_resumable(run) else OPEN_TRAINER).split(":")
     trainer_class = getattr(import_module(module_name), class_name)
     _seed_shared_generators(run)  # after an import, which may draw
@@ -126,7 +132,7 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
         step = checkpoint.step
         try:
             trainer.restore(checkpoint)
-        except RESTORE_ERRORS as error:
+        except (KeyError, ValueError, TypeError, RuntimeError) as error:
             raise CheckpointError(f"cannot go on from step {step:,}: {error}") from None
         records = checkpoint.records.copy()
     evaluated_updates = evaluation_updates(run)
@@ -149,7 +155,7 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
 
 
 def _seed_shared_generators(run: Run) -> None:
-    """Seed the process's own generators, from which a user's code may draw, whatever was trained before."""
+    """Seed the process's own generators, which a user's code may use, whatever was trained before."""
     seed = stream_seed(run.seed, "shared")
     if is_gymnasium_id(run.env) or any(map(is_own_reward, run.reward)):
         import torch  # which loads slowly: for a user's code alone
@@ -182,7 +188,8 @@ def _evaluation_count(run: Run) -> int:
     """Return how many evaluations a run has: 20, unless it is short.
 
     A short run has one, and one more for each 8,000 steps (20,000 in others' environments), so that they take
-    at most about a fifth of its time. One of under 5,000 steps in Pneuma's worlds takes a second anyway: ten.
+    at most about a fifth of its time. One of under 5,000 steps in Pneuma's worlds, which takes a second in
+    any case, has ten.
     """
     if not _is_short(run):
         return EVALUATIONS
@@ -195,10 +202,10 @@ def _evaluation_count(run: Run) -> int:
 
 
 def _most_steps(run: Run) -> float:
-    """Return how many steps one evaluation may take where nobody knows how long an episode is."""
+    """Return how many steps one evaluation may take where the length of episodes is not known."""
     if not _is_short(run):
         return math.inf
-    return run.steps / 4 / (1 + _evaluation_count(run))  # one more: that of the random player
+    return run.steps / 4 / (1 + _evaluation_count(run))  # one more for the random player
 
 
 def _is_short(run: Run) -> bool:
@@ -208,9 +215,9 @@ def _is_short(run: Run) -> bool:
 
 
 def evaluation_steps(run: Run) -> dict[int, int]:
-    """Return the agent step of each evaluation, by the number of whole twentieths of training before it.
+    """Return the agent step of each evaluation, by the number of complete twentieths of training before it.
 
-    A run of fewer than `EVALUATIONS` updates lacks some numbers; the last one has them all.
+    A run of fewer than `EVALUATIONS` updates lacks some numbers. That of the last evaluation is 20.
     """
     steps_by_number = {}
     for update in sorted(evaluation_updates(run)):

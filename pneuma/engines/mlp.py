@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 
-from pneuma.engines.policy import LEAKY_SLOPE, Layers, sizes
+from pneuma.engines.policy import LEAKY_SLOPE, Layers, layer_widths
 from pneuma.env.compiling import cached, inlined, typed_arrays, typed_codegen, typed_intrinsic, typed_void
 
 TANH, RELU, LEAKY_RELU = range(3)
@@ -23,7 +23,7 @@ ROWS, COLUMNS, LANES = 4, 16, 8
 """Outputs of a tile, whose sums fit into the registers of a processor with vectors of `LANES` numbers."""
 
 Network = tuple[np.ndarray, np.ndarray, int]
-"""Weights, widths, and the code of the hidden layers' activation."""
+"""Weights of `flat`, widths, and the code of the hidden layers' activation."""
 kernel: Any = cached(error_model="numpy")
 
 
@@ -47,15 +47,15 @@ def flat(layers: Layers) -> np.ndarray:
 
 def network(layers: Layers, activation: str) -> Network:
     """Return layers as `choose` takes them."""
-    return flat(layers), sizes(layers), ACTIVATION_CODES[activation]
+    return flat(layers), layer_widths(layers), ACTIVATION_CODES[activation]
 
 
 # --- The forward pass ----------------------------------------------------------------------------
 
 
 @kernel
-def room(widths: Any, row_count: int) -> Any:
-    """Return space for `forward` with `row_count` rows: zeros, whole tiles."""
+def make_scratch(widths: Any, row_count: int) -> Any:
+    """Return zeros in which `forward` can compute `row_count` rows, padded to tiles."""
     widest = 0
     for width in widths:
         widest = max(widest, width)
@@ -66,8 +66,8 @@ def room(widths: Any, row_count: int) -> Any:
 def forward(weights: Any, widths: Any, activation: int, row_count: int, scratch: Any) -> Any:
     """Return a network's outputs for `row_count` rows of `scratch[0]`, (rows at least, outputs at least).
 
-    Weights are those of `flat`, of one policy, and widths those of `pneuma.engines.policy.sizes`. `scratch`,
-    of `room`, is overwritten and contains the outputs. `activation` is the code of the hidden layers' one.
+    Weights are those of one policy in `flat`, and widths those of `policy.layer_widths`. `scratch` is from
+    `make_scratch`; it is overwritten and contains the outputs. `activation` is the hidden layers' code.
     """
     weights_start = 0
     for layer in range(len(widths) - 1):
@@ -204,7 +204,7 @@ def exp(x: Any) -> Any:
 
 @kernel
 def sample(outputs: Any, row: int, actions: int, draw: Any) -> int:
-    """Draw an action from the softmax of a row's logits, by a number in [0, 1); they are overwritten."""
+    """Sample an action from the softmax of a row's logits, by a number in [0, 1); they are overwritten."""
     highest = outputs[row, most_probable(outputs, row, actions)]
     weight_sum = _ZERO
     for j in range(actions):
@@ -231,14 +231,14 @@ def most_probable(outputs: Any, row: int, actions: int) -> int:
 def choose(network: Any, observations: Any, draws: Any, is_playing: Any, actions: Any) -> None:
     """Choose an action in every row that plays: a sampled one in the first rows, else the most probable.
 
-    Row i of the observations, (rows, features), is of policy i % policies of the network's weights. `draws`
-    has a number in [0, 1) for each of the first rows. Rows that do not play cost nothing. The actions are
-    written into `actions`, (rows,) int64.
+    Row i of the observations, (rows, features), belongs to policy i % policies. `draws` has a number in
+    [0, 1) for each of the first rows. Rows that do not play cost nothing. The actions are written into
+    `actions`, (rows,) int64.
     """
     weights, widths, activation = network
     policies, action_count = len(weights), widths[-1]
     playing_rows = np.empty(len(is_playing), np.int64)
-    scratch = room(widths, len(is_playing))
+    scratch = make_scratch(widths, len(is_playing))
     for policy in range(policies):
         playing_count = 0
         for row in range(policy, len(is_playing), policies):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 POLICY_FILE = "policy.safetensors"
 LEARNER_FILE = "policy.zip"
-"""What a learner without fields of its own has learned, as Stable-Baselines3 saves it: see `sb3_open`."""
+"""The policy of a learner of `sb3_open`, as Stable-Baselines3 saves it."""
 
 LEAKY_SLOPE = 0.01
 """Slope of LeakyReLU below zero (thesis section 6.2)."""
@@ -39,14 +39,6 @@ class Activation(NamedTuple):
     is_dead: Callable[[Any], Any]
 
 
-def _relu(x: np.ndarray) -> np.ndarray:
-    return np.maximum(x, 0)
-
-
-def _leaky_relu(x: np.ndarray) -> np.ndarray:
-    return np.where(x > 0, x, x * np.float32(LEAKY_SLOPE))
-
-
 def _is_silent(units: Any) -> Any:
     return units <= 0
 
@@ -57,10 +49,10 @@ def _is_saturated(units: Any) -> Any:
 
 NUMPY_ACTIVATIONS = {
     "tanh": Activation(np.tanh, _is_saturated),
-    "relu": Activation(_relu, _is_silent),
-    "leaky-relu": Activation(_leaky_relu, _is_silent),
+    "relu": Activation(lambda x: np.maximum(x, 0), _is_silent),
+    "leaky-relu": Activation(lambda x: np.where(x > 0, x, x * np.float32(LEAKY_SLOPE)), _is_silent),
 }
-"""The other backends have a table of their own in `mlp` and `batched.update`; torch has classes."""
+"""`mlp` and `batched.update` have tables for the other backends; torch has classes."""
 
 Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
 """Weight (inputs, outputs) and bias (outputs,) of each layer, float32.
@@ -88,12 +80,12 @@ class Policy:
         critic: its last layer gives one value; empty if the actor gives action values.
         exploration: if the actor gives action values, the probability of a random action; otherwise the
             action with the greatest value is taken (thesis Eq. 4.4). None if it gives logits.
-        deviation: (dimensions,) for continuous actions, the standard deviation of the normal distribution
-            from which they are drawn; the actor gives its mean.
+        deviation: (dimensions,) for continuous actions, the standard deviation of their normal distribution;
+            the actor gives its mean.
         bounds: (2, …) for continuous actions, the lowest and the highest action, in shape and type of the
             action space; actions are clipped to them.
-        choices: (…) for actions that are several choices at once, among how many each is; their logits stand
-            one after another.
+        choices: (…) for actions that are several choices at once, the number of values of each choice; their
+            logits follow one another.
         scaling: how observations are normalised before the networks see them, if they are.
     """
 
@@ -106,13 +98,6 @@ class Policy:
     bounds: np.ndarray | None = None
     choices: np.ndarray | None = None
     scaling: Scaling | None = None
-
-    def __repr__(self) -> str:
-        """Return the policy in a line: its networks' sizes, not their numbers."""
-        description = f"Policy({self.activation}, actor {sizes(self.actor).tolist()}"
-        if self.critic:
-            description += f", critic {sizes(self.critic).tolist()}"
-        return f"{description})"
 
     @property
     def features(self) -> int:
@@ -133,28 +118,27 @@ class Policy:
 
     def logits(self, observations: np.ndarray) -> np.ndarray:
         """Return actions' unnormalised log-probabilities, or values: (N, features) -> (N, actions)."""
-        return forward(self.actor, self.activation, self._scaled(observations))[-1]
+        return self._outputs(self.actor, observations)
 
     def values(self, observations: np.ndarray) -> np.ndarray:
-        """Return the critic's values, or the greatest of any action: (N, features) -> (N,)."""
-        if self.exploration is not None:
-            return self.logits(observations).max(axis=1)
-        return forward(self.critic, self.activation, self._scaled(observations))[-1][:, 0]
+        """Return the critic's values: (N, features) -> (N,)."""
+        return self._outputs(self.critic, observations)[:, 0]
 
-    def _scaled(self, observations: np.ndarray) -> np.ndarray:
-        return self.scaling(observations) if self.scaling else observations
+    def _outputs(self, layers: Layers, observations: np.ndarray) -> np.ndarray:
+        scaled_observations = self.scaling(observations) if self.scaling else observations
+        return forward(layers, self.activation, scaled_observations)[-1]
 
     def sample(self, observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-        """Draw an action for each observation: (N, features) -> (N,), or (N, …) of several numbers."""
+        """Sample an action for each observation: (N, features) -> (N,), or (N, …) of several numbers."""
         logits = self.logits(observations)
         if self.deviation is not None:
             noise = self.deviation * generator.standard_normal(logits.shape, np.float32)
             return self._clip(logits + noise)
         if self.exploration is not None:
-            at_random = generator.random(len(logits)) < self.exploration
-            any_action = generator.integers(logits.shape[1], size=len(logits))
-            return np.where(at_random, any_action, logits.argmax(axis=1))
-        return self._join([_draw(choice, generator) for choice in self._split(logits)])
+            explores = generator.random(len(logits)) < self.exploration
+            random_actions = generator.integers(logits.shape[1], size=len(logits))
+            return np.where(explores, random_actions, logits.argmax(axis=1))
+        return self._join([_sample_choice(choice, generator) for choice in self._split(logits)])
 
     def best(self, observations: np.ndarray) -> np.ndarray:
         """Return the most probable action, or that of the greatest value, in the shape of `sample`'s."""
@@ -170,10 +154,10 @@ class Policy:
         episode_start: np.ndarray | None = None,
         deterministic: bool = False,
     ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
-        """Return actions for one observation, (features,), or several, (N, features), and no state.
+        """Return actions for one observation, (features,), or several, (N, features), and the state.
 
-        A model of Stable-Baselines3 does the same, so that its `evaluate_policy` can play a policy. The
-        types are those of its `PolicyPredictor`. Sampled actions follow `numpy.random.seed`.
+        It is a `PolicyPredictor` of Stable-Baselines3, for its `evaluate_policy`. Sampled actions follow
+        `numpy.random.seed`.
         """
         observation_array = np.asarray(observation)
         flat_observations = observation_array.reshape(-1, self.features)
@@ -201,7 +185,7 @@ class Policy:
         return np.clip(actions.reshape(-1, *low.shape), low, high).astype(low.dtype)
 
     def entropy(self, observations: np.ndarray) -> float:
-        """Return the mean entropy over observations, (N, features), of actions drawn, in nats."""
+        """Return the mean entropy of the actions over observations, (N, features), in nats."""
         if self.deviation is not None:
             return float((0.5 * np.log(2 * np.pi * np.e) + np.log(self.deviation)).sum())
         logits = self.logits(observations).astype(float)
@@ -227,7 +211,7 @@ class Policy:
         return save(arrays, metadata={"pneuma": json.dumps(metadata)})
 
 
-def _draw(logits: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+def _sample_choice(logits: np.ndarray, generator: np.random.Generator) -> np.ndarray:
     weights = np.exp(logits - logits.max(axis=1, keepdims=True)).cumsum(axis=1)
     draws = generator.random((len(weights), 1), dtype=np.float32) * weights[:, -1:]
     return np.minimum((weights <= draws).sum(axis=1), weights.shape[1] - 1)
@@ -293,20 +277,23 @@ def _is_sound(policy: Policy) -> bool:
     choices = policy.choices
     if choices is not None and (choices.min() < 1 or choices.sum() != policy.actions):
         return False
-    if policy.exploration is None and policy.critic[-1][1].shape[-1] != 1:
-        return False
     observations = np.zeros((policy.players, policy.features), np.float32)
-    actions = policy.sample(observations, np.random.default_rng(0))
-    outputs = np.append(actions, policy.values(observations))
+    outputs = policy.sample(observations, np.random.default_rng(0))
+    if policy.exploration is None:
+        if policy.critic[-1][1].shape[-1] != 1:
+            return False
+        outputs = np.append(outputs, policy.values(observations))
     return policy.activation in ACTIVATIONS and bool(np.isfinite(outputs).all())
 
 
-def drawing(policy: Policy, worlds: Worlds, generator: np.random.Generator) -> Callable[[Worlds], np.ndarray]:
-    """Return a function that draws actions, (N, P), from a policy in worlds."""
+def action_sampler(
+    policy: Policy, worlds: Worlds, generator: np.random.Generator
+) -> Callable[[Worlds], np.ndarray]:
+    """Return a function that samples actions, (N, P), from a policy in worlds."""
     check_fits(policy, worlds)
 
     def act(worlds: Worlds) -> np.ndarray:
-        flat_observations = worlds.observations.reshape(-1, worlds.observations.shape[2])
+        flat_observations = worlds.observations.reshape(-1, policy.features)
         return policy.sample(flat_observations, generator).reshape(worlds.players.shape)
 
     return act
@@ -323,7 +310,7 @@ def check_fits(policy: Policy, worlds: Worlds) -> None:
             raise UserError(f"was trained on {trained[name]} {name}, but these settings have {present[name]}")
 
 
-def sizes(layers: Layers) -> np.ndarray:
+def layer_widths(layers: Layers) -> np.ndarray:
     """Return the inputs of the first layer and the outputs of every layer, (layers + 1,) int64."""
     first_weight, _ = layers[0]
     widths = [first_weight.shape[-2]]
@@ -340,9 +327,8 @@ def forward(layers: Layers, activation: str, observations: np.ndarray) -> list[n
     players, row_count = _players(layers), len(observations)
     if row_count % players:
         raise UserError(f"{row_count} observations are not allowed: give one for each of {players} players")
-    x = observations.reshape(-1, players, observations.shape[-1]).swapaxes(
-        0, 1
-    )  # (players, worlds, features)
+    # (players, worlds, features)
+    x = observations.reshape(-1, players, observations.shape[-1]).swapaxes(0, 1)
     outputs = []
     for i, (weight, bias) in enumerate(layers):
         x = x @ weight + bias[..., None, :]

@@ -3,8 +3,9 @@
 The learners are the libraries' own. Pneuma adds two classes: the target of Double DQN, and advantages without
 a baseline.
 
-This module also reads and restores their whole state between two updates, as plain arrays. Their own `save`
-leaves out environment, random generators and last observation, and their `load` runs pickled code.
+This module also reads and restores a learner's complete state between two updates, as plain arrays. The
+library's `save` leaves out environment, random generators and last observation, and its `load` runs pickled
+code.
 """
 
 from __future__ import annotations
@@ -33,11 +34,16 @@ Learner = PPO | A2C | TRPO | DQN
 
 
 def make_model(run: Run, env: VecEnv, extractor: Mapping[str, Any] | None = None) -> Any:
-    """Set up a run's learner, one of `Learner`; `extractor` are arguments of what its networks see.
+    """Set up a run's learner, one of `Learner`.
 
     The global generators of torch and NumPy have separate streams. Torch's gives the initial weights, then
     the actions, and the start of TRPO's conjugate gradient; NumPy's gives the minibatches, and whether DQN
-    explores. DQN's random actions are drawn by its action space.
+    explores. DQN's action space samples its random actions.
+
+    Args:
+        run: the run.
+        env: its environments.
+        extractor: additional `policy_kwargs`.
     """
     torch.manual_seed(stream_seed(run.seed, "weights"))
     arguments = learner_arguments(run, env.num_envs)
@@ -57,7 +63,7 @@ def make_model(run: Run, env: VecEnv, extractor: Mapping[str, Any] | None = None
 def learner_arguments(run: Run, slots: int) -> dict[str, Any]:
     """Return the arguments of a learner of `LEARNERS` that follow from a run's fields."""
     arguments: dict[str, Any] = {}
-    for argument, field_name in arguments_of(run):
+    for argument, field_name in field_arguments(run):
         arguments[argument] = getattr(run, field_name)
         if field_name in ANNEALED and getattr(run, f"{field_name}_schedule") == "linear":
             arguments[argument] = LinearSchedule(arguments[argument], 0.0, 1.0)
@@ -112,14 +118,14 @@ class DoubleDQN(DQN):
     """
 
     def train(self, gradient_steps: int, batch_size: int = 100) -> None:
-        """Take gradient steps as DQN does, with the next values that `rate` returns."""
+        """Take gradient steps as DQN does, by the next values of Double DQN."""
         target_network = self.q_net_target
 
-        def rate(observations: torch.Tensor) -> torch.Tensor:
+        def next_values(observations: torch.Tensor) -> torch.Tensor:
             actions = self.q_net(observations).argmax(dim=1, keepdim=True)
-            return target_network(observations).gather(1, actions)  # (N, 1), of which DQN takes the greatest
+            return target_network(observations).gather(1, actions)  # (N, 1): DQN takes the greatest in a row
 
-        self.q_net_target = rate  # type: ignore[assignment]
+        self.q_net_target = next_values  # type: ignore[assignment]
         try:
             super().train(gradient_steps, batch_size)
         finally:
@@ -130,7 +136,7 @@ class WithoutBaseline(RolloutBuffer):
     """A rollout buffer whose advantages are the returns, without the critic's values (section 4.2)."""
 
     def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: np.ndarray) -> None:
-        """Compute the returns, which are whole if lambda is 1, and use them as advantages."""
+        """Use the returns, which are complete if lambda is 1, as advantages."""
         super().compute_returns_and_advantage(last_values, dones)
         self.advantages = self.returns.copy()
 
@@ -140,14 +146,14 @@ LEARNERS: dict[str, type[Learner]] = {
 }  # fmt: skip
 
 
-def arguments_of(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield the arguments of a run's learner that are fields which its algorithm reads, with the fields."""
+def field_arguments(run: Run) -> Iterator[tuple[str, str]]:
+    """Yield each argument of a run's learner that is a field of the run, with the field's name."""
     learner_class = LEARNERS[run.algorithm]
     fields_by_argument: dict[str, str] = {}
     for field_name, declaration in FIELDS.items():
         if run.algorithm in declaration.read_by:
             fields_by_argument |= dict.fromkeys(declaration.arguments or (field_name,), field_name)
-    if not issubclass(learner_class, DQN):  # whose `n_steps` are those of its returns
+    if not issubclass(learner_class, DQN):  # its `n_steps` are those of n-step returns
         fields_by_argument["n_steps"] = "horizon"
     for argument in signature(learner_class).parameters:
         if argument in fields_by_argument:
@@ -158,9 +164,9 @@ def arguments_of(run: Run) -> Iterator[tuple[str, str]]:
 
 
 def prepare(model: Any, run: Run) -> None:
-    """Let a learner log to memory alone, and its schedules fall over a run's whole budget.
+    """Let a learner log to memory alone, and its schedules fall over all steps of a run.
 
-    Its `learn` is given a part of the budget at a time.
+    Its `learn` is called for a part of them at a time.
     """
     model.set_logger(Logger(folder=None, output_formats=[]))
     update_progress = model._update_current_progress_remaining
@@ -220,7 +226,7 @@ LOGGED: dict[str, tuple[tuple[int, str], ...]] = {
     "clip_fraction": ((1, "clip_fraction"),),
     "explained_variance": ((1, "explained_variance"),),
 }  # fmt: skip
-"""Metrics, and what learners call them in their logs, with the sign; the first that is there counts."""
+"""Metrics, and their names in the logs of learners, each with a sign; the first name that is found counts."""
 
 
 def logged_losses(model: Any) -> dict[str, float]:
@@ -228,9 +234,10 @@ def logged_losses(model: Any) -> dict[str, float]:
     logged_values = model.logger.name_to_value
     losses = {}
     for metric, logged_names in LOGGED.items():
-        for sign, logged_name in reversed(logged_names):
+        for sign, logged_name in logged_names:
             if f"train/{logged_name}" in logged_values:
                 losses[metric] = sign * float(logged_values[f"train/{logged_name}"])
+                break
     return losses
 
 
@@ -241,7 +248,7 @@ _NUMBERS = {
     "updates": "_n_updates", "timesteps": "num_timesteps", "calls": "_n_calls",
     "exploration": "exploration_rate",
 }  # fmt: skip
-"""What is saved of a learner, where it has it, and its attributes."""
+"""Names of saved numbers, and the attributes of learners that have them."""
 _ARRAYS = {"last/observations": "_last_obs", "last/episode_starts": "_last_episode_starts"}
 _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
@@ -260,10 +267,7 @@ def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
         arrays[f"worlds/{saved_name}"] = array
     for saved_name, attribute in _ARRAYS.items():
         arrays[saved_name] = np.array(getattr(model, attribute))
-    numbers: dict[str, Any] = {
-        "numpy": [str(generator), int(position), int(has_gauss), float(gauss)],
-        "optimizer": type(model.policy.optimizer).__name__,
-    }
+    numbers: dict[str, Any] = {"numpy": [str(generator), int(position), int(has_gauss), float(gauss)]}
     for saved_name, attribute in _NUMBERS.items():
         if hasattr(model, attribute):
             numbers[saved_name] = getattr(model, attribute)
@@ -285,8 +289,6 @@ def restore_checkpoint(model: Learner, checkpoint: Checkpoint) -> None:
     env: Any = model.env
     numbers, arrays = checkpoint.numbers, checkpoint.arrays
     optimizer = model.policy.optimizer
-    if numbers["optimizer"] != type(optimizer).__name__:
-        raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
     # tensors are copies in torch's own memory, which its kernels need aligned
     optimizer_state: dict[int, dict[str, torch.Tensor]] = {}
     for array_path, array in checkpoint.part("optimizer/").items():

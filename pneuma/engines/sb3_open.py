@@ -34,7 +34,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
 from pneuma.algorithms import find_algorithm
 from pneuma.config import Run, slot_seeds, stream_seed
-from pneuma.engines.gymnasium_env import blamed, load_class, make_env, refuse_flat_pictures
+from pneuma.engines.gymnasium_env import errors_from, load_class, make_env, refuse_flat_pictures
 from pneuma.engines.loop import Trainer
 from pneuma.engines.policy import LEARNER_FILE
 from pneuma.engines.records import Records, Row, evaluation_row, metrics_row
@@ -42,7 +42,7 @@ from pneuma.engines.sb3_arguments import read_arguments
 from pneuma.engines.sb3_learners import (
     LEARNERS,
     Episodes,
-    arguments_of,
+    field_arguments,
     has_finite_weights,
     learn,
     learner_arguments,
@@ -78,7 +78,7 @@ def check_learner(run: Run) -> None:
         closing(_environments(run, run.slots)) as environments,
     ):
         learner = _make_learner(run, environments)
-        with blamed(f"{run.env} in its first step"):
+        with errors_from(f"{run.env} in its first step"):
             environments.reset()
             environments.step(np.array([environments.action_space.sample() for _ in range(run.slots)]))
     pace = _pace(learner)
@@ -92,7 +92,7 @@ def check_learner(run: Run) -> None:
 def learner_class(run: Run) -> Any:
     if run.algorithm in LEARNERS:
         return LEARNERS[run.algorithm]
-    with blamed(f"algorithm = {run.algorithm}"):
+    with errors_from(f"algorithm = {run.algorithm}"):
         learner_type = load_class(find_algorithm(run.algorithm).learner)
     if not isinstance(learner_type, type) or not issubclass(
         learner_type, OnPolicyAlgorithm | OffPolicyAlgorithm
@@ -107,7 +107,7 @@ def _check_arguments(run: Run) -> None:
     """Refuse arguments of PPO that it has as fields."""
     arguments = _algorithm_kwargs(run)
     policy_kwargs = str(arguments.get("policy_kwargs"))  # a table, its text, or anything
-    for argument, field_name in (*IN_POLICY_KWARGS.items(), *arguments_of(run)):
+    for argument, field_name in (*IN_POLICY_KWARGS.items(), *field_arguments(run)):
         if argument in arguments or (argument in IN_POLICY_KWARGS and argument in policy_kwargs):
             raise UserError(f"algorithm_kwargs: {argument} is not allowed: ppo has the field {field_name}")
 
@@ -138,7 +138,7 @@ def _make_learner(run: Run, env: VecEnv, to_play: bool = False) -> Any:
         raise UserError(
             f'policy = "{policy_name}": {run.algorithm} has {", ".join(learner_type.policy_aliases)}'
         )
-    with blamed(f"{run.algorithm} in {run.env}"):
+    with errors_from(f"{run.algorithm} in {run.env}"):
         arguments = read_arguments(_algorithm_kwargs(run), env.action_space)
         if run.algorithm == "ppo":
             from_fields = learner_arguments(run, env.num_envs)
@@ -195,7 +195,7 @@ class OpenTrainer(Trainer):
 
     def update(self, before: int, after: int, records: Records) -> bool:
         model = self._model
-        with blamed(f"{self.run.algorithm} in {self.run.env}"):
+        with errors_from(f"{self.run.algorithm} in {self.run.env}"):
             steps_left = after - model.num_timesteps
             if steps_left > 0:  # a learner that counts episodes may have gone further
                 learn(model, steps_left, self._episodes)
@@ -215,7 +215,7 @@ class OpenTrainer(Trainer):
         with (
             torch.random.fork_rng(devices=[]),
             closing(_environments(self.run, 1, self._seed)) as env,
-            blamed(f"{self.run.env} in evaluation"),
+            errors_from(f"{self.run.env} in evaluation"),
         ):
             if isinstance(env, VecNormalize) and isinstance(self._env, VecNormalize):
                 env.training, env.norm_reward = False, False
@@ -246,10 +246,6 @@ class LearnedPolicy:
 
     def __init__(self, learner: BaseAlgorithm) -> None:
         self.learner = learner
-
-    def __repr__(self) -> str:
-        """Return the names of the learner's class and of its policy's."""
-        return f"LearnedPolicy({type(self.learner).__name__}, {type(self.learner.policy).__name__})"
 
     def predict(
         self,

@@ -10,7 +10,7 @@ import torch
 
 from pneuma.config import as_fields, make_run
 from pneuma.engines.loop import Progress, train_run
-from pneuma.engines.records import Checkpoint, CheckpointError
+from pneuma.engines.records import Checkpoint
 from pneuma.store.checkpoints import decode, encode
 
 from .trained import CASES, bits, run_of, train, train_once
@@ -57,11 +57,3 @@ def test_a_checkpoint_does_not_change_while_its_run_goes_on(engine: str) -> None
 
     train_run(run_of(engine=engine), keep)
     assert all(encode(checkpoint, {}, "") == at_once for checkpoint, at_once in encoded)
-
-
-@pytest.mark.parametrize("engine", BOTH)
-@pytest.mark.parametrize("settings", [{"actor": (64,)}, {"optimizer": "sgd", "momentum": 0.9}, {"slots": 2}])
-def test_a_checkpoint_of_another_run_is_refused(settings: dict[str, object], engine: str) -> None:
-    _, checkpoints = train_once(run_of(engine=engine))
-    with pytest.raises(CheckpointError, match="cannot go on from step 64"):
-        train(run_of(**settings, engine=engine), checkpoints[0])

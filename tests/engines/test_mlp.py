@@ -30,7 +30,7 @@ def observations(rows: int) -> np.ndarray:
 
 def outputs(layers: Layers, rows: int) -> np.ndarray:
     weights, widths, code = mlp.network(layers, "tanh")
-    scratch = mlp.room(widths, rows)
+    scratch = mlp.make_scratch(widths, rows)
     scratch[0, :rows, : widths[0]] = observations(rows)
     return np.array(mlp.forward(weights[0], widths, code, rows, scratch)[:rows, :5])
 

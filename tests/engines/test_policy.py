@@ -69,7 +69,7 @@ def test_actions_follow_the_softmax() -> None:
 
 def test_a_policy_of_values_is_greedy_but_for_its_exploration() -> None:
     policy = constant([0, 3, 1, 2], critic=(), exploration=0.2)
-    assert set(policy.best(np.zeros((9, 1)))) == {1} and policy.values(np.zeros((1, 1))).tolist() == [3.0]
+    assert set(policy.best(np.zeros((9, 1)))) == {1}
     # Four fifths greedy, and a fifth shared out over all four.
     shares = np.bincount(drawn_by(policy)) / 80_000
     np.testing.assert_allclose(shares, [0.05, 0.85, 0.05, 0.05], atol=0.008)
@@ -108,7 +108,6 @@ def test_stable_baselines3_evaluates_a_stored_policy() -> None:
     policy = Policy("tanh", (lean,), (value,))
     returns, _ = evaluate_policy(policy, env, n_eval_episodes=3, return_episode_rewards=True, warn=False)
     assert min(np.array(returns)) > 100
-    assert repr(policy) == "Policy(tanh, actor [4, 2], critic [4, 1])"
     actions, state = policy.predict(np.array([[0.0, 0, 1, 1], [0, 0, -1, 0]], np.float32), deterministic=True)
     assert (actions.tolist(), state) == ([1, 0], None)
     assert policy.predict(np.array([0.0, 0, 1, 1], np.float32), deterministic=True)[0] == 1

@@ -9,7 +9,7 @@ import pytest
 
 from pneuma.algorithms import VALUE_BASED
 from pneuma.config import FIELDS, Run, make_run
-from pneuma.engines.sb3_learners import LEARNERS, arguments_of
+from pneuma.engines.sb3_learners import LEARNERS, field_arguments
 from pneuma.errors import UserError
 from pneuma.sb3_names import NAMES, own_fields
 from pneuma.study.plan import Query, make_plan
@@ -100,7 +100,7 @@ def test_a_mistake_is_told_by_the_name_in_the_file(tmp_path: Path, head: str, ru
     assert "\n" not in str(refused.value)
 
 
-def test_arguments_of_another_learner_are_kept_as_they_are(tmp_path: Path) -> None:
+def test_field_arguments_another_learner_are_kept_as_they_are(tmp_path: Path) -> None:
     arguments = 'learning_rate = "lin_7e-4"\ntau = 1.0\ntrain_freq = [1, "episode"]\n'
     entry = f'algorithm = "td3"\nn_timesteps = 100\n[run.algorithm_kwargs]\n{arguments}'
     path = study(tmp_path / "zoo.toml", entry)
@@ -119,7 +119,7 @@ ELSEWHERE = {
 def test_every_field_that_an_algorithm_reads_reaches_its_learner(algorithm: str) -> None:
     """As an argument, unless it stands `ELSEWHERE`: in networks, the optimizer or Pneuma's own classes."""
     run = make_run({"algorithm": algorithm, "engine": "sb3"})
-    reached = {name for _, name in arguments_of(run)}
+    reached = {name for _, name in field_arguments(run)}
     read = {name for name, about in FIELDS.items() if algorithm in about.read_by}
     assert read <= reached | ELSEWHERE
     assert ("horizon" in reached) == (algorithm not in VALUE_BASED)

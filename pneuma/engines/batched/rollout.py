@@ -14,7 +14,7 @@ import numpy as np
 
 from pneuma.config import Run, env_config, slot_seeds, stream_seed
 from pneuma.engines.gymnasium_env import GymnasiumSlots
-from pneuma.engines.mlp import Network, choose, forward, network, room
+from pneuma.engines.mlp import Network, choose, forward, make_scratch, network
 from pneuma.engines.policy import Layers
 from pneuma.env import rules
 from pneuma.env.compiling import cached
@@ -68,10 +68,7 @@ def empty_rollout(slots: int, steps: int, features: int) -> Rollout:
 
 
 class Collector:
-    """The worlds of a run's slots, with the episodes in progress.
-
-    Each player of each of the worlds, which are as many as the run's `slots`, is one slot here.
-    """
+    """The worlds in which a run collects rollouts. Each player of each world is one slot here."""
 
     def __init__(self, run: Run) -> None:
         self._run = run
@@ -122,7 +119,7 @@ class Collector:
 
 
 class GymnasiumCollector(Collector):
-    """Gymnasium's environments in a run's slots, of which each step is Python."""
+    """Gymnasium's environments in a run's slots; each of their steps is Python."""
 
     def _make_slots(self) -> Any:
         return GymnasiumSlots(self._run, slot_seeds(self._run), training=True)
@@ -153,7 +150,7 @@ def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.nd
     """Return the critic's values of a few observations: (K, features) -> (K,) float32."""
     weights, widths, activation_code = network(critic, activation)
     count = len(observations)
-    scratch = room(widths, count)
+    scratch = make_scratch(widths, count)
     scratch[0, :count, : widths[0]] = observations
     return np.array(forward(weights[0], widths, activation_code, count, scratch)[:count, 0])
 
@@ -172,7 +169,7 @@ def _play(handle: Any, actor: Any, draws: Any, default_starts: Any, rollout: Any
 
 @kernel
 def _choose(handle: Any, actor: Any, draws: Any, rollout: Any, step: int, actions: Any) -> None:
-    """Record what each slot observes and draw its action; idle slots observe zeros."""
+    """Record what each slot observes and sample its action; idle slots observe zeros."""
     state = open_state(handle)
     players = state.players.shape[1]
     for i in range(len(draws)):

@@ -18,7 +18,7 @@ from pneuma.engines.records import Checkpoint, Records
 
 
 class BatchedTrainer(ResumableTrainer):
-    """Trains one run by compiled programs; each policy, of all players or of one, has a learner."""
+    """Trains one run by compiled programs. One learner serves all players, or each player has its own."""
 
     def __init__(self, run: Run) -> None:
         super().__init__(run)
@@ -27,7 +27,7 @@ class BatchedTrainer(ResumableTrainer):
         self.learners = [Learner(run, features, actions, player) for player in range(run.policies)]
 
     def update(self, before: int, after: int, records: Records) -> bool:
-        rollout = self.collector.collect(self._joined().actor)
+        rollout = self.collector.collect(self._joint_policy().actor)
         records.episodes.extend(self.collector.episode_rows(rollout, before))
         budget_left = 1 - after / self.run.steps
         metrics_of_learners = []
@@ -40,13 +40,13 @@ class BatchedTrainer(ResumableTrainer):
         if not is_finite:
             return False
         is_last = after == self.run.updates * self.run.steps_per_update  # else the next update shows it
-        return not (is_last and overflows(self._joined(), self.collector.slots.observations))
+        return not (is_last and overflows(self._joint_policy(), self.collector.slots.observations))
 
     def policy(self) -> Policy:
-        return replace(self._joined(), scaling=self.collector.slots.scaling)
+        return replace(self._joint_policy(), scaling=self.collector.slots.scaling)
 
-    def _joined(self) -> Policy:
-        """Return the policy that all share; or the players' own, as one."""
+    def _joint_policy(self) -> Policy:
+        """Return the policy that all share, or the players' policies as one."""
         policies = [learner.policy() for learner in self.learners]
         if len(policies) == 1:
             return policies[0]
@@ -58,7 +58,6 @@ class BatchedTrainer(ResumableTrainer):
         worlds = self.collector.slots.saved_state()
         arrays = {f"worlds/{name}": array for name, array in worlds.items()}
         numbers = {
-            "optimizer": self.run.optimizer,
             "actions": self.collector.generator.bit_generator.state,
             "minibatches": [learner.generator.bit_generator.state for learner in self.learners],
         }
@@ -70,8 +69,6 @@ class BatchedTrainer(ResumableTrainer):
 
     def restore(self, checkpoint: Checkpoint) -> None:
         numbers = checkpoint.numbers
-        if numbers["optimizer"] != self.run.optimizer:
-            raise ValueError(f"it is of the optimizer {numbers['optimizer']}")
         self.collector.slots.restore_state(checkpoint.part("worlds/"))
         self.collector.generator.bit_generator.state = numbers["actions"]
         for player, learner in enumerate(self.learners):
@@ -81,7 +78,7 @@ class BatchedTrainer(ResumableTrainer):
 
 
 def _means(metrics_of_learners: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Return the mean of each metric. Not by `sum`, which rounds differently from Python 3.12 on."""
+    """Return the mean of each metric, without `sum`, which rounds differently from Python 3.12 on."""
     metric_means = {}
     for metric in metrics_of_learners[0]:
         total = metrics_of_learners[0][metric]
@@ -92,7 +89,7 @@ def _means(metrics_of_learners: Sequence[Mapping[str, float]]) -> dict[str, floa
 
 
 def _stack(networks: Sequence[Layers]) -> Layers:
-    """Return the networks of several players as one."""
+    """Return the networks of several players as one, with a first axis of players."""
     layers: Layers = jax.tree.map(lambda *arrays: np.stack(arrays), *networks)
     return layers
 
@@ -100,12 +97,8 @@ def _stack(networks: Sequence[Layers]) -> Layers:
 def _restored(tree: Any, player: int, tree_name: str, checkpoint: Checkpoint) -> Any:
     """Return a tree of arrays with the values of a checkpoint."""
 
-    def saved(leaf_path: Any, leaf: Any) -> np.ndarray:
-        array_name = _array_name(player, tree_name, leaf_path)
-        array = checkpoint.arrays[array_name]
-        if array.shape != np.shape(leaf):
-            raise ValueError(f"{array_name} is of shape {array.shape}, not {np.shape(leaf)}")
-        return np.array(array)
+    def saved(leaf_path: Any, _: Any) -> np.ndarray:
+        return np.array(checkpoint.arrays[_array_name(player, tree_name, leaf_path)])
 
     return jax.tree.map_with_path(saved, tree)
 
