@@ -248,7 +248,7 @@ def plot(
         quantity: as `pneuma study plot --quantity` takes it; default: the first of the study's figure.
         ax: default: matplotlib's current axes.
         results: as of `run_study`.
-        how: `band`, `window` and `x`, as the options are called.
+        how: `band`, `window`, `x` and `log`, as the options are called.
 
     Returns:
         The axes, with a legend.

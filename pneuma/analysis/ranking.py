@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import pandas as pd
 
-from pneuma.analysis.outcomes import find_outcome, outcome, primary
+from pneuma.analysis.outcomes import check_outcome, find_outcome, outcome, primary
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 
 
-def ranked_runs(study_data: StudyData) -> tuple[str, pd.DataFrame]:
-    """Rank the finished runs of a study that are stored here by its primary outcome.
+def ranked_runs(study_data: StudyData, outcome_name: str = "") -> tuple[str, pd.DataFrame]:
+    """Rank the finished runs of a study that are stored here, and not only published, by an outcome.
+
+    Args:
+        study_data: an opened study.
+        outcome_name: the outcome; default: the study's primary one.
 
     Returns:
         The outcome; and run_id, condition, seed and value of each run, the best first.
 
     Raises:
-        UserError: if no run is stored here.
+        UserError: for an unknown outcome, or if no run is stored here.
     """
-    outcome_name = primary(study_data)
+    outcome_name = outcome_name or primary(study_data)
+    check_outcome(outcome_name, study_data.environments)
     stored_runs = study_data.runs[study_data.runs["where"] == ""]
     if not len(stored_runs):
         raise UserError(f"{study_data.label}: none of its runs is stored here")

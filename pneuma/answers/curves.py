@@ -64,11 +64,14 @@ class CurveOptions:
             of the mean.
         window: of the study's windows; None for the first.
         x: one of `X_AXES`.
+        log: whether all curves are of logarithms, and not only those of quantities that go through powers of
+            ten.
     """
 
     band: str | None = None
     window: str | None = None
     x: str = STEPS
+    log: bool = False
 
     @property
     def bands(self) -> list[str]:
@@ -237,7 +240,7 @@ def _column(
     """Return a study's curves; on a logarithmic axis, means and bands are of logarithms."""
     curves = study_curves(study_data, quantity_names, options.window, options.x)
     for quantity, quantity_curves in curves.items():
-        if QUANTITIES[quantity].kind == POWERS and reach(quantity_curves)[1] > 0:
+        if (options.log or QUANTITIES[quantity].kind == POWERS) and reach(quantity_curves)[1] > 0:
             curves[quantity] = [replace(curve, log=True) for curve in quantity_curves]
     beside_data = beside and in_environment_of(study_data, beside)
     if not beside_data:
@@ -284,6 +287,9 @@ def _notes(column: Column, options: CurveOptions) -> list[str]:
     """Return the notes on a study and on what is drawn of it, the most important first."""
     study_data, beside = column.data, column.beside
     notes = notes_on_runs(study_data, not column.curves.keys().isdisjoint(("return", EVALUATED)), beside)
+    for quantity, quantity_curves in column.curves.items():
+        if options.log and not quantity_curves[0].log:
+            notes.append(f"{QUANTITIES[quantity].title}: no value is above 0, so the axis is linear.")
     least_runs = BANDS[options.bands[0]].least_runs
     for curve in column.all_curves:
         curve_text = f"{curve.condition} ({counted(curve.run_count, 'run')})"

@@ -14,6 +14,7 @@ from pneuma.errors import tallied
 from pneuma.store.index import RunIndex
 from pneuma.store.store import FINISHED
 from pneuma.study.plan import Query
+from pneuma.values import format_settings
 
 STATES = ("done", "diverged", "published", "running", "partial", "crashed", "killed", "damaged", "planned")
 """States of runs, in the order of columns."""
@@ -88,9 +89,17 @@ def runs_status(study_data: StudyData) -> Answer:
 
 def studies_status(index: RunIndex, world: str | None) -> Answer:
     """Count the runs of each study that was run in a results folder by their states."""
-    study_rows = []
+    study_rows, cell_rows = [], []
     for study_data in studies_here(index, world):
-        study_rows.append((study_data.label, tallied(study_data.runs["status"])))
-    title = "" if study_rows else f"No study was run in {index.store.root} yet."
-    study_table = pd.DataFrame(study_rows, columns=["study", "runs"])
-    return Answer(title, {}, {"studies": study_table}, [study_table])
+        runs = study_data.runs.drop_duplicates("run_id").rename(columns={"end": "step"})
+        study_facts = {
+            "study": study_data.study.file,
+            "world": study_data.study.world if study_data.study.path else "",
+            "changed": format_settings(study_data.study.settings),
+        }
+        study_rows.append({**study_facts, "runs": runs[["run_id", "status", "step"]].to_dict("records")})
+        cell_rows.append({**study_facts, "runs": tallied(runs["status"])})
+    title = "" if cell_rows else f"No study was run in {index.store.root} yet."
+    columns = ["study", "world", "changed", "runs"]
+    study_table = pd.DataFrame(study_rows, columns=columns)
+    return Answer(title, {}, {"studies": study_table}, [pd.DataFrame(cell_rows, columns=columns)])

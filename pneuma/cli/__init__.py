@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -103,6 +104,8 @@ def _root(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return its exit code; a user's mistake is printed as one line."""
     try:
+        if not re.fullmatch(r"[1-9]\d{0,8}", threads := os.environ.get("NUMBA_NUM_THREADS", "1")):
+            raise UserError(f"the variable NUMBA_NUM_THREADS = {threads} is not allowed: a number from 1 on")
         os.environ["MPLBACKEND"] = "agg"  # figures are files; another value, or a wrong one, is for scripts
         os.environ.pop("SOURCE_DATE_EPOCH", None)  # no figure has a date
         typed_words = None if arguments is None else list(arguments)

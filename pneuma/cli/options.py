@@ -56,13 +56,13 @@ def flag(name: str, help_text: str) -> Any:
     return typer.Option(name, help=help_text)
 
 
-def choice(allowed: Iterable[str], help_text: str, metavar: str = "", name: str = "") -> Any:
-    """Return an option with a fixed set of values."""
+def choice(allowed: Iterable[str], help_text: str, metavar: str = "", name: str = "", hint: str = "") -> Any:
+    """Return an option with a fixed set of values; `hint` ends the message if another one is given."""
     names = tuple(allowed)
 
     def read(typed: str) -> str:
         if typed not in names:
-            raise WrongText(f"{typed}: must be one of {', '.join(names)}{nearest_name(typed, names)}")
+            raise WrongText(f"{typed}: must be one of {', '.join(names)}{nearest_name(typed, names)}{hint}")
         return typed
 
     return option(metavar or "|".join(names), help_text, read, name, autocompletion=lambda: list(names))
@@ -118,6 +118,7 @@ TABLE = OUTPUT_FORMATS[0]
 """The default of `Format`."""
 JSON = Annotated[bool, flag("--json", "Print one JSON document on standard output.")]
 Quiet = Annotated[bool, flag("--quiet", "Print only results and errors.")]
+Force = Annotated[bool, flag("--force", "Replace the file even if Pneuma did not write it.")]
 Trust = Annotated[bool, flag("--trust", "Load the files, code and environment arguments that the run names.")]
 RetryFailed = Annotated[bool, flag("--retry-failed", "Retry runs that crashed before.")]
 Seeds = Annotated[Any, seeds("A count N (seeds 0 to N-1), or a list: 3,5,8 or 1..5 ('7,' is only seed 7).")]
@@ -136,7 +137,8 @@ _OUTCOMES = "Outcome to report instead of the defaults (repeatable; see docs/out
 Outcomes = Annotated[Several, option("NAME", _OUTCOMES)]
 Workers = Annotated[Any, count("Parallel workers (default: one per core).")]
 _WHERE = "Where runs are trained (default: local; see docs/scaling.md)."
-Executor = Annotated[str | None, choice(EXECUTORS, _WHERE)]
+_QUEUES = "; docs/scaling.md shows how to use the queue of a cluster"
+Executor = Annotated[str | None, choice(EXECUTORS, _WHERE, hint=_QUEUES)]
 Address = Annotated[str | None, option("HOST:PORT", "Address of a Ray cluster (default: start a local one).")]
 
 

@@ -23,7 +23,7 @@ from rich.cells import cell_len
 from pneuma.cli.hints import write_hint
 from pneuma.errors import UserError, nearest_name, print_aside, printable, write_hints
 from pneuma.figures import FIGURE_FORMATS
-from pneuma.files import write_whole
+from pneuma.files import MADE_BY, write_whole
 from pneuma.store.store import Store
 from pneuma.study.shipped import read_head, shipped_names
 
@@ -239,8 +239,12 @@ def rows_of(table: pd.DataFrame) -> list[dict[Any, Any]]:
 # --- Files ----------------------------------------------------------------------------------------
 
 
-def check_file(out: Path, endings: Collection[str]) -> None:
-    """Refuse an output file that has none of the endings, or is a folder or link, before any work is done."""
+def check_file(out: Path, endings: Collection[str], force: bool = True) -> None:
+    """Refuse an output file before any work is done.
+
+    It must have one of the endings and be no folder, and no link. Without `force` it may replace only what a
+    command like it has made.
+    """
     if out.suffix.lower() not in endings:
         hint = nearest_name(out.suffix, endings) if out.suffix else ""
         raise UserError(f"--out {out}: must end in {' or '.join(endings)}{hint}")
@@ -248,6 +252,8 @@ def check_file(out: Path, endings: Collection[str]) -> None:
         raise UserError(f"--out {out}: is a folder; name a file")
     if out.is_symlink():
         raise UserError(f"--out {out}: is a link; name the file itself")
+    if not force and out.is_file() and MADE_BY.encode() not in out.read_bytes():
+        raise UserError(f"--out {out}: already exists and was not written by Pneuma; --force replaces it")
 
 
 def write_file(out: Path, contents: bytes) -> None:

@@ -18,11 +18,12 @@ app = opt.Commands("", "")
 def report(
     out: Annotated[Path, opt.option("FILE", "The page to write, ending in .html.")],
     names: Annotated[opt.Several, opt.argument("NAME", "Studies (default: all shipped or run).")] = None,
+    force: opt.Force = False,
     results: opt.Results = opt.HERE,
     quiet: opt.Quiet = False,
 ) -> Result:
     """Write verdicts, figures, numbers, settings and runs as one HTML page for offline reading."""
-    check_file(out, (".html", ".htm"))
+    check_file(out, (".html", ".htm"), force)
     store, aside = Store(results), partial(say, quiet=quiet)
     nothing = nothing_yet(store)
     if nothing:

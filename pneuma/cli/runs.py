@@ -31,7 +31,10 @@ app.command("delete", short_help="Delete a stored run.")(delete.delete_run)
 @app.command("list", short_help="List the stored runs.")
 def list_(
     study: Annotated[
-        str | None, opt.option("NAME[@PRESET]", "List only this study's finished runs, the best first.")
+        str | None, opt.option("NAME[@PRESET]", "List only this study's finished runs, ranked by an outcome.")
+    ] = None,
+    sort: Annotated[
+        str | None, opt.option("OUTCOME", "With --study: the outcome to rank by (default: the primary one).")
     ] = None,
     world: opt.World = None,
     results: opt.Results = opt.HERE,
@@ -43,11 +46,13 @@ def list_(
     if study is not None:
         from pneuma.analysis.ranking import ranked_runs
 
-        outcome, ranked = ranked_runs(opt.RunFilter(world=world, results=results).open(study))
+        outcome, ranked = ranked_runs(opt.RunFilter(world=world, results=results).open(study), sort or "")
         rows = []
         for run in ranked.to_dict("records"):
             rows.append((run["run_id"], run["condition"], f"seed {run['seed']}", f"{run['value']:.4g}"))
         return Result({"outcome": outcome, "runs": ranked}, [Table(("run", "condition", "", outcome), rows)])
+    if sort is not None:
+        raise UserError("--sort requires --study")
     from pneuma.store.index import RunIndex
 
     index = RunIndex(Store(results))
@@ -90,7 +95,11 @@ def _condition(run_label: Mapping[str, Any]) -> str:
 
 
 @app.command(short_help="Show how a stored run was produced.")
-def show(name: opt.RunId, results: opt.Results = opt.HERE) -> Result:
+def show(
+    name: opt.RunId,
+    all_: Annotated[bool, opt.flag("--all", "Show every field, including defaults.")] = False,
+    results: opt.Results = opt.HERE,
+) -> Result:
     """Show how a stored run was produced: configuration, machine, packages, time, files."""
     from pneuma.store.index import RunIndex
 
@@ -114,16 +123,19 @@ def show(name: opt.RunId, results: opt.Results = opt.HERE) -> Result:
     }
     detail = f" ({status.detail})" if status.detail else ""
     headline = f"run {run_id}: {status.name}{detail}, {status.step:,} steps trained"
-    return Result(document, [headline] + list(_show(document)))
+    return Result(document, [headline] + list(_show(document, all_)))
 
 
-def _show(run: Mapping[str, Any]) -> Iterator[str | Table]:
+def _show(run: Mapping[str, Any], all_fields: bool) -> Iterator[str | Table]:
     for study in run["studies"]:
         yield f"study {study['study']}, condition {_condition(study)}, seed {study['seed']}"
     yield ""
-    yield "Fields that are not at their defaults (--json shows the others)"
-    for key, default in run["defaults"].items():
-        yield f"  {key} = {format_value(run['settings'][key])}   (default {format_value(default)})"
+    yield "Fields" if all_fields else "Fields that are not at their defaults (--all shows the others)"
+    for key, row_value in run["settings"].items():
+        if key in run["defaults"]:
+            yield f"  {key} = {format_value(row_value)}   (default {format_value(run['defaults'][key])})"
+        elif all_fields:
+            yield f"  {key} = {format_value(row_value)}"
     yield ""
     yield "Provenance" if run["provenance"] else "Provenance: none, or damaged; it is written at a run's end"
     for key, row_value in run["provenance"].items():
@@ -146,10 +158,11 @@ def export(
     name: opt.RunId,
     out: Annotated[Path, opt.option("FILE", "The .zip file to write.")],
     trust: opt.Trust = False,
+    force: opt.Force = False,
     results: opt.Results = opt.HERE,
 ) -> Result:
     """Write a run's final policy as a .zip for Stable-Baselines3."""
-    check_file(out, (".zip",))
+    check_file(out, (".zip",), force)
     store = Store(results)
     run_id = find_run(store, name)
     status, run_fields = store.status(run_id), trusted_settings(store, run_id, trust)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,6 +25,7 @@ app.command(short_help="Train a study's runs that are not stored yet.")(study_ru
 app.command("delete", short_help="Delete a study's runs from the results folder.")(delete.delete_study)
 app.command(short_help="Draw a study's learning curves, or a summary of its outcomes.")(study_files.plot)
 app.command()(study_files.export)
+app.command(short_help="Print one of the thesis's tables of hyperparameters.")(study_files.table)
 app.command(short_help="Publish a study's finished runs as one small table.")(study_files.publish)
 app.command(short_help="Summarize each condition's outcomes.")(study_answers.summary)
 app.command(short_help="Compare two conditions.")(study_answers.compare)
@@ -146,7 +148,7 @@ def status(
     from pneuma.answers.status import runs_status, studies_status, study_status
 
     if name is None:
-        return answer_result(studies_status(selection.index, selection.world))
+        return replace(answer_result(studies_status(selection.index, selection.world)), numbers=None)
     study_data = find_study(selection.index, selection.query(name))
     say(study_data.coverage)
     for problem in selection.index.problems:

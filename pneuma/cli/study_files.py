@@ -1,7 +1,8 @@
-"""`pneuma study plot`, `export` and `publish`: files made from a study."""
+"""`pneuma study plot`, `table`, `export` and `publish`: files made from a study."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,11 +13,14 @@ from pneuma.cli.output import (
     Result,
     check_file,
     keep_files,
+    nothing_yet,
     read_formats,
+    rows_result,
+    say,
     write_file,
     wrote,
 )
-from pneuma.errors import UserError, counted, unknown_name
+from pneuma.errors import Message, UserError, counted, unknown_name
 from pneuma.store.quantities import (
     ACTION_QUANTITIES,
     CURVE_QUANTITIES,
@@ -37,8 +41,8 @@ PUBLISHED_CURVES = (
     *ACTION_QUANTITIES,
 )  # fmt: skip
 """The quantities whose curves a published table keeps by default."""
-CURVE_OPTIONS = ("band", "window", "x")
-"""Options of curves alone, as --quantity and --beside are."""
+OF_CURVES = ("band", "window", "x", "log")
+"""Options that only figures of curves have, beside --quantity and --beside."""
 
 
 # --- plot -----------------------------------------------------------------------------------------
@@ -72,8 +76,9 @@ class Drawing:
     window: Annotated[str | None, opt.choice(WINDOWS, "Episodes averaged at each point.")] = None
     x: Annotated[str | None, opt.choice(X_AXES, "Horizontal axis of curves (default: steps).")] = None
     beside: Annotated[
-        str | None, opt.option("NAME", "Draw another study, or imported logs, in the same panels.")
+        opt.Several, opt.option("NAME", "Draw another study, or imported logs, in the same panels.")
     ] = None
+    log: Annotated[bool, opt.flag("--log", "Use a logarithmic vertical axis.")] = False
     formats: opt.Formats = None
     width: Annotated[float, opt.option("INCHES", "Width in inches.", min=1.5, max=30)] = 7.0
     height: Annotated[
@@ -86,34 +91,72 @@ class Drawing:
 
     @property
     def curve_options(self) -> dict[str, Any]:
-        """Those of `CURVE_OPTIONS` that are given."""
-        return {name: getattr(self, name) for name in CURVE_OPTIONS if getattr(self, name)}
+        """Those of `OF_CURVES` that are given."""
+        return {name: getattr(self, name) for name in OF_CURVES if getattr(self, name)}
 
     @property
     def is_of_curves(self) -> bool:
         return bool(self.quantity or self.beside or self.curve_options)
 
 
-def plot(name: opt.Study, selection: opt.RunFilter, drawing: Drawing, out: opt.PlotFolder = None) -> Result:
+def plot(
+    selection: opt.RunFilter,
+    drawing: Drawing,
+    names: Annotated[opt.Several, opt.argument("NAME", "Studies (default: all that were run).")] = None,
+    out: opt.PlotFolder = None,
+) -> Result:
     """Draw a study's learning curves, or a summary of its outcomes.
 
     A study of several environments has a panel for each.
     """
     if drawing.figure not in (None, CURVES) and drawing.is_of_curves:
-        options = "--quantity, --band, --window, --x and --beside"
+        options = "--quantity, --band, --window, --x, --beside and --log"
         raise UserError(f"{options} require --figure {CURVES}")
-    formats = read_formats(drawing.formats, out)
+    formats, store = read_formats(drawing.formats, out), selection.store
+    nothing = nothing_yet(store)
+    if not names and nothing:
+        raise UserError(nothing)
     from pneuma.figures.grid import save_page
     from pneuma.figures.style import Look
 
     look = Look(drawing.width, drawing.height, drawing.title, drawing.style, drawing.plain)
     beside_data = None
     if drawing.beside:
-        beside_data = opt.RunFilter(results=selection.results, world=selection.world).open(drawing.beside)
-    page = _draw(selection.open(name), drawing, beside_data)
-    figure_files = keep_files(selection.store, out, lambda folder: save_page(page, folder, formats, look))
-    assert page.answer is not None
-    return Result({"figures": figure_files, **page.answer.document}, wrote(figure_files))
+        if len(drawing.beside) > 1:
+            raise UserError("--beside takes one study: import the logs of several under one --name")
+        beside_data = opt.RunFilter(results=selection.results, world=selection.world).open(drawing.beside[0])
+    if names:
+        pages = [_draw(selection.open(name), drawing, beside_data) for name in names]
+    else:
+        pages = _draw_all(selection, drawing, beside_data)
+
+    def save(folder: Path) -> Iterator[Path]:
+        for page in pages:
+            yield from save_page(page, folder, formats, look)
+
+    figure_files = keep_files(store, out, save)
+    answers = [page.answer.document for page in pages if page.answer]
+    return Result({"figures": figure_files, "answers": answers}, wrote(figure_files))
+
+
+def _draw_all(selection: opt.RunFilter, drawing: Drawing, beside_data: StudyData | None) -> list[Page]:
+    """Return the figures of the studies that were run here and can be drawn."""
+    from pneuma.analysis.runs import studies_here
+
+    pages: list[Page] = []
+    problems: list[UserError] = []
+    for study_data in studies_here(selection.index, selection.world):
+        if len(study_data.finished):
+            try:
+                opened_data = replace(selection, world=study_data.world or None).open(study_data.study.file)
+                pages.append(_draw(opened_data, drawing, beside_data))
+            except UserError as error:
+                problems.append(error)
+    if not pages:
+        raise next(iter(problems), UserError(f"no run of a study has finished in {selection.store.root}"))
+    for problem in problems:
+        say(Message("Note: ", *problem.args, "."))
+    return pages
 
 
 def _draw(study_data: StudyData, drawing: Drawing, beside_data: StudyData | None) -> Page:
@@ -163,6 +206,40 @@ def _quantities(study_data: StudyData, drawing: Drawing) -> list[str]:
     return quantities
 
 
+# --- table ----------------------------------------------------------------------------------------
+
+THESIS_TABLES = ("table-6-1", "table-6-2")
+THESIS_ROWS = {
+    "Discount γ": "gamma", "Learning rate α": "learning_rate", "GAE parameter λ": "gae_lambda",
+    "Clipping parameter ϵ": "clip_range", "Horizon": "horizon", "Minibatch size": "minibatch",
+    "Num. epochs": "epochs", "Value coefficient": "value_coefficient",
+    "Entropy coefficient": "entropy_coefficient",
+}  # fmt: skip
+"""What the tables have, by the thesis's words."""
+
+
+def table(
+    names: Annotated[opt.Several, opt.argument("TABLE", "table-6-1, table-6-2 (default: both).")] = None,
+    format: opt.Format = opt.TABLE,
+) -> Result:
+    """Print the thesis's Tables 6.1 and 6.2: default and final hyperparameters."""
+    from pneuma.presets import BASES
+    from pneuma.values import format_short
+
+    for table_name in names or ():
+        if table_name not in THESIS_TABLES:
+            raise unknown_name("table", table_name, THESIS_TABLES)
+    table_rows = []
+    for row_label, field_name in THESIS_ROWS.items():
+        table_row = {"Hyperparameter": row_label}
+        for table_name in names or THESIS_TABLES:
+            table_row[table_name.replace("table-6-", "Table 6.")] = format_short(
+                BASES[table_name][field_name]
+            )
+        table_rows.append(table_row)
+    return rows_result("rows", table_rows)
+
+
 # --- export ---------------------------------------------------------------------------------------
 
 
@@ -205,7 +282,8 @@ def _read_curves(curves_text: str) -> tuple[str, ...]:
         return ()
     allowed = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES, ACTIONS)
     quantities: list[str] = []
-    for quantity in curves_text.split(","):
+    for env_data in curves_text.split(","):
+        quantity = env_data.strip()
         if quantity not in allowed:
             raise UserError(f"--curves {quantity}: {unknown_name('value', quantity, allowed)}")
         quantities += ACTION_QUANTITIES if quantity == ACTIONS else [quantity]

@@ -49,7 +49,7 @@ def plan_(
     if detect is not None:
         study_data = None if sd else selection.open(name)
         answer = planned.seeds_to_detect(study_data, detect, outcome or "", sd)
-        return answer_result(answer)
+        return replace(answer_result(answer), numbers=None)
     if outcome or sd:
         raise UserError(f"{'--outcome' if outcome else '--sd'} requires --detect")
     planned_runs = _plan(selection, name, unpublished)

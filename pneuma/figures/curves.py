@@ -119,6 +119,8 @@ def _differences(answer: CurvesAnswer) -> list[str]:
         suffixes += quantities if len(quantities) < MOST_IN_A_NAME else [f"{len(quantities)}-quantities"]
     if options.bands[0] != DEFAULT_BAND:
         suffixes.append(options.bands[0])
+    if options.log:
+        suffixes.append("log")
     if options.x != STEPS:
         suffixes.append(f"over-{options.x}")
     if options.window == TRAILING_WINDOW:
@@ -191,7 +193,7 @@ def _draw(answer: CurvesAnswer, column: Column, quantity_name: str, looks: Looks
     if len(returns):
         axes.plot(returns["x"], returns["value"], label=grid.RANDOM_PLAYER, **grid.RANDOM_LOOK)
     axes.set_xlim(0, last_step)
-    if axis_kind == SHARES:
+    if axis_kind == SHARES and not options.log:
         upper_limit = min(max(axes.get_ylim()[1], 0.01), 1 + grid.BELOW_ZERO)
         axes.set_ylim(-grid.BELOW_ZERO * upper_limit, upper_limit)
 

@@ -59,7 +59,7 @@ MISTAKES = {
     "study plot activation --width x": "Invalid value for '--width': ",
     "study plot algorithms --world text": "pneuma study run algorithms",
     "study compare activation tanh relu --format svg": "--format svg: must be one of table",
-    f"{RUN} --executor slurm": "--executor slurm: must be one of local, ray",
+    f"{RUN} --executor slurm": "--executor slurm: must be one of local, ray; docs/scaling.md shows",
     "study plan breakout": "pip install -c constraints.txt -e '.[minatar]' in Pneuma's folder",
 }
 

@@ -140,7 +140,9 @@ def test_what_logs_beside_a_study_average_is_told(study: Path) -> None:
         page = curves_page(find_curves(by_environment(open_data(study)), beside=open_data("logs")))
         assert _panels(page)[0].y == "Return in training"
         assert f"{note} The environment of logs is not recorded." in page.caption
-    assert call("study", "plot", study, "--out", "beside.png", "--beside", "logs").code == 0
+    plot = ("study", "plot", study, "--out", "beside.png", "--beside", "logs")
+    assert call(*plot).code == 0
+    assert "--beside takes one study" in call(*plot, "--beside", "two").err
 
 
 def test_the_best_run_is_one_of_the_environment(study: Path) -> None:

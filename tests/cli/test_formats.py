@@ -86,7 +86,19 @@ def test_verdicts_in_every_form(tmp_path: Path) -> None:
     assert "high against low, 8 and 8 runs: kills 74" in page
 
 
+def test_the_thesis_tables_are_printed_as_they_stand_there() -> None:
+    """Table 6.2 in the thesis's order and words; γ and others are commands of LaTeX."""
+    rows = described("study", "table", "--json")["rows"]
+    printed_there = "0.99 3e-4 0.95 0.2 2048 64 15 1 0.01"
+    assert " ".join(row["Table 6.1"] for row in rows) == printed_there
+    latex = printed("study", "table", "table-6-2", "--format", "latex")
+    assert latex.isascii() and latex.startswith("\\begin{tabular}{ll}\n\\toprule\n")
+    assert r"Clipping parameter $\epsilon$ & 0.1 \\" in latex and "Table 6.1" not in latex
+    assert "did you mean table-6-2?" in refused("study", "table", "table-62")
+
+
 TABLES = {
+    "thesis": ["table", "table-6-2"],
     "summary": ["summary", "activation"],
     "crossed": ["summary", "robustness"],
     "comparison": ["compare", "activation", "tanh", "relu"],

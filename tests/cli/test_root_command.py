@@ -17,7 +17,7 @@ from pneuma.cli import app
 from pneuma.cli.output import say
 from pneuma.training.executors.local import worker_environment
 
-from .calls import printed
+from .calls import printed, refused
 
 
 def _commands(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -36,6 +36,12 @@ def test_every_command_has_help_and_no_list_of_commands_is_cut(monkeypatch: pyte
         assert " ".join([*path, "[OPTIONS]"]) in usage
         assert rest[0].strip(), "says nothing of what it does"
         assert [line for line in rest if line.endswith("...") and "[" not in line] == []
+
+
+@pytest.mark.parametrize("threads", ["0", "1.5"])
+def test_a_variable_that_numba_cannot_read_is_one_line(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
+    assert f"NUMBA_NUM_THREADS = {threads} is not allowed" in refused("--version")
 
 
 HEAVY = ["torch", "jax", "numba", "pandas", "matplotlib", "optuna"]

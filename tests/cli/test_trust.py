@@ -13,7 +13,7 @@ from gymnasium.envs.classic_control import CartPoleEnv
 from pneuma.config import make_run
 from pneuma.store.store import Store
 
-from .calls import call, policy_of, refused, save_policy
+from .calls import call, policy_of, printed, refused, save_policy
 
 RUN = "0123456789abcdef"
 INSTALLED = "RunsAProgram-v0"
@@ -83,9 +83,24 @@ def test_untrusted_nothing_is_written_through_a_link(mark: Path, output: str, li
     words, name = OUTPUTS[output]
     Path("theirs").write_text("precious")
     Path(name).symlink_to(name if link == "itself" else link)
-    message = refused(*words, "--out", name, "--results", "results")
-    assert message == f"--out {name}: is a link; name the file itself"
+    for force in ((), ("--force",)):
+        message = refused(*words, "--out", name, *force, "--results", "results")
+        assert message == f"--out {name}: is a link; name the file itself"
     assert Path("theirs").read_text() == "precious" and not Path("nothing").exists()
+
+
+@pytest.mark.parametrize("output", OUTPUTS)
+def test_untrusted_a_file_of_anothers_is_replaced_by_force_alone(mark: Path, output: str) -> None:
+    save_run({"env": "CartPole-v1"})
+    words, name = OUTPUTS[output]
+    out = Path(name)
+    out.write_text("precious")
+    at = (*words, "--out", out, "--results", "results")
+    assert "--force replaces it" in call(*at).err and out.read_text() == "precious"
+    printed(*at, "--force")
+    whole = out.read_bytes()
+    printed(*at)
+    assert out.read_bytes()[:8] == whole[:8] != b"precious"
 
 
 def test_untrusted_a_folder_that_is_a_link_to_itself_is_one_line(mark: Path) -> None:

@@ -39,6 +39,24 @@ def test_a_figure_names_what_it_lies_over(study: HandMade, tmp_path: Path, figur
     assert "Within a run, all steps are taken to last equally long." in words(figures[0])
 
 
+def test_a_log_axis_of_zeros_is_none_and_a_condition_of_zeros_is_named(
+    study: HandMade, tmp_path: Path, figures: list[Figure]
+) -> None:
+    """Nothing could be drawn of it, not even its name, beside a caption on logarithms."""
+    zeros = HandMade(tmp_path / "zeros")
+    for seed in (0, 1):
+        zeros.add("none", seed, evaluations=(0.0,) * 4)
+        study.add("none", seed, evaluations=(0.0,) * 4)
+    zeros.draw(tmp_path, "share_killed", log=True)
+    assert figures[0].axes[0].get_yscale() == "linear" and "none (2)" in words(figures[0])
+    assert "Monsters killed in evaluation: no value is above 0, so the axis is linear." in words(figures[0])
+    assert "logarithm" not in words(figures[0])
+    study.draw(tmp_path, "share_killed", log=True)
+    assert figures[1].axes[
+        0
+    ].get_yscale() == "log" and "Some of none (2 runs) have no value in a panel" in words(figures[1])
+
+
 # --- Its look ----------------------------------------------------------------------------------------
 
 PNG = ("png",)
