@@ -6,6 +6,8 @@ import errno
 import hashlib
 import json
 import os
+import re
+import time
 import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -20,6 +22,9 @@ SCHEMA = 1
 
 MADE_BY = "made by pneuma"
 """Words in a report and in an exported policy, by which a command knows what it may replace."""
+
+STALE_SECONDS = 600
+"""Age from which no process writes a temporary file any more."""
 
 LONGEST_REASON = 100
 
@@ -86,6 +91,7 @@ def read_text(path: Path) -> str:
 # --- Writing ----------------------------------------------------------------------------------------
 
 _STORAGE_PROBLEMS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
+_TEMPORARY_NAME = re.compile(r"\..+\.[0-9a-f]{32}")
 
 
 def write_whole(path: Path, contents: bytes) -> None:
@@ -147,6 +153,19 @@ def _named_in_errors(path: Path) -> Iterator[None]:
     except OSError as error:
         error.filename = str(path)
         raise
+
+
+def stale_files(folder: Path) -> list[Path]:
+    """Return the temporary files that were left in a folder when a process was killed."""
+    stale_paths = []
+    for file_name in names_in(folder):
+        if _TEMPORARY_NAME.fullmatch(file_name):
+            file_path = folder / file_name
+            with suppress(FileNotFoundError):  # its process has just moved it to its place
+                age_seconds = time.time() - file_path.stat().st_mtime
+                if age_seconds > STALE_SECONDS:
+                    stale_paths.append(file_path)
+    return stale_paths
 
 
 def write_error(path: Path, error: OSError) -> UserError:

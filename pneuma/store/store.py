@@ -42,6 +42,7 @@ from pneuma.files import (
     names_in,
     parse_json,
     replace_files,
+    stale_files,
     to_json,
     write_error,
 )
@@ -321,6 +322,8 @@ class Store:
         """Write files into a folder in this order. If one fails, those before it may be there."""
         with self._writing(folder):
             replace_files(folder, files)
+        for stale_path in stale_files(folder):
+            self.remove(stale_path)
 
     def remove(self, path: Path) -> None:
         """Remove a file or a folder of the results, if it exists; of a link, the link itself.

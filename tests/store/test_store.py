@@ -195,6 +195,17 @@ def test_a_write_that_the_disk_refuses_names_the_file_and_says_if_no_file_could_
     assert isinstance(refused.value, StorageError) == (number != errno.EACCES)
 
 
+def test_what_a_killed_write_left_is_swept_by_the_next_one(store: Store) -> None:
+    folder = store.run_folder(NAME)
+    left, other = folder / f".row.arrow.{'a' * 32}", folder / f".row.arrow.{'b' * 32}"
+    for path in (left, other, folder / ".notes.txt"):
+        path.touch()
+    for path in (left, folder / ".notes.txt"):
+        os.utime(path, (0, 0))
+    store.save_row(NAME, b"row")
+    assert not left.exists() and other.exists() and (folder / ".notes.txt").exists()
+
+
 # --- Studies without a file ----------------------------------------------------------------------
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 import signal
 import subprocess
 import sys
@@ -80,6 +81,16 @@ def test_a_dying_worker_takes_only_its_own_run_with_it(
     ends = [(event["run_id"], event["status"]) for event in events if event["event"] == "end"]
     assert notes == [second] and ends == [(first, "done"), (second, status)]
     assert Store(tmp_path / "results").read_file(second, "error.txt").decode() == reason
+
+
+def test_a_worker_that_is_killed_under_a_memory_limit_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda limit: (2**31, resource.RLIM_INFINITY))
+    no_worker(tmp_path, monkeypatch, "kill -SEGV $$")
+    train({run_id(RUN): RUN}, tmp_path)
+    reason = Store(tmp_path / "results").failure(run_id(RUN))
+    assert reason.endswith("killed by SIGSEGV (perhaps because memory ran out: its limit is 2.0 GiB)")
 
 
 # --- What workers compute with ------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import resource
 import selectors
 import signal
 import subprocess
@@ -282,8 +283,11 @@ def _reason(exit_code: int) -> str:
     if exit_code >= 0:
         return f"the worker process ended with code {exit_code}"
     reason = f"the worker process was killed by {signal.Signals(-exit_code).name}"
+    memory_limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     if exit_code == -signal.SIGKILL:
         reason += " (by hand, or by the system when memory ran out)"
+    elif memory_limit != resource.RLIM_INFINITY:  # many libraries do not survive a request that is refused
+        reason += f" (perhaps because memory ran out: its limit is {memory_limit / 2**30:.1f} GiB)"
     return reason
 
 
