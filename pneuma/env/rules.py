@@ -36,8 +36,8 @@ CONTACT_EPS = 2.0**-10
 
 
 @inlined
-def _draw(episode: Array) -> Any:
-    """Return the next 64 random bits of a world: splitmix64 at (key, counter).
+def _random_below(episode: Array, bound: int) -> Any:
+    """Return a random integer in [0, bound), for bounds far below 2**32: splitmix64 at (key, counter).
 
     Steele, Lea and Flood (2014), "Fast splittable pseudorandom number generators".
     """
@@ -45,13 +45,7 @@ def _draw(episode: Array) -> Any:
     mixed = episode.key + episode.draws * np.uint64(0x9E3779B97F4A7C15)
     mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return mixed ^ (mixed >> np.uint64(31))
-
-
-@inlined
-def _draw_below(episode: Array, bound: int) -> Any:
-    """Return a random integer in [0, bound), for bounds far below 2**32."""
-    high_bits = _draw(episode) >> np.uint64(32)
+    high_bits = (mixed ^ (mixed >> np.uint64(31))) >> np.uint64(32)
     return np.int64((high_bits * np.uint64(bound)) >> np.uint64(32))
 
 
@@ -69,10 +63,10 @@ def begin_episode(state: State, world_index: int, start_index: int) -> None:
     episode.players_left = state.players.shape[1]
     episode.level = 0
     if levels > 1:
-        episode.level = _draw_below(episode, levels)
+        episode.level = _random_below(episode, levels)
     episode.start = start_index
     if start_index < 0:
-        episode.start = _draw_below(episode, starts)
+        episode.start = _random_below(episode, starts)
     for player_index in range(state.players.shape[1]):
         player = state.players[world_index, player_index]
         kept_xp = player.xp
@@ -102,7 +96,11 @@ def step_world(world: World, actions: Array) -> bool:
     episode = world.episode
     settings = world.settings
     active = _gather_active(world)
-    _gather_near(world, active)
+    pack_bodies(world)
+    for active_index in range(active):
+        _list_neighbours(world, np.int64(world.scratch[active_index].order))
+    for body_index in range(len(world.monsters), len(world.boxes)):
+        _list_neighbours(world, body_index)
     for _ in range(settings.ticks):
         for player_index in range(len(world.players)):
             _begin_tick(world, player_index, actions[player_index])
@@ -159,18 +157,8 @@ def _gather_active(world: World) -> int:
 
 
 @inlined
-def _gather_near(world: World, active: int) -> None:
-    """List in `near` which bodies each player and the first `active` of `scratch` may meet in this step."""
-    pack_bodies(world)
-    for active_index in range(active):
-        _list_neighbours(world, np.int64(world.scratch[active_index].order))
-    for body_index in range(len(world.monsters), len(world.boxes)):
-        _list_neighbours(world, body_index)
-
-
-@inlined
 def _list_neighbours(world: World, body_index: int) -> None:
-    """List the living bodies that are near enough to stop another one in this step."""
+    """List in `near` the living bodies that are near enough to stop another one in this step."""
     reach = world.settings.body_reach
     mover = world.boxes[body_index]
     neighbours = world.near[body_index]
@@ -310,16 +298,8 @@ def walk(world: World, player_index: int, among_bodies: bool) -> tuple[float, fl
     """Return where a player is after walking for one tick in the direction it faces."""
     facing = world.players[player_index].facing
     speed = world.player_stats[player_index].speed
-    step_x = 0.0
-    step_y = 0.0
-    if facing == RIGHT:
-        step_x = speed
-    elif facing == LEFT:
-        step_x = -speed
-    elif facing == DOWN:
-        step_y = speed
-    else:
-        step_y = -speed
+    step_x = ((facing == RIGHT) - (facing == LEFT)) * speed
+    step_y = ((facing == DOWN) - (facing == UP)) * speed
     body_index = len(world.monsters) + player_index
     return move(world, body_index, step_x, step_y, world.settings.player_stops, among_bodies)
 
@@ -362,26 +342,23 @@ def _tick_monster(world: World, monster_index: int) -> None:
 
 @inlined
 def _suffer(world: World, monster_index: int, player_index: int) -> None:
-    """Let a player's strike hit a monster: once an attack, or each time that it enters the sword's box."""
+    """Let a player's strike hit a monster: once per attack, or each time that it enters the sword's box."""
     monster = world.monsters[monster_index]
     tick = world.tick[player_index]
     player_bit = np.uint8(1 << player_index)
     is_struck = tick.there and tick.strikes and _is_struck(world, monster_index, player_index)
-    on_entry = world.settings.blow_on_entry
-    entered = on_entry and world.players[player_index].action_kind == BLADE
+    is_first = monster.struck_by[player_index] != world.players[player_index].attack
     if not tick.there:
         monster.noticed &= ~player_bit
         monster.bite[player_index] = 0
-    elif is_struck and not entered:
-        _apply_hit(world, monster_index, player_index)
-    elif is_struck and not monster.inside & player_bit:
-        monster.struck_by[player_index] = 0  # one that comes back is hit again by the same attack
-        _apply_hit(world, monster_index, player_index)
+    on_entry = world.settings.hit_on_entry and tick.strikes == BLADE
     if on_entry:
-        if is_struck and entered:
-            monster.inside |= player_bit
-        else:
-            monster.inside &= ~player_bit
+        is_first = not monster.inside & player_bit
+    monster.inside &= ~player_bit
+    if on_entry and is_struck:
+        monster.inside |= player_bit
+    if is_struck and is_first and monster.safe == 0 and monster.hp > 0.0:
+        _apply_hit(world, monster_index, player_index)
 
 
 @inlined
@@ -410,11 +387,9 @@ def _is_struck(world: World, monster_index: int, player_index: int) -> bool:
 
 @inlined
 def _apply_hit(world: World, monster_index: int, player_index: int) -> None:
-    """Apply a player's blow, unless this attack has hit the monster already or the monster is safe."""
+    """Apply a player's strike to a monster."""
     monster = world.monsters[monster_index]
     player = world.players[player_index]
-    if monster.struck_by[player_index] == player.attack or monster.safe > 0 or monster.hp <= 0.0:
-        return
     monster_stats = world.monster_stats[monster_index]
     strike = _strike(world, player_index)
     monster.struck_by[player_index] = player.attack
@@ -495,7 +470,9 @@ def _sense(world: World, monster_index: int, player_index: int) -> float:
             monster.bite[player_index] = 1  # due as soon as it has landed
         else:
             monster.bite[player_index] = monster_stats.bite_ticks
-            if player_stats.safe == 0 or tick.bitten == 0.0:  # one bite a tick for who is safe after it
+            if (
+                player_stats.safe == 0 or tick.bitten == 0.0
+            ):  # one bite per tick for players who are safe after it
                 tick.bitten += monster_stats.damage
     return squared_gap
 
@@ -544,7 +521,7 @@ def _end_tick(world: World, player_index: int) -> None:
         _charge(world, player_index)
 
 
-# --- The book of episodes ------------------------------------------------------------------------
+# --- Statistics of episodes ----------------------------------------------------------------------
 
 
 @inlined
@@ -660,8 +637,8 @@ def _stop_at_bodies(world: World, body_index: int, axis: int, direction: float) 
         ahead = direction * (obstacle.place[axis] + obstacle.offset[axis] - middle)
         reach = mover.half[axis] + obstacle.half[axis]
         apart = abs(middle_aside - (obstacle.place[aside] + obstacle.offset[aside]))
-        beside = apart >= mover.half[aside] + obstacle.half[aside] - CONTACT_EPS
-        if obstacle.alive and not beside and ahead >= reach - CONTACT_EPS:
+        passes_by = apart >= mover.half[aside] + obstacle.half[aside] - CONTACT_EPS
+        if obstacle.alive and not passes_by and ahead >= reach - CONTACT_EPS:
             limit = min(limit, direction * (obstacle.place[axis] + obstacle.offset[axis]) - reach)
     return limit
 

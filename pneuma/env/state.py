@@ -194,7 +194,7 @@ class _Settings:
     body_reach: float64  # a body further off on x or y cannot stop another within a step
     magic: int32  # whether there are spells
     shared_reward: int32  # whether players get the mean of all their rewards
-    blow_on_entry: int32  # whether a monster is hit when it enters the sword's box, not once an attack
+    hit_on_entry: int32  # whether a monster is hit when it enters the sword's box, not once per attack
     credit_near: int32  # a kill pays those within the attack circle, not the striker
     ending_cost: float64  # XP lost by every ending
     keep_xp: int32  # from episode to episode

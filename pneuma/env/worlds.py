@@ -179,7 +179,7 @@ class Worlds:
         settings_row["ending_cost"] = config.ending_cost
         settings_row["magic"] = config.magic
         settings_row["observe_facing"] = config.observe_facing
-        settings_row["blow_on_entry"] = config.blow == "entry"
+        settings_row["hit_on_entry"] = config.blow == "entry"
         settings_row["credit_near"] = config.kill_credit == "near"
         settings_row["keep_xp"] = config.xp_scope == "forever"
         settings_row["shared_reward"] = config.shared_reward and not self._own_rewards

@@ -436,8 +436,6 @@ class Oracle:
                 hit = index not in monster.inside
             if hit and monster.hp > 0.0 and monster.safe == 0:
                 self._strike(monster, index, blows[index], present, gains)
-            elif hit and index in swords:
-                monster.struck_by[index] = 0
         monster.inside = meeting & swords
         if monster.hp <= 0.0:
             return
