@@ -20,7 +20,6 @@ from pneuma.env.characters import FACINGS, TICKS_PER_STEP
 from pneuma.env.ground import land_and_shore, paint_ground, tile_hash, visible_ground
 from pneuma.env.level import GRASS, SAND, SNOW, Rectangle
 from pneuma.env.worlds import Worlds
-from pneuma.errors import UserError
 
 CAMERAS = ("map", "follow")
 SEA = "#3d83c9"
@@ -32,7 +31,6 @@ FOLLOW_FACTOR, GIF_FACTOR = 4, 2
 MAP_SIDE = 900
 """Approximate pixels along the longer side of the whole map."""
 
-MOST_TILES = 90_000
 BAR_WIDTH = 12
 PANEL_BAR = (48, 3)
 PANEL_GAP = 6
@@ -90,9 +88,6 @@ class Renderer:
             panel: whether strips above the picture show HP, XP, step and monsters left.
             zoom: pixels for each art pixel of the view centred on a player.
             env_id: the environment whose name the strip shows; empty for none.
-
-        Raises:
-            UserError: for a level that is too large.
         """
         self.worlds = worlds
         self.camera = camera
@@ -131,8 +126,6 @@ class Renderer:
         """Return the bare ground of a level, painted at the first call, and its obstacles."""
         if level_index not in self._scenes:
             level = self.worlds.levels[level_index]
-            if level.terrain.size > MOST_TILES:
-                raise UserError(f"level {level.name}: too large to draw; at most {MOST_TILES:,} tiles")
             ground = visible_ground(level)
             obstacles = tuple(_obstacles(level.terrain == rules.SOLID, ground))
             self._scenes[level_index] = paint_ground(ground), obstacles

@@ -53,19 +53,13 @@ class OwnReward:
             description = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
             raise OwnCodeError(f"reward {self.name!r}: {_raised_at(error)}{description}") from error
         if rewards.shape != events.shape:
-            raise self._refusal(f"returned shape {rewards.shape}, not {events.shape}")
+            raise UserError(f"reward {self.name!r}: returned shape {rewards.shape}, not {events.shape}")
         was_present = events["present"] > 0
         rewards = np.where(was_present, rewards, 0.0)
         if not np.isfinite(rewards).all():
             hint = "events['distance'] is infinite where no monster lives"
-            raise self._refusal(f"returned a number that is not finite; {hint}")
+            raise UserError(f"reward {self.name!r}: returned a number that is not finite; {hint}")
         return rewards
-
-    def _refusal(self, problem: str) -> UserError:
-        function_code = getattr(self.function, "__code__", None)
-        if function_code:
-            problem = f"{function_code.co_filename}, line {function_code.co_firstlineno}: {problem}"
-        return UserError(f"reward {self.name!r}: {problem}")
 
 
 def _raised_at(error: BaseException) -> str:

@@ -295,25 +295,10 @@ class Worlds:
         """Write all observations and masks from the current state, which may have been changed by hand.
 
         Counts of players and monsters that are alive are updated.
-
-        Raises:
-            ValueError: for bodies outside the grid, or with an invalid facing.
         """
-        self._refuse_nowhere()
         self.worlds["monsters_left"] = (self.monsters["hp"] > 0).sum(axis=1)
         self.worlds["players_left"] = (self.players["hp"] > 0).sum(axis=1)
         self._begin(kernel.GO_ON)
-
-    def _refuse_nowhere(self) -> None:
-        grid = self.level.grid
-        for array_name, bodies in (("players", self.players), ("monsters", self.monsters)):
-            x, y = bodies["x"], bodies["y"]
-            inside = (grid.left <= x) & (x < grid.right) & (grid.top <= y) & (y < grid.bottom)  # NaN is not
-            if not inside.all():
-                area = f"{grid.left:g} to {grid.right:g}, {grid.top:g} to {grid.bottom:g}"
-                raise ValueError(f"{array_name}: x or y is off the grid, {area}")
-        if not np.isin(self.players["facing"], range(4)).all():
-            raise ValueError("players: facing must be 0 to 3")
 
 
 _ADDRESSES = ("handle", "_address", "_read_only")

@@ -92,21 +92,21 @@ def test_it_is_computed_from_events_players_and_stats_and_may_be_shared(folder: 
 
 
 @pytest.mark.parametrize(
-    ("body", "line", "message"),
+    ("body", "message"),
     [
-        ("x = 1\nreturn events['kilss']", 6, "ValueError: no field of name kilss"),
-        ("return np.ones(2)", 4, "returned shape (2,), not (2, 1)"),
-        ("return np.full((2, 1), np.nan)", 4, "returned a number that is not finite"),
-        ("return -events['distance']", 4, "events['distance'] is infinite where no monster lives"),
-        ("players['hp'][:] = 99", 5, "is read-only"),
-        ("events['kills'] = 99", 5, "is read-only"),
-        ("stats['hp'] = 99", 5, "is read-only"),
+        ("x = 1\nreturn events['kilss']", "{file}, line 6: ValueError: no field of name kilss"),
+        ("players['hp'][:] = 99", "{file}, line 5: ValueError: .* is read-only"),
+        ("events['kills'] = 99", "{file}, line 5: ValueError: .* is read-only"),
+        ("stats['hp'] = 99", "{file}, line 5: ValueError: .* is read-only"),
+        ("return np.ones(2)", r"returned shape \(2,\), not \(2, 1\)"),
+        (
+            "return -events['distance']",
+            r"returned a number that is not finite; events\['distance'\] is infinite",
+        ),
     ],
 )
-def test_a_mistake_is_raised_with_file_and_line(folder: Path, body: str, line: int, message: str) -> None:
+def test_a_mistake_in_an_own_reward_is_one_line(folder: Path, body: str, message: str) -> None:
     name = write(folder, body)
-    with pytest.raises(UserError) as caught:
+    file = re.escape(str(folder / f"{name.partition(':')[0]}.py"))
+    with pytest.raises(UserError, match=f"^reward '{name}': {message.format(file=file)}"):
         Worlds(2, make_env_config({"reward": name}))
-    file = folder / f"{name.partition(':')[0]}.py"
-    start = re.escape(f"reward '{name}': {file}, line {line}: ")
-    assert re.match(f"{start}.*{re.escape(message)}.*$", str(caught.value))
