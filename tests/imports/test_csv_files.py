@@ -12,7 +12,7 @@ import pytest
 from pneuma.store.row_builder import record_frame, stored_row
 from pneuma.store.store import Store
 
-from ..cli.calls import call, described, printed, refused
+from ..cli.calls import described, printed, refused
 from ..hand_made import write_table
 
 PAPER = Path(__file__).parents[2] / "docs" / "paper.md"
@@ -55,8 +55,6 @@ def test_each_condition_and_seed_is_a_run() -> None:
     assert "2 runs, 4 points; 2 imported now, 0 were stored." in printed("import", "csv", "runs.csv", *TIDY)
     assert curves("runs", "return") == curves_by_run
     assert "0 imported now, 2 were stored." in printed("import", "csv", "runs.csv", *TIDY)
-    words = ("env", "render", "CartPole-v1", "--out", "x.gif", "--player", "best:runs")
-    assert "was trained in Imported CSV files, not in CartPole-v1" in call(*words).err
 
 
 def test_without_options_condition_and_seed_are_in_the_files_names() -> None:
@@ -145,14 +143,11 @@ def test_without_columns_they_are_listed_with_options_to_copy() -> None:
         ('"1,024",5', "", "'1,024' in column step must be a plain number as 1024 or 0.5, without thousands"),
         ('8,"1,5"', "", "'1,5' in column return must be a plain number"),
         ("1,024,5", "", "Expected 2 fields in line 2, saw 3"),
-        ("-8,5", "", "'-8' in column step must be a whole number"),
         (",5", "", "'' in column step must be a whole number"),
-        ("8,5\n8,6", "", "row 3: step 8 of runs with seed 0 is not after the one before: distinguish"),
         ("8,5\n16,6\n8,5", "", "row 4: step 8 of runs with seed 0 is not after the one before"),
         ("8,", "", "has no values at agent steps"),
         ("", "", "has no rows below its header"),
         ("8,5", "--step steps", "unknown column in --step 'steps' (did you mean step?)"),
-        ("8,5", f"--seed {'9' * 5000}", "unknown column in --seed '999"),
         ("8,5", "--value return=reward", "unknown quantity in --value return=reward: 'reward'"),
         ("8,5", "--value step --value return", "two columns are given for one quantity"),
         ("8,5", "--name activation", "this is the name of a shipped study"),
@@ -168,19 +163,13 @@ def test_what_could_be_read_in_two_ways_or_none_is_refused(rows: str, options: s
     assert not Path("results").exists()
 
 
-def test_columns_and_runs_of_one_name_and_what_is_no_text_are_refused() -> None:
-    write("runs.csv", "step,return,return\n8,5,6\n")
+def test_an_empty_condition_and_two_columns_of_one_name_are_refused() -> None:
     words = ("--step", "step", "--value", "return")
+    write("runs.csv", "step,return,return\n8,5,6\n")
     assert "has two columns named 'return'" in refused("import", "csv", "runs.csv", *words)
-    names = [write(f"{name}/runs.csv", f"step,return\n8,{len(name)}\n") for name in ("a", "bc")]
-    message = refused("import", "csv", *names, *words, "--condition", "ppo", "--seed", "1")
-    assert "are two runs of one name, ppo with seed 1: give each another seed" in message
     write("none.csv", "step,return,condition\n8,5,\n")
     message = refused("import", "csv", "none.csv", *words, "--condition", "condition")
     assert "row 2: '' in column condition must be a condition" in message
-    assert "cannot be read: No such file" in refused("import", "csv", "nothing.csv", *words)
-    Path("runs.csv").write_bytes(b"step,return\n8,\xff\n")
-    assert refused("import", "csv", "runs.csv", *words) == "runs.csv: is not UTF-8 text; save it as UTF-8"
 
 
 def test_another_selection_of_a_studys_runs_needs_its_name() -> None:
@@ -221,12 +210,10 @@ def test_of_a_wandb_export_of_two_metrics_the_named_one_is_taken() -> None:
     }  # fmt: skip
 
 
-def test_two_runs_of_one_display_name_and_a_group_are_refused() -> None:
+def test_two_runs_of_one_display_name_are_refused() -> None:
     tidy_export(f"Step,ppo_1{RETURN},ppo_1{RETURN}", "5,1,2", "6,3,4")
     message = refused("import", "csv", "logs.csv", *WANDB)
     assert "step 5 of ppo with seed 1 is not after the one before: distinguish the runs" in message
-    tidy_export(f"Step,algo: ppo{RETURN},algo: ppo{RETURN}__MIN,algo: ppo{RETURN}__MAX", "5,2,1,3")
-    assert "'' in column condition must be a condition" in refused("import", "csv", "logs.csv", *WANDB)
 
 
 # --- Monitors of Stable-Baselines3 ----------------------------------------------------------------
@@ -278,7 +265,6 @@ def test_a_monitors_folder_names_its_run() -> None:
             "",
             "is not a monitor of Stable-Baselines3 (could not convert string to float",
         ),
-        (HEADER + f"1{'0' * 400},10,1\n", "", "is not a monitor of Stable-Baselines3"),
     ],
 )
 def test_a_monitor_that_cannot_be_read_whole_is_refused(text: str, options: str, message: str) -> None:

@@ -1,7 +1,7 @@
-"""A reward of one's own that lets a test kill a run between two of its steps, however busy the machine is.
+"""A reward that lets a test kill a run between two of its steps, however busy the machine is.
 
-Early on a run sleeps, so that a checkpoint is due; at step `LAST` it waits as long as there is a file `hold`
-beside this module, which `commands.hold` copies.
+Early on a run sleeps, so that a checkpoint is due. At step `LAST` it waits as long as there is a file `hold`
+next to this module, which `commands.hold` copies.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     python -m tests.training.storm [KILLS]     the whole of it, as `make storm` runs it
 
-`test_storm.py` runs a short form. Everything here goes through the command that people use, in
-processes of its own, and compares with a study that nobody disturbed.
+`test_storm.py` runs a short form. Everything here goes through the command that people use, in processes of
+its own, and is compared with a study that nobody disturbed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -49,137 +49,145 @@ ORPHAN_SECONDS = 2.0
 
 @dataclass
 class Storm:
-    """A study, an undisturbed copy of its results, and what was done and found.
+    """A study in a folder of its own, with undisturbed results in `reference`.
 
     Attributes:
-        kills: disturbances, by whom or how.
+        disturbances: how often each kind of kill or damage was done.
         longest_orphan: seconds that a worker lived on after its parent.
-        found: files that are not as in the undisturbed study, and outputs that no person should see.
+        faults: files that differ from those of the undisturbed study, and failed commands.
     """
 
     folder: Path
-    engine: str
-    steps: int
     dice: random.Random
-    kills: Counter[str] = field(default_factory=Counter)
+    disturbances: Counter[str] = field(default_factory=Counter)
     longest_orphan: float = 0.0
-    found: list[str] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
 
     def command(self, results: str) -> list[str]:
-        run = [sys.executable, "-m", "pneuma", "study", "run", str(self.folder / "storm.toml")]
-        return [*run, "--results", str(self.folder / results), "--checkpoint-seconds", "0.3"]
+        command = [sys.executable, "-m", "pneuma", "study", "run", str(self.folder / "storm.toml")]
+        return [*command, "--results", str(self.folder / results), "--checkpoint-seconds", "0.3"]
 
     def begin(self, results: str) -> subprocess.Popen[bytes]:
         command = [*self.command(results), "--quiet"]
         return subprocess.Popen(command, stderr=subprocess.DEVNULL, env=worker_environment())
 
-    def run_whole(self, results: str) -> str:
-        """Run the study to its end, and compare; return what was printed."""
-        (self.folder / "storm.toml").write_text(STUDY.format(engine=self.engine, steps=self.steps))
+    def complete(self, results: str) -> str:
+        """Run the study to its end, and compare its files; return what the command printed."""
         command = self.command(results)
-        done = subprocess.run(command, capture_output=True, text=True, env=worker_environment())
-        told = done.stdout + done.stderr
-        if "Traceback" in told or done.returncode:
-            self.found.append(f"exit {done.returncode}: {told}")
+        ended = subprocess.run(command, capture_output=True, text=True, env=worker_environment())
+        output = ended.stdout + ended.stderr
+        if "Traceback" in output or ended.returncode:
+            self.faults.append(f"exit {ended.returncode}: {output}")
         store = Store(self.folder / results)
-        for name in store.runs():
-            stored_row(store, name)  # one that is lost is made again when it is read
-        found = outcome(store.root)
-        reference = outcome(self.folder / "reference")
-        self.found += [f"{name} differs" for name, data in reference.items() if found.get(name) != data]
-        return told
+        for run_id in store.runs():
+            stored_row(store, run_id)  # a lost row is made when it is read
+        files, expected_files = outcome(store.root), outcome(self.folder / "reference")
+        for name, contents in expected_files.items():
+            if files.get(name) != contents:
+                self.faults.append(f"{name} differs")
+        return output
 
-    def strike(self, parent: subprocess.Popen[bytes]) -> bool:
-        """Kill a worker, the parent or all; return whether it was the parent."""
-        workers = list(children(parent.pid))
-        whom = self.dice.choice(["worker", "worker", "parent", "all"]) if workers else "parent"
-        self.kills[whom] += 1
-        if whom == "worker":
+    def strike(self, parent: subprocess.Popen[bytes]) -> None:
+        """Kill a worker, the parent, or all."""
+        workers = children(parent.pid)
+        target = self.dice.choice(["worker", "worker", "parent", "all"]) if workers else "parent"
+        self.disturbances[target] += 1
+        if target == "worker":
             kill(self.dice.choice(workers))
-            return False
+            return
         kill(parent.pid)
         parent.wait()
-        for worker in workers if whom == "all" else ():
-            kill(worker)
+        if target == "all":
+            for worker in workers:
+                kill(worker)
         self.longest_orphan = max(self.longest_orphan, wait_for_end(workers))
-        return True
+
+
+def start_storm(folder: Path, engine: str, steps: int, seed: int) -> Storm:
+    """Train the undisturbed study."""
+    storm = Storm(folder, random.Random(seed))
+    (folder / "storm.toml").write_text(STUDY.format(engine=engine, steps=steps))
+    storm.complete("reference")
+    return storm
 
 
 def kill_storm(engine: str, kills: int, steps: int, seed: int = 0) -> Storm:
     """Kill workers, the parent, or all, at random moments, and give the same command again each time."""
-    with tempfile.TemporaryDirectory() as name:
-        storm = Storm(Path(name), engine, steps, random.Random(seed))
-        storm.run_whole("reference")
-        while storm.kills.total() < kills:
-            shutil.rmtree(storm.folder / "disturbed", ignore_errors=True)
-            ended = False
-            while storm.kills.total() < kills and not ended:
-                parent = storm.begin("disturbed")
-                while parent.poll() is None and storm.kills.total() < kills:
-                    time.sleep(storm.dice.uniform(0.2, 6.0))
-                    if parent.poll() is None and storm.strike(parent):
-                        break
-                ended = parent.wait() == 0
-            storm.run_whole("disturbed")
+    with tempfile.TemporaryDirectory() as folder_name:
+        storm = start_storm(Path(folder_name), engine, steps, seed)
+        while storm.disturbances.total() < kills:
+            parent = storm.begin("disturbed")
+            while parent.poll() is None and storm.disturbances.total() < kills:
+                time.sleep(storm.dice.uniform(0.2, 6.0))
+                if parent.poll() is None:
+                    storm.strike(parent)
+            if parent.wait() == 0 or storm.disturbances.total() == kills:
+                storm.complete("disturbed")
+                shutil.rmtree(storm.folder / "disturbed")
     return storm
 
 
 def damage_sweep(engine: str, steps: int, seed: int = 0, every: int = 1) -> Storm:
-    """Damage every kind of file of a finished and of a half-trained study, in every way, and run it again.
+    """Damage every file of a run of a finished and of a half-trained study, and run the study again.
 
     Args:
-        engine: that trains.
+        engine: the engine that trains.
         steps: budget of each run.
         seed: of the random bits.
-        every: how many cases to go on by; 1 for all.
+        every: 1 for all cases, 2 for every second one.
     """
-    with tempfile.TemporaryDirectory() as name:
-        storm = Storm(Path(name), engine, steps, random.Random(seed))
-        storm.run_whole("reference")
+    with tempfile.TemporaryDirectory() as folder_name:
+        storm = start_storm(Path(folder_name), engine, steps, seed)
         parent = storm.begin("half")
         while parent.poll() is None and len(list(storm.folder.glob("half/**/*.safetensors"))) < 3:
             time.sleep(0.05)
-        workers = list(children(parent.pid))
+        workers = children(parent.pid)
         kill(parent.pid)
         parent.wait()
         wait_for_end(workers)
-        cases = [
-            (source, *case) for source in ("reference", "half") for case in _cases(storm.folder / source)
-        ]
-        for source, file, how in cases[::every]:
-            disturbed = storm.folder / "disturbed"
-            shutil.rmtree(disturbed, ignore_errors=True)
-            shutil.copytree(storm.folder / source, disturbed)
-            damage(disturbed / file, how, storm.dice)
-            storm.kills[how] += 1
-            told = storm.run_whole("disturbed")
-            unsaid = "damaged" not in told and how != "removed"
-            if unsaid and file.name != ROW_FILE:  # which is made again from the other files
-                storm.found.append(f"{file} {how}: went unsaid")
+        cases = damage_cases(storm.folder / "reference") + damage_cases(storm.folder / "half")
+        for path, kind in cases[::every]:
+            results = storm.folder / path.relative_to(storm.folder).parts[0]
+            shutil.copytree(results, storm.folder / "disturbed")
+            damage(storm.folder / "disturbed" / path.relative_to(results), kind, storm.dice)
+            storm.disturbances[kind] += 1
+            output = storm.complete("disturbed")
+            shutil.rmtree(storm.folder / "disturbed")
+            # a row is made from the other files without a message
+            if "damaged" not in output and kind != "removed" and path.name != ROW_FILE:
+                storm.faults.append(f"{path} {kind}: no message")
     return storm
 
 
-def _cases(results: Path) -> list[tuple[Path, str]]:
-    """Return every file of the run that has most, and its folder, with every damage."""
-    folders = [
-        [path for path in run.rglob("[!.]*") if path.is_file()] for run in (results / "runs").iterdir()
-    ]
-    largest: list[Path] = max(folders, key=len)
-    files = sorted(largest)
-    run = next(path.parent for path in files if path.name == "status.json")
-    cases = [(path.relative_to(results), how) for path in files for how in DAMAGES]
-    return [*cases, (run.relative_to(results), "removed"), (Path("runs"), "removed")]
+def damage_cases(results: Path) -> list[tuple[Path, str]]:
+    """Return every file of the run that has most, with every damage, and the folders to remove."""
+    files_by_run = []
+    for run_folder in (results / "runs").iterdir():
+        files_by_run.append(sorted(path for path in run_folder.rglob("[!.]*") if path.is_file()))
+    files = max(files_by_run, key=len)
+    cases = [(path, kind) for path in files for kind in DAMAGES]
+    run_folder = results / "runs" / files[0].relative_to(results / "runs").parts[0]
+    return [*cases, (run_folder, "removed"), (results / "runs", "removed")]
 
 
-def damage(path: Path, how: str, dice: random.Random) -> None:
+def damage(path: Path, kind: str, dice: random.Random) -> None:
     """Damage a file, or remove a folder."""
-    if how == "removed":
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
-        return
-    data = bytearray(path.read_bytes())
-    if how == "bit flipped":
-        data[dice.randrange(len(data))] ^= 1 << dice.randrange(8)
-    path.write_bytes(b"" if how == "emptied" else data[: len(data) // 2] if how == "cut short" else data)
+    if path.is_dir():
+        shutil.rmtree(path)
+    elif kind == "removed":
+        path.unlink()
+    else:
+        contents = bytearray(path.read_bytes())
+        if kind == "bit flipped":
+            contents[dice.randrange(len(contents))] ^= 1 << dice.randrange(8)
+        elif kind == "cut short":
+            contents = contents[: len(contents) // 2]
+        else:
+            contents.clear()
+        path.write_bytes(contents)
+
+
+# --- Processes ---------------------------------------------------------------------------------------
 
 
 def kill(pid: int) -> None:
@@ -187,22 +195,24 @@ def kill(pid: int) -> None:
         os.kill(pid, signal.SIGKILL)
 
 
-def children(pid: int) -> Iterator[int]:
-    """Yield the processes that a process has started."""
+def children(pid: int) -> list[int]:
+    """Return the processes that a process has started."""
+    child_pids = []
     for path in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):
             if path.read_text().rpartition(")")[2].split()[1] == str(pid):
-                yield int(path.parent.name)
+                child_pids.append(int(path.parent.name))
+    return child_pids
 
 
 def wait_for_end(pids: Sequence[int]) -> float:
-    """Return how many seconds it takes until all of these have gone."""
-    begun = time.monotonic()
-    wait_until(lambda: not any(map(_lives, pids)))
-    return time.monotonic() - begun
+    """Return how many seconds it takes until none of these is left."""
+    start = time.monotonic()
+    wait_until(lambda: not any(is_alive(pid) for pid in pids))
+    return time.monotonic() - start
 
 
-def _lives(pid: int) -> bool:
+def is_alive(pid: int) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
@@ -210,18 +220,21 @@ def _lives(pid: int) -> bool:
 
 
 def main() -> int:
-    """Run the whole storm and print what was done; return 1 if anything was found."""
+    """Run the whole storm and print what was done; return 1 if there was a fault."""
     kills = int(sys.argv[1]) if len(sys.argv) > 1 else 25
     storms = {
         "kills, batched": kill_storm("batched", kills, 256_000),
         "kills, sb3": kill_storm("sb3", kills, 12_800),
         "damage, batched": damage_sweep("batched", 25_600, every=max(1, 25 // kills)),
     }
+    exit_code = 0
     for name, storm in storms.items():
-        orphan = f"longest orphan {storm.longest_orphan:.2f} s"
-        print(f"{name}: {dict(storm.kills)}, {len(storm.found)} found, {orphan}", *storm.found, sep="\n  ")
-    sound = not any(storm.found for storm in storms.values())
-    return 0 if sound and all(own.longest_orphan <= ORPHAN_SECONDS for own in storms.values()) else 1
+        orphan_text = f"longest orphan {storm.longest_orphan:.2f} s"
+        print(f"{name}: {dict(storm.disturbances)}, {len(storm.faults)} faults, {orphan_text}")
+        print(*storm.faults, sep="\n  ")
+        if storm.faults or storm.longest_orphan > ORPHAN_SECONDS:
+            exit_code = 1
+    return exit_code
 
 
 if __name__ == "__main__":

@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.store.row_builder import stored_row
-from pneuma.store.rows import decode_row
 from pneuma.store.store import Status, Store, run_identity
 from pneuma.study.plan import Plan
 from pneuma.training.execute import CellResult, OnProgress, execute, prepare
@@ -70,15 +68,6 @@ def test_one_configuration_is_trained_once_for_two_conditions(together: Executed
     names = [cell.run_id for cell in together.plan.cells]
     assert names[0] == names[1] and names[2] == names[3]
     assert together.store.runs() == sorted({*names})
-
-
-def test_a_row_that_is_lost_is_made_again_as_the_worker_wrote_it(together: Executed) -> None:
-    (name, _), store = together.store.runs(), together.store
-    file = store.run_folder(name) / "row.arrow"
-    written = file.read_bytes()
-    file.unlink()
-    assert stored_row(store, name).same_numbers(decode_row(written))
-    assert file.read_bytes() == written  # and it is there for the next who reads
 
 
 # --- The same run, the same bits ---------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The Ray executor: the same bytes as the local one, whatever becomes of the nodes; and what is refused."""
+"""The Ray executor: the same bytes as the local one when a node is lost; and what is refused."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,20 +25,12 @@ from .commands import begin, end_commands, hold, outcome, wait_until, write_stud
 
 pytest.importorskip("ray")
 
-NODES = Path(__file__).with_name("ray_nodes.py")
 
-
-@dataclass(frozen=True)
-class Nodes:
-    """A cluster: its address, and the process of every node."""
-
-    address: str
-    nodes: tuple[int, ...]
-
-
-def start_nodes(count: int) -> tuple[subprocess.Popen[str], Nodes]:
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Any]:
+    """A cluster of two nodes of one CPU each: its address, and the process of each node."""
     process = subprocess.Popen(
-        [sys.executable, str(NODES), str(count)],
+        [sys.executable, str(Path(__file__).with_name("ray_nodes.py")), "2"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -46,40 +38,21 @@ def start_nodes(count: int) -> tuple[subprocess.Popen[str], Nodes]:
         text=True,
         start_new_session=True,
     )
-    assert process.stdout
-    cluster = json.loads(process.stdout.readline())
-    return process, Nodes(cluster["address"], tuple(cluster["nodes"]))
-
-
-def end_nodes(process: subprocess.Popen[str]) -> None:
     assert process.stdin and process.stdout
-    process.stdin.close()
-    with suppress(subprocess.TimeoutExpired):
-        process.wait(timeout=60)
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.stdout.close()
-
-
-@pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
-    """Two nodes of one CPU each, which have compiled what the tests train."""
-    process, nodes = start_nodes(2)
-    folder = tmp_path_factory.mktemp("compiled")
     try:
-        first = begin(folder, write_study(folder), "--executor", "ray", "--address", nodes.address)
-        assert first.wait(timeout=240) == 0
-        yield nodes
+        yield json.loads(process.stdout.readline())
     finally:
         end_commands()
-        end_nodes(process)
+        process.stdin.close()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(timeout=60)
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.stdout.close()
 
 
 def checkpoint_folders(folder: Path) -> set[Path]:
     return {path.parent for path in (folder / "results").glob("runs/*/checkpoints/*.safetensors")}
-
-
-# --- Refusals ----------------------------------------------------------------------------------------
 
 
 def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) -> None:
@@ -88,19 +61,16 @@ def test_a_node_that_does_not_see_the_results_folder_is_refused(tmp_path: Path) 
         ray.train_here(job.to_json(), ray.versions(), str(tmp_path))
 
 
-# --- Lost nodes: the other one last, because the tests before need both --------------------------------
-
-
 @pytest.mark.slow
-def test_a_study_that_loses_a_node_ends_with_the_bytes_of_a_local_one(tmp_path: Path, cluster: Nodes) -> None:
+def test_a_study_that_loses_a_node_ends_with_the_bytes_of_a_local_one(tmp_path: Path, cluster: Any) -> None:
     study = write_study(tmp_path, steps=64 * 300, seeds=2, settings=f'reward = "{hold(tmp_path)}"')
-    process = begin(tmp_path, study, "--executor", "ray", "--address", cluster.address)
-    wait_until(lambda: len(checkpoint_folders(tmp_path)) == 2, seconds=240)
-    os.kill(cluster.nodes[0], signal.SIGKILL)
+    process = begin(tmp_path, study, "--executor", "ray", "--address", cluster["address"])
+    wait_until(lambda: len(checkpoint_folders(tmp_path)) == 2, seconds=480)  # nodes compile first
+    os.kill(cluster["nodes"][0], signal.SIGKILL)
     (tmp_path / "hold").unlink()
-    out, err = process.communicate(timeout=300)
-    assert process.returncode == 0, err
-    assert {run["status"] for run in json.loads(out)["runs"]} == {"done"}
+    output, errors = process.communicate(timeout=300)
+    assert process.returncode == 0, errors
+    assert {run["status"] for run in json.loads(output)["runs"]} == {"done"}
     assert not checkpoint_folders(tmp_path)
     (tmp_path / "results").rename(tmp_path / "away")
     local = begin(tmp_path, study)
