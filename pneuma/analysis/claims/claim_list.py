@@ -379,8 +379,9 @@ def _read_claim(
             raise mistake("preset", unknown_name(f"preset of study {study.name}", preset, study.presets))
         amounts = study.presets[preset].amounts(study.conditions, study.world)
         keys["seeds"] = {condition: amount.seeds for condition, amount in amounts.items()}
-        compared_conditions = set(amounts) & set(keys.get("a", ()) + keys.get("b", ()))
-        keys["steps"] = max((amounts[condition].steps for condition in compared_conditions), default=0)
+        compared_conditions = keys.get("a", ()) + keys.get("b", ())  # unchecked: may contain tables
+        steps = [amounts[condition].steps for condition in amounts if condition in compared_conditions]
+        keys["steps"] = max(steps, default=0)
     claim = read_model(Claim, toml_file, ("claims", claim_name), keys)
     conditions, worlds = ("condition", study.conditions), ("world", study.worlds)
     allowed_names = {"a": conditions, "b": conditions, "beside": conditions, "worlds": worlds}
