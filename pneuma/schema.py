@@ -99,14 +99,11 @@ def normalize(value: Any, levels: int = DEEPEST, floats_to_integers: bool = True
 
     Args:
         value: of a file or an argument.
-        levels: how deep tables and lists may lie in each other.
+        levels: how deep tables and lists may be nested.
         floats_to_integers: whether 1e6 becomes an int; never in tables that are `KEPT_AS_WRITTEN`.
-
-    Raises:
-        ValueError: for tables or lists that lie too deep in each other.
     """
     if not levels:
-        raise ValueError(f"tables or lists lie more than {DEEPEST} deep in each other")
+        raise UserError(f"tables or lists are nested more than {DEEPEST} deep")
     if isinstance(value, Mapping):
         table = {}
         for key, item in value.items():
@@ -181,9 +178,9 @@ def read_toml(path: Path) -> TomlFile:
     toml_text = read_text(path)
     try:
         if len(toml_text) > LONGEST_FILE:
-            raise ValueError(f"more than {LONGEST_FILE:,} characters")
+            raise UserError(f"more than {LONGEST_FILE:,} characters")
         return TomlFile(path, toml_text, normalize(tomllib.loads(toml_text)))
-    except (ValueError, RecursionError) as error:  # numbers of thousands of digits, endless brackets
+    except (UserError, ValueError, RecursionError) as error:  # such as endless brackets
         raise UserError(f"{path}: not TOML: {error}") from None
 
 

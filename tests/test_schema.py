@@ -54,6 +54,14 @@ def test_whole_numbers_are_made_of_floats_but_for_code_of_others(tmp_path: Path)
     assert make_run(fields).env_kwargs == '{"g": 2.0, "n": 2}'
 
 
+def test_values_that_are_nested_too_deep_are_refused_in_python_too() -> None:
+    nested: dict[str, object] = {}
+    for _ in range(60):
+        nested = {"a": nested}
+    with pytest.raises(UserError, match="nested more than 50 deep"):
+        make_run({"env": "Mine-v0", "env_kwargs": nested})
+
+
 @pytest.mark.parametrize(
     ("text", "line", "message"),
     [
