@@ -71,8 +71,7 @@ BETTER = CLAIMS[CLAIMS.index("[claims.better]") :]
 LOW = [0.20, 0.21, 0.22, 0.23, 0.24, 0.25, 0.26, 0.27]
 HIGH = [share + 0.5 for share in LOW]
 NEAR = [share + 0.001 for share in LOW]
-WIDE = [0.05, 0.90, 0.10, 0.85, 0.15, 0.80, 0.45, 0.55]
-"""Shares killed by eight runs an arm."""
+"""Shares killed by eight runs of a condition."""
 
 
 def write_files(folder: Path, claims: str = CLAIMS) -> Path:
@@ -127,7 +126,7 @@ def save_run(
     hand_made.save_run(store, run_id(run), *rows, run.steps, **about)
 
 
-def published_alone(store: Store, folder: Path, study: str = "mine") -> Store:
+def published_alone(store: Store, folder: Path, study: str) -> Store:
     """Publish all runs as a study's table; return a store of tables alone, as a clone has."""
     clone = Store(folder / "clone")
     rows = [stored_row(store, name) for name in store.runs()]

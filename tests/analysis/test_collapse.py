@@ -75,6 +75,12 @@ SEEN: dict[str, tuple[np.ndarray, np.ndarray, dict[str, Any], dict[str, Any]]] =
         {"collapsed": True, "signs": ("fall",), "onset_step": 7500},
     ),
     "a fall by less": (healthy(), after(np.full(20, 0.19), 15, 0.095), {}, {"collapsed": False}),
+    "healthy": (healthy(), learning(), {}, {"collapsed": False, "onset_step": None, "signs": ()}),
+    "certain of several actions": (healthy() * (0, 1, 1), learning(), {}, {"collapsed": False}),
+    "dead units alone": (healthy() * (1, 1, 9), learning(), {}, {"collapsed": False}),
+    "one bad evaluation": (healthy(), after(learning(), 15, 0.1, 15), {}, {"collapsed": False}),
+    "never learned": (healthy(), np.where(np.arange(20) < 10, 0.1, 0.0), {}, {"collapsed": False}),
+    "a single action, as the world has": (one_action(1) * (0, 1, 0), learning(), {}, {"collapsed": False}),
 }  # fmt: skip
 
 
@@ -85,61 +91,20 @@ def test_what_is_found_of_a_run(case: str, tmp_path: Path) -> None:
     assert {key: diagnosis[key] for key in expected} == expected
 
 
-# --- What is none ---------------------------------------------------------------------------------
-
-
-def health(column: int | None = None, value: float = 0.0) -> np.ndarray:
-    """Return updates of a policy in health, but for one column from update 51 on."""
-    updates = healthy()
-    if column is not None:
-        updates[50:, column] = value
-    return updates
-
-
-NONE = {
-    "learns": (health(), learning()),
-    "certain of several actions": (health(0), learning()),
-    "dead units alone": (health(2, 0.9), learning()),
-    "one bad evaluation": (health(), after(learning(), 15, 0.1, 15)),
-    "never learned": (health(), np.where(np.arange(20) < 10, 0.1, 0.0)),
-    "a single action, as the world has": (one_action(1) * (0, 1, 0), learning()),
-}
-
-
-@pytest.mark.parametrize("case", NONE)
-def test_what_is_no_collapse(case: str, tmp_path: Path) -> None:
-    assert diagnosed(tmp_path, *NONE[case]) == Diagnosis(False)
-
-
-def returns_of(points: list[tuple[float, float]]) -> np.ndarray:
-    """Return the returns of a hundred updates, straight between points of update and return."""
-    updates, returns = np.array(points).T
-    return np.interp(np.arange(1, 101), updates, returns)
-
-
 def test_a_return_that_sinks_below_zero_from_above_is_a_collapse_where_xp_is_never_reset(
     tmp_path: Path,
 ) -> None:
     """It crosses zero at update 60; a point averages five episodes, so that the one of update 62 is 0."""
-    sinking = returns_of([(1, 0.0), (40, 20.0), (100, -40.0)])
+    sinking = np.interp(np.arange(1, 101), [1, 40, 100], [0.0, 20.0, -40.0])
     diagnosis = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=sinking)
     assert (diagnosis.collapsed, diagnosis.signs) == (True, ("return below zero",))
     assert diagnosis.onset_step == 6300
     risen = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=np.abs(sinking))
     assert risen == Diagnosis(False)
     late = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=sinking + 36)  # from update 96 on
-    assert not late.collapsed
-
-
-@pytest.mark.parametrize(
-    ("first", "xp_scope"),
-    [(0.0, "forever"), (20.0, "episode")],  # it never was above zero; one episode's loss is no other's
-)
-def test_what_sinks_from_the_first_or_is_reset_is_no_collapse(
-    tmp_path: Path, first: float, xp_scope: str
-) -> None:
-    drift = first - 20.0 * np.arange(100)
-    assert not diagnosed(tmp_path, healthy(), np.full(20, 0.4), returns=drift, xp_scope=xp_scope).collapsed
+    never_above = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=sinking - 20)
+    reset = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=sinking, xp_scope="episode")
+    assert not (late.collapsed or never_above.collapsed or reset.collapsed)
 
 
 # --- Studies --------------------------------------------------------------------------------------
@@ -197,22 +162,6 @@ def test_stretches_by_hand() -> None:
     assert both([(10, 30)], [(0, 10), (20, 40)]) == [(10, 10), (20, 30)]
     assert joined([(40, 50), (10, 20), (25, 30)], gap=5) == [(10, 30), (40, 50)]
     assert share_held([(10, 20)], (10, 40), distance=10) == 0.5
-
-
-@pytest.mark.parametrize(
-    ("shares", "held"),
-    [
-        ([0.0, 0.0, 0.0, 0.0, 0.0], True),  # magic has two actions more, which have no columns
-        ([0.1, 0.0, 0.0, 0.0, 0.0], False),
-        ([0.0, 0.0, 1.0, 0.0, 0.0], True),
-        ([0.2, 0.2, 0.2, 0.2, 0.2], False),
-    ],
-)
-def test_a_policy_that_only_casts_spells_has_one_action(shares: list[float], held: bool) -> None:
-    step = np.array([100.0, 200.0, 300.0])
-    columns = {f"action_{i}": np.full(3, own) for i, own in enumerate(shares)}
-    signs, _ = series.update_signs(step, columns)
-    assert signs[series.ONE_ACTION] == ([(100.0, 300.0)] if held else [])
 
 
 def test_stuck_updates_have_no_entropy_and_one_action() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pneuma.analysis.curves import Curve, curves_table, random_levels, random_returns, study_curves
+from pneuma.analysis.curves import Curve, random_levels, random_returns, study_curves
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.store.index import RunIndex
@@ -174,14 +174,6 @@ def test_curves_lie_over_episodes_and_over_time_too(store: Store) -> None:
         (curve,) = study_curves(data, ["return"], x=x)["return"]
         assert curve.runs.index.max() == pytest.approx(end)
         assert curve.runs[0].loc[curve.runs.index >= end / 4].dropna().iloc[[0, -1]].tolist() == [1, 4]
-
-
-def test_the_table_of_curves_has_a_row_for_each_point() -> None:
-    table = curves_table({"return": [CURVE], "kills": [CURVE]}, ["minmax"])
-    assert list(table.columns) == ["condition", "quantity", "x", "mean", "low", "high", "band", "runs"]
-    assert len(table) == 8
-    assert table.iloc[1].to_list() == ["a", "return", 2.0, 3.0, 2.0, 4.0, "minmax", 4]
-    assert table["quantity"].to_list() == ["return"] * 4 + ["kills"] * 4
 
 
 def test_on_a_logarithmic_axis_means_and_intervals_are_of_logarithms() -> None:

@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from pneuma.analysis.claims.claim_list import load_claims
-from pneuma.analysis.claims.verdicts import Verdict
 from pneuma.analysis.claims.words import lines
 from pneuma.store.store import Store
 
@@ -20,7 +18,6 @@ from .claim_files import (
     HIGH,
     LOW,
     NEAR,
-    WIDE,
     changed,
     judge_claims,
     judge_one,
@@ -67,10 +64,7 @@ def direction(name: str) -> tuple[str, str]:
 CASES: dict[str, tuple[Arms, Changes, str, list[str]]] = {
     # name: (shares killed of arms, changes of the claim, verdict, those of its contrasts)
     "greater, and it is": ({"high": HIGH, "low": LOW}, [], SUPPORTED, [SUPPORTED]),
-    "worse, and it is not": ({"high": HIGH, "low": LOW}, [direction("worse")], REFUTED, [REFUTED]),
-    "equal, and it is": ({"high": NEAR, "low": LOW}, [direction("equal")], SUPPORTED, [SUPPORTED]),
     "greater, and it is equal": ({"high": NEAR, "low": LOW}, [], REFUTED, [REFUTED]),
-    "nothing is seen": ({"high": WIDE[::-1], "low": LOW}, [], INCONCLUSIVE, [INCONCLUSIVE]),
     "described": ({"high": HIGH, "low": LOW}, [direction("described")], "described", ["described"]),
     "more often above": ({"high": HIGH, "low": LOW}, [INCIDENCE, NO_MARGIN], SUPPORTED, [SUPPORTED]),
     "never there counts as not in time": (
@@ -78,7 +72,6 @@ CASES: dict[str, tuple[Arms, Changes, str, list[str]]] = {
         [outcome('"steps-to:0.5"'), (INCIDENCE[0], '"incidence"\nbelow = 1000')], SUPPORTED, [SUPPORTED],
     ),
     # a number refutes from its other side alone: it is itself what counts, without a margin
-    "far above a number": ({"high": HIGH}, [value(0.7)], SUPPORTED, [SUPPORTED]),
     "at a number": ({"high": HIGH}, [value(0.735)], INCONCLUSIVE, [INCONCLUSIVE]),
     "far below a number": ({"high": HIGH}, [value(0.77)], REFUTED, [REFUTED]),
     "one outcome against a number": (
@@ -91,8 +84,6 @@ CASES: dict[str, tuple[Arms, Changes, str, list[str]]] = {
                        [SUPPORTED, REFUTED, SUPPORTED, SUPPORTED]),
     "one pair without runs": ({"high": LOW, "low": HIGH}, [PAIR, PAIRED], REFUTED, [REFUTED, UNTESTABLE]),
     "ranges": ({"high": HIGH, "low": LOW, "middle": GREATER}, RANGES, SUPPORTED, [SUPPORTED]),
-    "ranges, less": ({"high": HIGH, "low": LOW, "middle": GREATER}, [*RANGES, direction("less")], REFUTED,
-                     [REFUTED]),
     # one outcome that cannot be tested voids nothing unless all are needed
     "rough where nobody learned": ({"high": ROUGH, "low": ROUGH[::-1]},
                                    [outcome('["curve-roughness", "final-return"]')], INCONCLUSIVE,
@@ -126,11 +117,9 @@ def test_the_worlds_are_judged_side_by_side_each_as_a_family_of_its_own(store: S
     assert [claims.family_size(world, "mine.toml") for world in ("text", "arena", "godot")] == [2, 1, 1]
 
 
-@pytest.mark.parametrize("study", ["mine", "another"])
-def test_published_tables_give_the_same_verdicts_as_runs(study: str, store: Store, tmp_path: Path) -> None:
-    """Whichever study they were published in: a run is the same run in all."""
+def test_published_tables_of_any_study_give_the_same_verdicts_as_runs(store: Store, tmp_path: Path) -> None:
     save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    clone = published_alone(store, tmp_path, study)
+    clone = published_alone(store, tmp_path, "another")
     assert judge_one(clone, tmp_path) == judge_one(store, tmp_path)
 
 
@@ -139,30 +128,6 @@ def test_seeds_that_the_claim_did_not_fix_are_not_read(store: Store, tmp_path: P
     before = judge_one(store, tmp_path)
     save_runs(store, tmp_path, {"high": [*HIGH, *[0.0] * 20], "low": [*LOW, *[1.0] * 20]})
     assert judge_one(store, tmp_path) == before
-
-
-MORE = BETTER.replace('a = "high"', 'a = "middle"')
-"""A claim without runs."""
-
-
-def _judge_among(count: int, store: Store, folder: Path) -> Verdict:
-    """Judge the claim in a list of so many, of which the others have no runs."""
-    more = "".join(MORE.replace("better", f"more-{k}") for k in range(count - 1))
-    return judge_claims(store, folder, CLAIMS + more)[0]
-
-
-def test_a_list_that_is_longer_asks_for_more(store: Store, tmp_path: Path) -> None:
-    """Claims without runs count too: a verdict does not hang on what else has been run."""
-    high = [share + 0.035 for share in LOW]
-    save_runs(store, tmp_path, {"high": high, "low": LOW})
-    alone, among = (_judge_among(count, store, tmp_path) for count in (1, 20))
-    assert (alone.verdict, among.verdict) == (SUPPORTED, INCONCLUSIVE)
-    welch = stats.ttest_ind(high, LOW, equal_var=False)
-    for verdict, alpha in ((alone, 0.05), (among, 0.05 / 20)):
-        (row,) = verdict.contrasts
-        assert row.alpha == pytest.approx(alpha)
-        assert row.contrast.simultaneous.low == pytest.approx(welch.confidence_interval(1 - alpha).low)
-        assert row.contrast.interval.low == pytest.approx(welch.confidence_interval(0.95).low)
 
 
 # --- Several outcomes ------------------------------------------------------------------------------

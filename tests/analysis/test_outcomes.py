@@ -196,22 +196,9 @@ def test_the_share_of_training_with_a_low_entropy_is_of_updates(tmp_path: Path) 
     save_collapse(store, ids["a", 2], gaps, learning(), 7_000)
     save_collapse(store, ids["a", 3], one_action(61), learning(), fork_step=5_000)
     data = study_of(store, ids)
-    found = [outcome(run, "low-entropy-share") for run in data.rows]
-    assert found == pytest.approx([0, 0.5, 20 / 70, 40 / 50])
-
-
-@pytest.mark.parametrize(
-    ("name", "column"),
-    [("time-to-clear", "steps_to_clear"), ("hp-lost", "hp_lost"), ("kill-evenness", "kill_evenness")],
-)
-def test_what_a_team_does_is_a_mean_of_the_last_five_evaluations(
-    tmp_path: Path, name: str, column: str
-) -> None:
-    store = Store(tmp_path / "results")
-    values: dict[str, Any] = {column: (9, 0.5, 0.5, 0, 1, 0.5)}
-    save(store, "a0" * 8, (0.1,) * 6, 600, step=range(100, 700, 100), **values)
-    data = study_of(store, {("a", 0): "a0" * 8})
-    assert outcome(data.rows[0], name) == 0.5
+    shares = [outcome(run, "low-entropy-share") for run in data.rows]
+    assert shares == pytest.approx([0, 0.5, 20 / 70, 40 / 50])
+    assert outcome(data.rows[3], "steps-per-second") == pytest.approx(5_000 / 8)  # of those after the fork
 
 
 # --- What there is not ----------------------------------------------------------------------------
@@ -261,11 +248,3 @@ def test_returns_are_the_outcomes_that_have_the_unit_of_the_reward(store: Store)
     doubled = {name for name, (low, high) in values.items() if low < high == 2 * low}
     assert doubled == {name for name, declared in OUTCOMES.items() if declared.is_return}
     assert find_outcome("steps-to-return:0.5").is_return and not find_outcome("steps-to:0.5").is_return
-
-
-def test_a_forks_time_is_of_the_steps_after_it(tmp_path: Path) -> None:
-    """8 seconds for the 500 steps from its fork at 500."""
-    save(store := Store(tmp_path / "results"), "a0" * 8, fields={"fork_step": 500})
-    data = study_of(store, {("a", 0): "a0" * 8})
-    assert outcome(data.rows[0], "wall-seconds") == pytest.approx(8)
-    assert outcome(data.rows[0], "steps-per-second") == pytest.approx(62.5)

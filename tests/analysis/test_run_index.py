@@ -152,20 +152,6 @@ def test_every_listed_study_that_comes_with_pneuma_can_be_opened(store: Store) -
     assert "late-collapse-forks-eb57" in names and all(map(index.listing, names))
 
 
-def test_tables_that_come_with_pneuma_are_read_beside_runs_of_ones_own(store: Store) -> None:
-    trained(store)
-    index = RunIndex(store)
-    theirs = open_study(
-        index, Query(study="activation", world="godot", conditions=("tanh",), seeds=(100, 101))
-    )
-    assert [run.published for run in theirs.rows] == [True, True]
-    ids = [run.run_id for run in theirs.rows]
-    save_listing(store, {("tanh", 0): ids[0], ("tanh", 1): ids[1], ("ours", 0): A0}, name="both")
-    data = open_study(RunIndex(store), Query(study="both"))
-    assert {run.run_id: run.published for run in data.rows} == {ids[0]: True, ids[1]: True, A0: False}
-    assert {*ids} <= {*index.frame.index} and not {*ids} & {*RunIndex(store, shipped=False).frame.index}
-
-
 OWN = """
 title = "Own"
 base = "table-6-2"
