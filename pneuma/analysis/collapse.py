@@ -27,8 +27,8 @@ SHORTEST = 0.05
 """Share of the budget that a single action, or a return below zero, must last to count as collapse."""
 GAP = 0.01
 """Share of the budget for which a sign may be interrupted."""
-LEAST_HELD = 0.5
-"""In more than this share of a period's updates a sign must hold."""
+LEAST_SHARE = 0.5
+"""A sign must be seen in more than this share of a period's updates."""
 FALLEN_TO = 0.5
 """A run has fallen if it kills at most this share of its best."""
 DEPTH = 0.1
@@ -44,7 +44,7 @@ class Diagnosis:
         collapsed: whether it ever did; None if its records show none of the signs that decide.
         onset_step: agent steps at the first update or evaluation of the collapse.
         onset_update: the number of that update; None if unknown.
-        signs: those of `SIGNS` that held over most of it.
+        signs: those of `SIGNS` that are seen over most of it.
     """
 
     collapsed: bool | None
@@ -58,14 +58,14 @@ def diagnose(run: Row) -> Diagnosis:
     gap, least_length = GAP * run.budget + update_steps, SHORTEST * run.budget
     stuck_periods = signs.get(NO_ENTROPY, [])
     if ONE_ACTION in signs:
-        stuck_periods = both(stuck_periods, signs[ONE_ACTION])
+        stuck_periods = intersection(stuck_periods, signs[ONE_ACTION])
     # Repeated single updates are joined, but are no collapse: most updates must show the sign.
     spells = [
         spell
         for spell in _lasting(stuck_periods, gap, least_length)
-        if share_held(stuck_periods, spell, update_steps or 1) > LEAST_HELD
+        if share_with_sign(stuck_periods, spell, update_steps or 1) > LEAST_SHARE
     ]
-    steps, performance, random_level = _played(run)
+    steps, performance, random_level = _performance(run)
     fall_periods, loss_periods = _falls(steps, performance, random_level), _losses(run)
     lasting_losses = _lasting(loss_periods or [], gap, least_length)
     spells = joined(spells + fall_periods + lasting_losses, gap)
@@ -75,7 +75,9 @@ def diagnose(run: Row) -> Diagnosis:
         return Diagnosis(False if is_known else None)
     onset, last_step = spells[0]
     present_signs = [
-        sign for sign in SIGNS if share_held(signs.get(sign, []), spells[0], update_steps or 1) > LEAST_HELD
+        sign
+        for sign in SIGNS
+        if share_with_sign(signs.get(sign, []), spells[0], update_steps or 1) > LEAST_SHARE
     ]
     for sign, periods in ((FALL, fall_periods), (LOSS, lasting_losses)):
         if any(onset <= first_step <= last_step for first_step, _ in periods):
@@ -155,7 +157,7 @@ def _losses(run: Row) -> list[Stretch] | None:
     return stretches(steps, (returns < 0) & (np.maximum.accumulate(returns) > 0))
 
 
-def _played(run: Row) -> tuple[np.ndarray, np.ndarray, float | None]:
+def _performance(run: Row) -> tuple[np.ndarray, np.ndarray, float | None]:
     """Return evaluation steps, how well the run played there, and the random player's level if known.
 
     This is the share of monsters killed. In other environments it is the gain in return over the random
@@ -193,8 +195,8 @@ def _falls(steps: np.ndarray, performance: np.ndarray, random_level: float | Non
 # --- Stretches -------------------------------------------------------------------------------------
 
 
-def both(first_periods: list[Stretch], second_periods: list[Stretch]) -> list[Stretch]:
-    """Return where two signs of the same updates hold together. Stretches of a sign do not overlap."""
+def intersection(first_periods: list[Stretch], second_periods: list[Stretch]) -> list[Stretch]:
+    """Return where two signs are seen in the same updates. Stretches of a sign do not overlap."""
     shared_periods, i, j = [], 0, 0
     while i < len(first_periods) and j < len(second_periods):
         first_step = max(first_periods[i][0], second_periods[j][0])
@@ -219,7 +221,9 @@ def joined(periods: list[Stretch], gap: float) -> list[Stretch]:
     return joined_periods
 
 
-def share_held(periods: list[Stretch], spell: Stretch, distance: float) -> float:
-    """Return the share of a stretch's updates in which a sign holds."""
-    steps_held = sum(last_step - first_step + distance for first_step, last_step in both(periods, [spell]))
+def share_with_sign(periods: list[Stretch], spell: Stretch, distance: float) -> float:
+    """Return the share of a stretch's updates in which a sign is seen."""
+    steps_held = sum(
+        last_step - first_step + distance for first_step, last_step in intersection(periods, [spell])
+    )
     return steps_held / (spell[1] - spell[0] + distance)

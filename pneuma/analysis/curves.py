@@ -99,9 +99,9 @@ def study_curves(
 ) -> dict[str, list[Curve]]:
     """Return some of `curve_names` for every condition that has runs, by name.
 
-    Curves of evaluations are at the evaluations' own steps. Where runs were evaluated at unlike steps, as
-    imported ones may be, they are at those of the run with the fewest, and the others are interpolated. Over
-    anything else than steps, all are interpolated on a common grid.
+    Curves of evaluations are at the evaluations' own steps. If runs were evaluated at different steps, as
+    imported ones may be, the steps are those of the run with the fewest, and the other runs are interpolated.
+    Over anything else than steps, all are interpolated on a common grid.
 
     The window 'trailing-100', the last 100 episodes of a run, is what Stable-Baselines3 logs. `x` is one of
     `X_AXES`: over wall-clock time a run goes on at an even pace, and episodes are counted by their mean

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from pneuma.analysis.intervals import decimals, shown
+from pneuma.analysis.intervals import decimals, number_text
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 from pneuma.store.index import RunIndex
@@ -95,7 +95,7 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
 def _formatted_rows(frame: pd.DataFrame) -> list[list[str]]:
     """Return the cells of each row as text with rounded numbers.
 
-    Numbers with an interval are rounded with it; others keep six digits.
+    A number with an interval is rounded with it; any other keeps six digits.
     """
     formatted_rows = []
     for row in frame.to_dict("records"):
@@ -104,7 +104,7 @@ def _formatted_rows(frame: pd.DataFrame) -> list[list[str]]:
             if row.get("statistic") == "count":
                 digits = 0
             for column in ("value", "low", "high"):
-                row[column] = shown(row[column], digits)
+                row[column] = number_text(row[column], digits)
         formatted_rows.append([_formatted(value) for value in row.values()])
     return formatted_rows
 

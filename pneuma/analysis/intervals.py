@@ -1,7 +1,7 @@
 """Estimates over runs, and their intervals.
 
 The unit is the seed. Estimates and intervals take finite values of at least one run: callers drop, count and
-report all others.
+report the others.
 
 Every interval names its method. With too few runs, or equal ones, its ends are NaN and its method is "none".
 docs/claims.md has the coverage of each.
@@ -25,11 +25,11 @@ LEAST_RUNS = 5
 RESAMPLES = 2_000
 ROUNDING = 1e-12
 """Runs that differ by less, in proportion to the largest, are equal."""
-SIGNIFICANT = 2
+HALF_WIDTH_DIGITS = 2
 """Digits of an interval's half width that are shown."""
-MOST = 6
+MOST_DECIMALS = 6
 """Most decimal places, for runs that are nearly equal."""
-ALONE = 3
+DIGITS_WITHOUT_INTERVAL = 3
 """Digits of a number without an interval."""
 
 Groups = Mapping[str, np.ndarray]
@@ -104,7 +104,7 @@ def no_interval(reason: str = "") -> Interval:
 
 
 def no_interval_reason(*groups: np.ndarray) -> str:
-    """Return why groups do not show how their runs differ; empty if they do."""
+    """Return why groups have no interval of their means; empty if they have one."""
     if min(runs.size for runs in groups) < 2:
         return "each arm needs at least 2 runs"
     if any(map(is_constant, groups)):
@@ -197,7 +197,7 @@ def deviation_interval(runs: np.ndarray) -> Interval:
 def incidence_interval(event_count: int, run_count: int, level: float = LEVEL) -> Interval:
     """Return Clopper and Pearson's interval of a share, which never covers less than its level."""
     if run_count < 1:
-        return no_interval("an arm has no runs")
+        return no_interval()
     low, high = exact_ends(event_count, run_count, level)
     return Interval(float(low), float(high), "Clopper-Pearson")
 
@@ -268,14 +268,14 @@ def _acceleration(runs: np.ndarray, statistic: Callable[[ArrayLike], np.ndarray]
 def decimals(value: float, low: float = math.nan, high: float = math.nan) -> int:
     """Return how many decimal places a number is shown with; negative for tens and more."""
     half_width = (high - low) / 2
-    if math.isfinite(half_width) and round(half_width, MOST) > 0:
-        return min(MOST, SIGNIFICANT - 1 - math.floor(math.log10(half_width)))
-    if not math.isfinite(value) or round(value, MOST) == 0:
+    if math.isfinite(half_width) and round(half_width, MOST_DECIMALS) > 0:
+        return min(MOST_DECIMALS, HALF_WIDTH_DIGITS - 1 - math.floor(math.log10(half_width)))
+    if not math.isfinite(value) or round(value, MOST_DECIMALS) == 0:
         return 0
-    return min(MOST, ALONE - 1 - math.floor(math.log10(abs(value))))
+    return min(MOST_DECIMALS, DIGITS_WITHOUT_INTERVAL - 1 - math.floor(math.log10(abs(value))))
 
 
-def shown(value: float, decimal_places: int) -> str:
+def number_text(value: float, decimal_places: int) -> str:
     """Return a rounded number as text; – for NaN."""
     if math.isnan(value):
         return "–"
@@ -285,10 +285,10 @@ def shown(value: float, decimal_places: int) -> str:
     return f"{rounded:,.{max(decimal_places, 0)}f}"
 
 
-def shown_with_interval(value: float, low: float, high: float) -> str:
+def number_with_interval(value: float, low: float, high: float) -> str:
     """Return a number and its interval as text, with the digits that the interval supports."""
     digits = decimals(value, low, high)
-    ends = shown(low, digits), shown(high, digits)
+    ends = number_text(low, digits), number_text(high, digits)
     if math.isnan(low) or math.isnan(high) or ends[0] == ends[1]:  # nearly equal runs: no width would show
-        return shown(value, digits)
-    return f"{shown(value, digits)} [{' to '.join(ends)}]"
+        return number_text(value, digits)
+    return f"{number_text(value, digits)} [{' to '.join(ends)}]"

@@ -20,7 +20,7 @@ from pneuma.errors import UserError
 
 COLUMN = "commonest_action"
 PARTS = 5
-"""Of training, over which the time in one action is measured."""
+"""Parts of training over each of which the time in one action is measured."""
 
 
 def runs_not_staying(study_data: StudyData, condition: str) -> pd.DataFrame:

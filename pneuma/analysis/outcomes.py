@@ -36,7 +36,7 @@ BOUNDS = {
     "at most one": (-np.inf, 1.0),
     "slope": (-1.2, 1.2),
 }
-ALIKE = {"": 1e-9, "monsters": 0.5 / 14}
+TOLERANCES = {"": 1e-9, "monsters": 0.5 / 14}
 """How close to 0 or 1 a value counts as equal, for claims without a margin: half a monster of 14."""
 LARGEST = 1e70
 """Greater numbers count as none: their fourth powers could not be summed."""
@@ -67,7 +67,7 @@ class Outcome:
     better: str = ""
     bounds: tuple[float, float] = BOUNDS["any"]
     column: str = ""
-    alike: float = ALIKE[""]
+    tolerance: float = TOLERANCES[""]
     requires_learning: bool = False
     short: str = ""
     is_return: bool = False
@@ -87,7 +87,7 @@ def _read_outcomes() -> dict[str, Outcome]:
 def _declared(declaration: dict[str, Any]) -> Outcome:
     """Return the outcome of a row of the file."""
     declaration["bounds"] = BOUNDS[declaration.pop("bounds", "any")]
-    declaration["alike"] = ALIKE[declaration.pop("alike", "")]
+    declaration["tolerance"] = TOLERANCES[declaration.pop("tolerance", "")]
     if "measure" in declaration:
         measure = getattr(measures, declaration.pop("measure"))
         if "of" in declaration:

@@ -1,7 +1,8 @@
-"""How many seeds an arm needs, by the interval that decides a comparison."""
+"""How many seeds each group needs, by the interval that decides a comparison."""
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable
 
 import numpy as np
@@ -15,9 +16,9 @@ from pneuma.errors import UserError
 
 POWER = 0.8
 ENOUGH_RUNS = 10
-"""Of ten normal runs the true deviation is 0.7 to 1.8 times that seen, and seeds go with its square."""
+"""With ten normal runs the true deviation is 0.7 to 1.8 times the sample's, and seeds go with its square."""
 MOST_SEEDS, MOST_SEEDS_OF_SHARES = 1_000_000, 2_000
-"""Most seeds that are looked at; of shares fewer, as each number of them is summed over all outcomes."""
+"""Most seeds that are tried; fewer for shares, because each number is summed over all pairs of counts."""
 
 
 def seeds_table(study_data: StudyData, outcome: str, difference: float) -> pd.DataFrame:
@@ -66,9 +67,9 @@ def seeds_text(seeds: int | None) -> str:
 
 
 def seeds_for_means(difference: float, sd_a: float, sd_b: float, power: float = POWER) -> int | None:
-    """Return the fewest runs an arm with which Welch's 95 % interval leaves out 0 that often.
+    """Return the fewest runs per group with which Welch's 95 % interval leaves out 0 that often.
 
-    Runs are normal, with the standard deviations of each arm, which must not both be 0. None if it takes
+    Runs are normal, with the groups' standard deviations, which must not both be 0. None if it takes
     more than `MOST_SEEDS`. Source: the noncentral t of Welch's statistic, with its own degrees of freedom.
     """
     return _fewest(lambda seeds: power_of_means(difference, sd_a, sd_b, seeds), power, MOST_SEEDS)
@@ -84,7 +85,7 @@ def power_of_means(difference: float, sd_a: float, sd_b: float, seeds: int) -> f
 
 
 def seeds_for_shares(share_a: float, share_b: float, power: float = POWER) -> int | None:
-    """Return the fewest runs an arm with which Newcombe's interval of two shares leaves out 0 that often.
+    """Return the fewest runs per group with which Newcombe's interval of two shares leaves out 0 that often.
 
     None if it takes more than `MOST_SEEDS_OF_SHARES`.
     """
@@ -106,16 +107,10 @@ def power_of_shares(share_a: float, share_b: float, seeds: int) -> float:
 
 
 def _fewest(power_of: Callable[[int], float], power: float, most_runs: int) -> int | None:
-    """Return the fewest seeds with a power, found by doubling and halving."""
-    low, high = 1, 2
+    """Return the fewest seeds with a power, found by doubling and bisection; None beyond a number."""
+    high = 2
     while power_of(high) < power:
-        low, high = high, 2 * high
-        if low >= most_runs:
+        if high >= most_runs:
             return None
-    while high - low > 1:
-        middle = (low + high) // 2
-        if power_of(middle) >= power:
-            high = middle
-        else:
-            low = middle
-    return high
+        high *= 2
+    return bisect_left(range(high), power, lo=high // 2 + 1, key=power_of)

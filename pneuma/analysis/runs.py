@@ -81,7 +81,7 @@ def find_study(index: RunIndex, query: Query) -> StudyData:
         return _find_listed(index, listing, query)
     plan = plan_to_read(index, query)
     study_data = runs_of_plan(index, plan)
-    return replace(study_data, asked=query, other_presets=_count_other_presets(index, plan))
+    return replace(study_data, query=query, other_presets=_count_other_presets(index, plan))
 
 
 def open_study(index: RunIndex, query: Query, say: Say = silent) -> StudyData:
@@ -284,4 +284,4 @@ def _find_listed(index: RunIndex, listing: Mapping[str, Any], query: Query) -> S
     finished_runs = finished_rows(index, StudyData(study, {}, runs)).runs
     for condition, row in zip(finished_runs["condition"], finished_runs["row"], strict=True):
         fields_by_condition[condition] = without_amount(row.fields)
-    return StudyData(study, fields_by_condition, runs, asked=query)
+    return StudyData(study, fields_by_condition, runs, query=query)

@@ -66,7 +66,7 @@ class StudyCall(Hint):
 
 @dataclass(frozen=True, eq=False)
 class StudyData:
-    """The runs of a study that were asked for.
+    """The runs of a query on a study.
 
     Attributes:
         study: in its world and with changed fields; one that lists its runs has no path.
@@ -75,7 +75,7 @@ class StudyData:
             `where`, the table that has it, or empty; of finished runs that were read also `row`, a `Row`.
         configurations: the configuration of each condition; empty if the study lists its runs.
         plan: the cells that the runs are of; None if the study lists its runs.
-        asked: the query as the user gave it.
+        query: as the user gave it.
         other_presets: how many finished runs the study's other presets have.
     """
 
@@ -84,7 +84,7 @@ class StudyData:
     runs: pd.DataFrame
     configurations: Mapping[str, Run] = field(default_factory=dict)
     plan: Plan | None = None
-    asked: Query = Query()
+    query: Query = Query()
     other_presets: Mapping[str, int] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -109,7 +109,7 @@ class StudyData:
         return list(dict.fromkeys(str(fields.get("env")) for fields in self.fields.values()))
 
     @property
-    def same(self) -> list[list[str]]:
+    def duplicates(self) -> list[list[str]]:
         """Groups of conditions that are one configuration."""
         conditions_by_id: dict[str, list[str]] = {}
         for condition, run in self.configurations.items():
@@ -132,7 +132,7 @@ class StudyData:
     # --- In words -------------------------------------------------------------------------------------
 
     @property
-    def where(self) -> str:
+    def description(self) -> str:
         """The study with its world and changed fields."""
         description = self.study.name
         if self.world:
@@ -143,9 +143,9 @@ class StudyData:
 
     @property
     def label(self) -> str:
-        """The study with its world, preset, and what is asked for beside the preset."""
-        phrases = [self.where]
-        query = self.asked
+        """The study with its world, preset, and the query's choices that differ from the preset."""
+        phrases = [self.description]
+        query = self.query
         if self.plan is not None:
             query = self.plan.query
             phrases.append(f"preset {self.plan.preset}")
@@ -159,7 +159,7 @@ class StudyData:
 
     @property
     def coverage(self) -> Message:
-        """A message: how many of the runs have finished, where they are from, and what else there is."""
+        """A message: how many of the runs have finished, where they are from, and what other presets have."""
         finished_runs, planned_count = self.finished, len(self.runs)
         if self.plan is not None:
             planned_count = len(self.plan.cells)
@@ -207,7 +207,7 @@ class StudyData:
 
     @property
     def full_title(self) -> str:
-        """The title with the world, unless levels or characters in it are others, and with changed fields."""
+        """The title with the world, unless the user has changed its level or characters, and changed fields."""
         title = self.study.title
         if not any(_has_own_world(run) for run in self.rows):
             for world in WORLDS.values():
@@ -220,10 +220,10 @@ class StudyData:
     def basename(self, *suffixes: str) -> str:
         """Return the name of a figure's files, without its ending.
 
-        It contains the world, changed fields, and the preset, conditions, seeds and steps that were asked
-        for, so that neither a variant nor a part of a study replaces the study's own figure.
+        It contains the world, changed fields, and the query's preset, conditions, seeds and steps, so that
+        neither a variant nor a part of a study replaces the study's own figure.
         """
-        query, name_words = self.asked, []
+        query, name_words = self.query, []
         if query.preset not in (None, LAST):
             name_words.append(str(query.preset))
         if len(self.fields) < len(self.study.conditions):
@@ -247,7 +247,7 @@ class StudyData:
 
     @property
     def ends(self) -> str:
-        """Where runs end, for notes; empty if all end alike, apart from rounding to whole horizons."""
+        """Where runs end, for notes; empty if all end at the same step, apart from rounding to horizons."""
         least_steps, most_steps = self.runs["steps"].min(), self.runs["steps"].max()
         if most_steps <= least_steps * (1 + SLACK):
             return ""
@@ -272,7 +272,7 @@ class StudyData:
         return rows_by_condition
 
     def renamed(self, new_names: Mapping[str, str]) -> StudyData:
-        """Return the study with its conditions under new names; those that have none are left out."""
+        """Return the study with new names of conditions; a condition without one is left out."""
 
         def with_new_keys(by_condition: Mapping[str, Any]) -> dict[str, Any]:
             return {

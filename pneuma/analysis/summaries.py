@@ -41,7 +41,7 @@ SUMMARISED_ELSEWHERE = (
 """The outcomes in environments that are not Pneuma's."""
 COLUMNS = ["condition", "outcome", "statistic", "value", "low", "high", "interval", "runs"]
 COMPARED = ("final-return", "auc-return")
-"""Outcomes compared by default, beside the study's primary one."""
+"""Outcomes compared by default, after the study's primary one."""
 LEAST_FOR_BETTER = 10
 """With fewer runs P(better) is too uncertain: with three against three, 1.00 means nothing."""
 
@@ -55,7 +55,7 @@ def summary_table(study_data: StudyData, outcomes: Sequence[str] = ()) -> pd.Dat
 
     Args:
         study_data: an opened study.
-        outcomes: names from docs/outcomes.md; default: those of the study's file, or the usual ones.
+        outcomes: names from docs/outcomes.md; default: those of the study's file, or the default ones.
 
     Returns:
         A table with `COLUMNS`. The shares of runs that diverged and collapsed are always in it. Steps to a
@@ -140,8 +140,8 @@ def outcomes_to_compare(a: Group, b: Group) -> list[str]:
     default_outcomes = a.data.study.outcomes or (primary(a.data), *COMPARED)
     if len(_units_of_return(a, b)) <= 1:
         return list(default_outcomes)
-    others = [outcome for outcome in default_outcomes if not find_outcome(outcome).is_return]
-    return others or list(default_outcomes)
+    without_returns = [outcome for outcome in default_outcomes if not find_outcome(outcome).is_return]
+    return without_returns or list(default_outcomes)
 
 
 def _units_of_return(a: Group, b: Group) -> set[str]:

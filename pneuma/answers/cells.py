@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis.intervals import decimals, shown, shown_with_interval
+from pneuma.analysis.intervals import decimals, number_text, number_with_interval
 from pneuma.analysis.outcomes import with_unit
 from pneuma.analysis.study_data import StudyData
 
@@ -20,7 +20,7 @@ CELL_FORMS = ("sd", "interval")
 def with_cells(summary: pd.DataFrame, cell_form: str = "interval") -> pd.DataFrame:
     """Return a summary with a column `cell`: each value as text, in one of `CELL_FORMS`."""
     interval_values = zip(summary["value"], summary["low"], summary["high"], strict=True)
-    cells = [shown_with_interval(value, low, high) for value, low, high in interval_values]
+    cells = [number_with_interval(value, low, high) for value, low, high in interval_values]
     summary = summary.assign(cell=cells)
     if cell_form == "interval":
         return summary
@@ -29,7 +29,7 @@ def with_cells(summary: pd.DataFrame, cell_form: str = "interval") -> pd.DataFra
         mean, deviation = row["value"], deviations[row["condition"], row["outcome"]]
         if np.isfinite(deviation):
             digits = decimals(mean, mean - deviation, mean + deviation)
-            summary.loc[row_label, "cell"] = f"{shown(mean, digits)} ± {shown(deviation, digits)}"
+            summary.loc[row_label, "cell"] = f"{number_text(mean, digits)} ± {number_text(deviation, digits)}"
     return summary
 
 
@@ -89,9 +89,9 @@ def comparison_cells(
         cell_rows.append((
             row["shared"],
             with_unit(row["outcome"]),
-            shown(row["mean_a"], decimals(row["mean_a"], low, high)),
-            shown(row["mean_b"], decimals(row["mean_b"], low, high)),
-            shown_with_interval(row["difference"], low, high),
+            number_text(row["mean_a"], decimals(row["mean_a"], low, high)),
+            number_text(row["mean_b"], decimals(row["mean_b"], low, high)),
+            number_with_interval(row["difference"], low, high),
             p_better,
             f"{row['seeds_a']} and {row['seeds_b']}",
             row["without_value"],

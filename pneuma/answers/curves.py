@@ -245,7 +245,7 @@ def _column(
     beside_data = beside and in_environment_of(study_data, beside)
     if not beside_data:
         return Column(study_data, curves, _reference(study_data, curves, {}, options))
-    if study_data.asked.conditions:
+    if study_data.query.conditions:
         same_names = [
             condition
             for condition in beside_data.conditions

@@ -81,7 +81,7 @@ def _evidence(index: RunIndex, study_data: StudyData) -> Evidence:
     if not len(runs):
         evidence.notes.append("No runs yet.")
         return evidence
-    for same_conditions in study_data.same:
+    for same_conditions in study_data.duplicates:
         evidence.notes.append(
             f"{' = '.join(same_conditions)} are identical settings: a comparison shows noise."
         )

@@ -26,7 +26,7 @@ def notes_on_runs(
         shows_returns: whether the figure is of returns.
         beside: a study whose returns are drawn too.
     """
-    notes = [f"{' and '.join(conditions)} have identical settings." for conditions in study_data.same]
+    notes = [f"{' and '.join(conditions)} have identical settings." for conditions in study_data.duplicates]
     engines: dict[str, list[str]] = {}
     end_notes: list[str] = []
     missing_conditions: list[str] = []

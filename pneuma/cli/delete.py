@@ -33,7 +33,7 @@ def delete_study(name: opt.Study, selection: opt.RunFilter, yes: Yes = False) ->
     holders: dict[str, str] = {}
     for holder in studies_here(index):
         if (holder.study.name, holder.study.world) != (study.name, study.world):
-            holders |= dict.fromkeys(stored_ids.intersection(holder.runs["run_id"]), holder.where)
+            holders |= dict.fromkeys(stored_ids.intersection(holder.runs["run_id"]), holder.description)
     notes = []
     if holders:
         notes.append(f"Note: kept, as {holders[min(holders)]} has them too: {counted(len(holders), 'run')}.")

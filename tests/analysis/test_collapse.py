@@ -8,7 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.analysis.collapse import Diagnosis, both, diagnose, diagnoses, incidence, joined, share_held
+from pneuma.analysis.collapse import (
+    Diagnosis,
+    diagnose,
+    diagnoses,
+    incidence,
+    intersection,
+    joined,
+    share_with_sign,
+)
 from pneuma.analysis.outcomes import outcome_values
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
@@ -159,9 +167,9 @@ def test_a_run_of_which_actions_alone_are_known_is_no_healthy_one(tmp_path: Path
 def test_stretches_by_hand() -> None:
     step = np.array([10, 20, 30, 40, 50])
     assert series.stretches(step, np.array([True, True, False, True, False])) == [(10, 20), (40, 40)]
-    assert both([(10, 30)], [(0, 10), (20, 40)]) == [(10, 10), (20, 30)]
+    assert intersection([(10, 30)], [(0, 10), (20, 40)]) == [(10, 10), (20, 30)]
     assert joined([(40, 50), (10, 20), (25, 30)], gap=5) == [(10, 30), (40, 50)]
-    assert share_held([(10, 20)], (10, 40), distance=10) == 0.5
+    assert share_with_sign([(10, 20)], (10, 40), distance=10) == 0.5
 
 
 def test_stuck_updates_have_no_entropy_and_one_action() -> None:

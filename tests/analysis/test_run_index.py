@@ -87,7 +87,7 @@ def test_a_published_table_is_read_as_what_it_was_made_from(
     data: StudyData, store: Store, tmp_path: Path
 ) -> None:
     again = republished(data, tmp_path / "again")
-    for key in ("study", "conditions", "same", "fields", "windows", "quantities"):
+    for key in ("study", "conditions", "duplicates", "fields", "windows", "quantities"):
         assert getattr(again, key) == getattr(data, key)
     assert outcomes_of(again) == outcomes_of(data)
     for run, other in zip(data.rows, again.rows, strict=True):

@@ -12,7 +12,7 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis.export import encode_frame
-from pneuma.analysis.intervals import shown_with_interval
+from pneuma.analysis.intervals import number_with_interval
 from pneuma.analysis.outcomes import reason
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
@@ -118,7 +118,7 @@ def test_markdown_and_latex_keep_the_digits_that_the_interval_leaves_certain(sto
     ],
 )
 def test_rounding_by_hand(numbers: tuple[float, float, float], expected: str) -> None:
-    assert shown_with_interval(*numbers) == expected
+    assert number_with_interval(*numbers) == expected
 
 
 def test_a_return_of_any_size_is_summarised_without_a_warning(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from PIL import Image
 from pneuma.analysis.claims import words
 from pneuma.analysis.claims.claim_list import shipped_claims
 from pneuma.analysis.claims.verdicts import AS_CLAIMED_BUT_SMALL, Verdict
-from pneuma.analysis.claims.words import arms_in_words, cell, effect, sentence, short_sentence, verdict_table
+from pneuma.analysis.claims.words import cell, compared_text, effect, sentence, short_sentence, verdict_table
 from tools.verdicts import draw_verdicts
 
 from .hand_made_verdicts import claim, comparison, judged
@@ -102,8 +102,8 @@ def test_pairs_are_named_and_arms_are_called_once_a_row() -> None:
     one_claim = claim(**TWO, paired=True)
     row = comparison("supported", 0.02, ENDS, of=one_claim, means=MEANS, a=("y",), b=("w",))
     assert effect(row) == f"wide, {KILLS}"
-    assert arms_in_words(one_claim) == "new against old"
-    assert arms_in_words(claim(a=("tanh", "wide"), b=(), value=0.2)) == "tanh and wide"
+    assert compared_text(one_claim) == "new against old"
+    assert compared_text(claim(a=("tanh", "wide"), b=(), value=0.2)) == "tanh and wide"
 
 
 def test_sentences_are_without_tex_and_short_ones_are_the_thesiss_words() -> None:

@@ -148,7 +148,7 @@ class Claim(Table):
         return ""
 
     def has_event(self, run_values: np.ndarray) -> np.ndarray:
-        """Return of which values, (runs,), the event is true."""
+        """Return for each value, (runs,), whether it is an event."""
         if self.above is not None:
             return run_values > self.above
         return run_values < self.below

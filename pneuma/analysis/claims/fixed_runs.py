@@ -159,7 +159,7 @@ def find_claim_runs(index: RunIndex, study: Study, claim: Claim) -> ClaimRuns:
 
 
 def with_claims(study: Study, steps: int | None = None) -> Study:
-    """Return a study with the preset `claims`: the runs that claims beside its file fix in its world.
+    """Return a study with the preset `claims`: the runs that claims fix, of lists in the folder of its file.
 
     Conditions without a claim are left out. A condition of several claims has the seeds of all of them. If
     claims fix several budgets, `steps` chooses one; any other number chooses the conditions of all.
@@ -195,7 +195,7 @@ def fixed_amounts(study: Study) -> dict[int, dict[str, Amount]]:
 
 
 def claims_on(study: Study) -> Iterator[tuple[ClaimList, Claim]]:
-    """Yield the claims on a study in its world, each with its list, of all lists beside the study's file."""
+    """Yield the claims on a study in its world, each with its list, of all lists in its file's folder."""
     if study.path is None:
         return
     for file_name in CLAIMS_FILES:

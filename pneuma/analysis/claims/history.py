@@ -2,14 +2,13 @@
 
     ClaimList, and the commits of each claim's runs → names of what changed since
 
-Everything that decides a verdict counts: arms, seeds, steps, outcomes, direction, value, need, margins (the
-registered ones, if margins were set anew), and the version of the judge's rules. Words do not. The file is
-found by its title, wherever it was. Nothing is known of a file outside a git checkout, nor of a commit that
-the checkout does not have, or at which there was no such list yet.
+Everything that decides a verdict counts: conditions, seeds, steps, outcomes, direction, value, need, margins
+(the registered ones, if margins were changed), and the version of the judge's rules. Words do not count. The
+file is found by its title, wherever it was. Nothing is known of a file outside a git checkout, or of a commit
+that the checkout lacks, or at which there was no such list yet.
 
-For the lists on the thesis and their published runs, `claims-history.json` holds what the history says,
-because neither an installed package nor a clone of depth 1 has a history. `python -m tools.claims_history`
-writes it.
+For the lists on the thesis and their published runs, `claims-history.json` contains the answers, because
+neither an installed package nor a clone of depth 1 has a history. `python -m tools.claims_history` writes it.
 """
 
 from __future__ import annotations
@@ -32,11 +31,13 @@ from pneuma.study.shipped import claims_history_file
 from pneuma.study.spec import CLAIMS, Study
 
 THE_CLAIM, RULES_KEY = "the claim itself", "rules"
-HOW_MANY = ("seeds", "steps", "margin", RULES_KEY)
-"""Changes that leave what is compared as it was."""
-_DECIDING = ("study", "preset", "kind", "above", "below", "need", "direction", "a", "b", "outcome", "steps")
-_OF_OUTCOME = ("kind", "above", "below", "value", "margin")
-"""What another outcome changes with it."""
+AMOUNT_KEYS = ("seeds", "steps", "margin", RULES_KEY)
+"""Changes that leave the comparison the same."""
+DECIDING_KEYS = (
+    "study", "preset", "kind", "above", "below", "need", "direction", "a", "b", "outcome", "steps",
+)  # fmt: skip
+OUTCOME_KEYS = ("kind", "above", "below", "value", "margin")
+"""Keys that change with the outcome."""
 
 
 def refuse_changed(index: RunIndex, study: Study) -> None:
@@ -59,7 +60,7 @@ def refuse_changed(index: RunIndex, study: Study) -> None:
 def changed_since(
     claim_list: ClaimList, claim: Claim, world: str, commits: Sequence[str]
 ) -> tuple[str, ...] | None:
-    """Return what of a claim was otherwise at commits; None if no commit is known to have its list.
+    """Return what has changed of a claim since commits; None if no commit is known to have its list.
 
     `THE_CLAIM` stands for a claim that the list did not have yet.
     """
@@ -70,13 +71,13 @@ def changed_since(
 
 
 def record_key(claim_list: ClaimList, claim: Claim, world: str, commits: Sequence[str]) -> str:
-    """Return all that the answer of the history depends on: the list, the judge's rules, and the runs."""
+    """Return all that `changed_since` depends on: the list, the judge's rules, and the runs."""
     return " ".join([claim.name, world, claim_list.digest, f"rules={RULES}"] + list(commits))
 
 
 @cache
 def _recorded() -> Mapping[str, tuple[str, ...] | None]:
-    """Return what the history says, by `record_key`."""
+    """Return what has changed, by `record_key`."""
     recorded: Mapping[str, tuple[str, ...] | None] = normalize(
         json.loads(claims_history_file().read_text(encoding="utf-8"))
     )
@@ -103,7 +104,7 @@ def changed_in_checkout(
             changed.append(THE_CLAIM)
         has_outcome = keys_then.get("outcome") == keys_now["outcome"]
         for claim_key, value in keys_then.items():
-            if value != keys_now[claim_key] and (has_outcome or claim_key not in _OF_OUTCOME):
+            if value != keys_now[claim_key] and (has_outcome or claim_key not in OUTCOME_KEYS):
                 changed.append(claim_key)
         if is_own and _rules_at(claim_list.path, commit) != RULES:
             changed.append(RULES_KEY)
@@ -135,7 +136,7 @@ def _deciding_keys(file_text: str, claim_name: str, world: str) -> Mapping[str, 
         claim = Claim.model_construct(
             **{"seeds": (), "steps": 0, **claim_keys(_parse(file_text), claim_name)}
         )
-        deciding = {claim_key: getattr(claim, claim_key) for claim_key in _DECIDING}
+        deciding = {claim_key: getattr(claim, claim_key) for claim_key in DECIDING_KEYS}
         deciding["paired"] = claim.paired and bool(claim.b)
         deciding["value"] = list(map(partial(claim.value_of, world), claim.outcome))
         deciding["margin"] = list(map(partial(claim.registered_margin_of, world), claim.outcome))

@@ -4,7 +4,7 @@
 
 Every claim is judged, separately in each world, by exactly the runs that it fixed beforehand. A verdict
 compares the ends of the simultaneous interval, which is printed, with 0 and with the margin; nothing else
-decides. All intervals of a world, also those of claims without runs, hold together with 95 % probability. So
+decides. All intervals of a world, also those of claims without runs, hold jointly with 95 % probability. So
 the chance of any false verdict in a world is at most 5 %, whichever claims are shown and whatever was run.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 from pneuma.analysis.claims.claim_list import Claim, ClaimList, Pair
 from pneuma.analysis.claims.contrasts import Contrast, compare
 from pneuma.analysis.claims.fixed_runs import TRAIN_WITH, ClaimRuns, find_claim_runs
-from pneuma.analysis.claims.history import HOW_MANY, changed_since
+from pneuma.analysis.claims.history import AMOUNT_KEYS, changed_since
 from pneuma.analysis.intervals import Interval
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.store.index import RunIndex
@@ -136,17 +136,17 @@ class Verdict:
 def judge(
     claim_list: ClaimList,
     index: RunIndex,
-    is_wanted: Callable[[Claim, str], bool] = lambda claim, world: True,
+    is_selected: Callable[[Claim, str], bool] = lambda claim, world: True,
 ) -> list[Verdict]:
-    """Return the verdict on each claim of a list in each of its worlds, or on those that are wanted.
+    """Return the verdict on each claim of a list in each of its worlds, or on those that are selected.
 
-    The correction is for the planned contrasts of the whole family, whichever are wanted: no data of the
-    others are needed.
+    The correction is for the planned contrasts of the whole family, whichever are selected. It needs no data
+    of the others.
     """
     verdicts: list[Verdict] = []
     for claim in claim_list.claims.values():
         for world in claim.worlds:
-            if is_wanted(claim, world):
+            if is_selected(claim, world):
                 claim_runs = find_claim_runs(index, claim_list.studies[claim.study].in_world(world), claim)
                 verdicts.append(_judge_claim(claim_list, claim_runs))
     return verdicts
@@ -184,7 +184,7 @@ def _of_claim(claim: Claim, claim_contrasts: Iterable[ClaimContrast], column: st
 
 def _label(claim_list: ClaimList, claim: Claim, changed: Iterable[str]) -> str:
     """Return whether a claim was stated before its runs."""
-    if claim.seen or set(changed) - set(HOW_MANY):
+    if claim.seen or set(changed) - set(AMOUNT_KEYS):
         return DESCRIPTIVE
     if claim.first_seed < claim_list.head.known_below:
         return f"same runs as {claim_list.head.known_from}"
@@ -285,7 +285,7 @@ def _why_untestable(
     if len(groups) < 2 or claim_runs.claim.kind == "hazard":
         return ""
     all_values = np.concatenate(list(groups.values()))
-    bounds, tolerance = declared.bounds, margin or declared.alike
+    bounds, tolerance = declared.bounds, margin or declared.tolerance
     if claim_runs.claim.is_incidence:
         all_values = np.array(list(map(np.mean, groups.values())))
         bounds, tolerance = (0.0, 1.0), RARE
@@ -320,7 +320,7 @@ def decide(interval: Interval, claimed: str, margin: float | None, alike_counts:
 
     A difference is shown to be too small if the whole interval is nearer to 0 than the margin. That refutes
     a claim of a difference also where the interval lies on the claimed side of 0. Without an interval nothing
-    is decided, and without a margin no difference is too small; nor if that arms are alike does not count.
+    is decided. Without a margin no difference is too small, nor is it if being alike does not count.
     """
     if claimed == DESCRIBED:
         return DESCRIBED

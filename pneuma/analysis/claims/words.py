@@ -1,6 +1,6 @@
 """Verdicts in plain words: the thesis's sentence, a word for each world, and the effect in plain units.
 
-    [Verdict] → `verdict_table`, which pages, pictures, the report and `pneuma study verify` print alike
+    [Verdict] → `verdict_table`, which pages, pictures, the report and `pneuma study verify` show
 
 `docs/claims.md` explains how the words come from what the judge decides.
 """
@@ -27,7 +27,7 @@ from pneuma.analysis.claims.verdicts import (
     ClaimContrast,
     Verdict,
 )
-from pneuma.analysis.intervals import MOST, decimals, shown
+from pneuma.analysis.intervals import MOST_DECIMALS, decimals, number_text
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.presets import WORLDS
 
@@ -38,7 +38,7 @@ WORDS = {
     UNDECIDED: "The runs show neither, or one measure supports the sentence and another contradicts it.",
     NOT_TESTED: "The runs are missing, or cannot show whether the sentence is true.",
 }
-"""The four words, and what each says of a sentence in a world."""
+"""The four words, and what each means for a sentence in a world."""
 _LETTERS = {PREREGISTERED: "p", DESCRIPTIVE: "d"}
 _WORD_OF = {
     SUPPORTED: HOLDS, REFUTED: FAILS, MIXED: UNDECIDED, INCONCLUSIVE: UNDECIDED, UNTESTABLE: NOT_TESTED,
@@ -83,7 +83,7 @@ def _section_numbers(verdict: Verdict) -> list[int]:
 
 
 def worlds_of(by_claim: ByClaim) -> dict[str, str]:
-    """Return the names of the worlds in which claims were judged; statements of one's own may have none."""
+    """Return the names of the worlds in which claims were judged: "verdict" for unquoted claims in one."""
     judged_worlds: set[str] = set()
     quotes: set[str] = set()
     for by_world in by_claim.values():
@@ -107,7 +107,7 @@ def count_words(by_claim: ByClaim) -> pd.DataFrame:
 
 
 def verdict_table(by_claim: ByClaim) -> pd.DataFrame:
-    """Return a row for each claim: section, sentence and arms, and for each world the word and effects."""
+    """Return a row for each claim: section, sentence and conditions, and for each world word and effects."""
     worlds = worlds_of(by_claim)
     verdict_rows: list[list[str]] = []
     quoted_sentences: set[str] = set()
@@ -118,7 +118,7 @@ def verdict_table(by_claim: ByClaim) -> pd.DataFrame:
         if sentence_text and sentence_text not in quoted_sentences:
             heading = f"“{sentence_text}”"
             quoted_sentences.add(sentence_text)
-        verdict_row = [claim.section, f"{heading}\n{arms_in_words(claim)}"]
+        verdict_row = [claim.section, f"{heading}\n{compared_text(claim)}"]
         for world in worlds:
             verdict = by_world.get(world)
             verdict_row.append(cell(verdict) if verdict else "–")
@@ -142,7 +142,7 @@ def word(verdict: Verdict) -> str:
 
 
 def lines(verdict: Verdict) -> list[str]:
-    """Return the effect of each outcome, if any was tested, and what must be added or stands instead."""
+    """Return the effect of each outcome if one was tested, then what qualifies it, or why none was tested."""
     cell_lines: list[str] = []
     if word(verdict) != NOT_TESTED:
         tested_contrasts = [
@@ -180,7 +180,7 @@ def registration(verdict: Verdict) -> str:
 
 
 def why(verdict: Verdict) -> str:
-    """Return in a few words why a claim is not tested, or what its word does not tell; mostly empty."""
+    """Return in a few words why a claim is not tested, or what qualifies its word; mostly empty."""
     if verdict.lacks_runs and verdict.run_ids:
         return "partly trained"
     if verdict.lacks_runs:
@@ -198,7 +198,7 @@ def remedy(verdict: Verdict) -> list[str]:
 
 
 def details(verdict: Verdict) -> list[str]:
-    """Return the sentence, what is compared, and for each contrast arms, numbers of runs and effect."""
+    """Return the sentence, its context, and for each contrast conditions, numbers of runs and effect."""
     detail_lines = [sentence(verdict.claim), verdict.claim.context]
     if verdict.lacks_runs:
         return detail_lines + [verdict.reason]
@@ -219,8 +219,8 @@ def details(verdict: Verdict) -> list[str]:
 def effect(claim_contrast: ClaimContrast) -> str:
     """Return an effect in plain units, as 'kills 85 against 83 % (−1 to 5; ±7.1)'.
 
-    In brackets stand the ends of the interval of the difference, the first less the second, which holds
-    together with all others of its family; and the margin. Of logarithms they are factors.
+    In brackets: the interval of the difference, the first minus the second, which holds jointly with all
+    others of its family; and the margin. For logarithms they are factors.
     """
     interval_format, margin_format = "{} to {}", "±{}"
     if claim_contrast.claim.kind == "hazard" or claim_contrast.outcome in _LOGARITHMS:
@@ -249,14 +249,14 @@ def _numbers(claim_contrast: ClaimContrast) -> list[str]:
     """Return both numbers, the ends of their difference's interval, and the margin, as known."""
     contrast, interval = claim_contrast.contrast, claim_contrast.contrast.simultaneous
     is_share = claim_contrast.claim.is_incidence or find_outcome(claim_contrast.outcome).unit == "share"
-    scale, unit, least_digits = 1, "", -MOST
+    scale, unit, least_digits = 1, "", -MOST_DECIMALS
     if is_share:
         scale, unit, least_digits = 100, " %", 0
     mean_a, mean_b = scale * contrast.means[0], scale * contrast.means[1]
     low, high, margin = scale * interval.low, scale * interval.high, scale * (claim_contrast.margin or 0.0)
     digits = max(_places(scale * (contrast.means[0] - contrast.means[1]), low, high), least_digits)
-    number_texts = [shown(mean_a, digits) + unit, shown(mean_b, digits) + unit]
-    number_texts += [_end(low, digits), _end(high, digits), shown(margin, decimals(margin) - 1)]
+    number_texts = [number_text(mean_a, digits) + unit, number_text(mean_b, digits) + unit]
+    number_texts += [_end(low, digits), _end(high, digits), number_text(margin, decimals(margin) - 1)]
     return [number_text.replace("-", "−") for number_text in number_texts]
 
 
@@ -273,7 +273,7 @@ def _end(end: float, digits: int) -> str:
     """Return an end of an interval; one that would be 0 has a digit, which shows on which side of 0 it is."""
     if math.isfinite(end) and end and round(end, digits) == 0:
         digits = -math.floor(math.log10(abs(end)))
-    return shown(end, min(digits, MOST))
+    return number_text(end, min(digits, MOST_DECIMALS))
 
 
 def _places(difference: float, low: float, high: float) -> int:
@@ -281,7 +281,7 @@ def _places(difference: float, low: float, high: float) -> int:
     half_width = (high - low) / 2
     if not half_width > 0:
         return decimals(difference)
-    digits = min(MOST, -math.floor(math.log10(half_width / 2)))
+    digits = min(MOST_DECIMALS, -math.floor(math.log10(half_width / 2)))
     if round(difference, digits) == 0:
         digits += 1
     return digits
@@ -292,11 +292,11 @@ def _factor(logarithm: float) -> str:
     if logarithm > MOST_LOG:
         return "∞"
     factor = math.exp(logarithm)
-    return shown(factor, decimals(factor) - 1)
+    return number_text(factor, decimals(factor) - 1)
 
 
 def _name(claim_contrast: ClaimContrast) -> str:
-    """Return the words for an outcome of a contrast, after those for its pair of arms."""
+    """Return the words for an outcome of a contrast, after those for its pair of conditions."""
     claim, outcome = claim_contrast.claim, claim_contrast.outcome
     outcome_words = _outcome_words(outcome)
     if claim.event:
@@ -320,14 +320,10 @@ def _outcome_words(outcome_name: str) -> str:
 # --- Claims ----------------------------------------------------------------------------------------
 
 
-def arms_in_words(claim: Claim) -> str:
-    """Return what is compared, as 'tanh against ReLU'; one arm alone is held against a threshold."""
-    arm_a, arm_b = " and ".join(claim.a), " and ".join(claim.b)
-    if claim.called:
-        arm_a, arm_b = claim.called[:2]
-    if arm_b:
-        arm_a += f" against {arm_b}"
-    return arm_a
+def compared_text(claim: Claim) -> str:
+    """Return what is compared, as 'tanh against ReLU'; the first alone if there is only a threshold."""
+    a, b = claim.called[:2] or (" and ".join(claim.a), " and ".join(claim.b))
+    return f"{a} against {b}" if b else a
 
 
 def sentence(claim: Claim) -> str:
