@@ -207,7 +207,7 @@ class StudyData:
 
     @property
     def full_title(self) -> str:
-        """The title with the world, unless the user has changed its level or characters, and changed fields."""
+        """The title with the world, unless its level or characters were changed, and with changed fields."""
         title = self.study.title
         if not any(_has_own_world(run) for run in self.rows):
             for world in WORLDS.values():
