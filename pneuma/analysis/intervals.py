@@ -106,9 +106,9 @@ def no_interval(reason: str = "") -> Interval:
 def no_interval_reason(*groups: np.ndarray) -> str:
     """Return why groups have no interval of their means; empty if they have one."""
     if min(runs.size for runs in groups) < 2:
-        return "each arm needs at least 2 runs"
+        return "each group needs at least 2 runs"
     if any(map(is_constant, groups)):
-        return "in an arm all runs are equal, so nothing shows how they differ"
+        return "all runs of a group are equal, so no interval can be computed"
     return ""
 
 
@@ -164,8 +164,8 @@ def spread_interval(a: np.ndarray, b: np.ndarray, level: float = LEVEL) -> Inter
         return no_interval(reason)
     distances_a, distances_b = distances(a), distances(b)
     if is_constant(distances_a) or is_constant(distances_b):
-        far = "in an arm all runs are equally far from their median"
-        return no_interval(f"{far}, so nothing shows how spreads differ")
+        far = "all runs of a group are equally far from their median"
+        return no_interval(f"{far}, so no interval can be computed")
     freedom = distances_a.size + distances_b.size - 2
     squares = distances_a.var() * distances_a.size + distances_b.var() * distances_b.size
     standard_error = np.sqrt(squares / freedom * (1 / distances_a.size + 1 / distances_b.size))

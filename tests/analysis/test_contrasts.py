@@ -124,7 +124,7 @@ def test_a_hazard_is_the_log_rank_tests() -> None:
 
 # --- Without an interval ---------------------------------------------------------------------------
 
-FEW, EQUAL, AS_FAR = "at least 2 runs", "all runs are equal", "equally far from their median"
+FEW, EQUAL, AS_FAR = "at least 2 runs", "all runs of a group are equal", "equally far from their median"
 
 
 @pytest.mark.parametrize(
