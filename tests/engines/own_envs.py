@@ -32,11 +32,9 @@ CHANCES: dict[str, Callable[[], float]] = {
 BOX = spaces.Box(-1, 5, (2,), np.float64)
 OBSERVED: dict[str, spaces.Space[Any]] = {
     "dict": spaces.Dict({"b": BOX, "a": spaces.Discrete(6)}),
-    "sequence": spaces.Sequence(spaces.Discrete(2)),
     "text": spaces.Dict({"a": BOX, "mission": spaces.Text(9)}),
     "picture": spaces.Box(0, 255, (36, 36, 3), np.uint8),
     "small picture": spaces.Box(0, 255, (8, 8, 3), np.uint8),
-    "strange": spaces.Tuple([spaces.Space((), str)]),  # of another package, as MiniGrid's missions are
 }
 
 

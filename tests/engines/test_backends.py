@@ -1,4 +1,4 @@
-"""Every activation and optimizer in every backend; a backend has none that it does not know."""
+"""Every activation and optimizer in every backend."""
 
 from __future__ import annotations
 
@@ -67,18 +67,6 @@ def test_a_unit_is_dead_at_the_outputs_that_its_activation_has(
 ) -> None:
     is_dead = policy.NUMPY_ACTIVATIONS[activation].is_dead(backend(activation, INPUTS))
     assert tuple(INPUTS[is_dead].tolist()) == DEAD[activation]
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_an_unknown_activation_is_no_other_one(backend: Callable[[str, np.ndarray], np.ndarray]) -> None:
-    with pytest.raises(KeyError):
-        backend("no-such", INPUTS)
-
-
-def test_a_code_without_a_branch_gives_no_numbers() -> None:
-    outputs = INPUTS.copy()
-    mlp.activate(max(mlp.ACTIVATION_CODES.values()) + 1, outputs)
-    assert np.isnan(outputs).all()
 
 
 FIRST_STEPS = {"adam": 0.1, "sgd": 0.3, "rmsprop": 1.0, "upgd": 0.1}

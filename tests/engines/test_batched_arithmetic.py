@@ -21,7 +21,7 @@ from pneuma.algorithms import OPTIMIZERS
 from pneuma.config import Run, make_run
 from pneuma.engines import sb3, sb3_learners
 from pneuma.engines.batched.learner import Learner
-from pneuma.engines.batched.rollout import Rollout, advantages
+from pneuma.engines.batched.rollout import Rollout
 from pneuma.engines.batched.training import BatchedTrainer
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.policy import Policy, dead_share
@@ -153,25 +153,6 @@ def test_initial_weights_are_orthogonal_with_the_gains_of_stable_baselines3(trai
             assert np.allclose(product, layer_gain**2 * np.eye(len(product)), atol=1e-5 * layer_gain**2)
             assert not bias.any()
     assert not np.array_equal(policy.actor[0][0], trainer(replace(run, seed=1)).policy().actor[0][0])
-
-
-def test_advantages_worked_out_by_hand() -> None:
-    """Two steps of one slot, gamma 0.5, lambda 0.5; an episode ends after the first.
-
-    t = 1: 4 + 0.5 · 8 - 2 = 6. t = 0, whose next step begins an episode: 1 - 3 = -2, and nothing follows.
-    """
-    rewards, values = np.array([[1, 4]], np.float32), np.array([[3, 2]], np.float32)
-    starts, last = np.array([[1, 1]], np.float32), np.array([8], np.float32)
-    half, quarter = np.float32(0.5), np.float32(0.25)
-    gain = advantages(rewards, values, starts, last, np.zeros(1, np.float32), half, quarter)
-    assert gain.tolist() == [[-2.0, 6.0]]
-    # going on instead: t = 0: 1 + 0.5 · 2 - 3 = -1, and 0.25 · 6 = 1.5
-    starts[0, 1] = 0
-    gain = advantages(rewards, values, starts, last, np.zeros(1, np.float32), half, quarter)
-    assert gain.tolist() == [[0.5, 6.0]]
-    # the last step ends an episode: t = 1: 4 - 2 = 2; t = 0: -1 + 0.25 · 2
-    gain = advantages(rewards, values, starts, last, np.ones(1, np.float32), half, quarter)
-    assert gain.tolist() == [[-0.5, 2.0]]
 
 
 # --- Divergence --------------------------------------------------------------------------------

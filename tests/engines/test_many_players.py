@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from pneuma.engines.batched.rollout import Collector, Rollout
 from pneuma.engines.batched.training import BatchedTrainer
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.evaluation import Evaluation
-from pneuma.engines.policy import read_sound_policy
+from pneuma.engines.policy import Policy
 from pneuma.engines.records import Records
 from pneuma.errors import UserError
 
@@ -84,22 +85,23 @@ def test_each_player_learns_from_its_own_part_as_one_alone_would() -> None:
     trainer = BatchedTrainer(run)
     rollouts, features = rollouts_of(trainer), trainer.collector.slots.observations.shape[1]
     learners = [Learner(run, features, 5, player) for player in range(2)]
-    for update in range(2):
-        trainer.update(update * 128, (update + 1) * 128, records)
-        for player, learner in enumerate(learners):
-            mine = rollouts[-1].ended["slot"] % 2 == player
-            ended = rollouts[-1].ended[mine]
-            ended["slot"] //= 2
-            arrays = [np.ascontiguousarray(array[player::2]) for array in rollouts[-1][:6]]  # all but endings
-            rollout = Rollout._make([*arrays, ended, rollouts[-1].terminal_observations[mine]])
-            learner.learn_from(rollout, budget_left=1 - (update + 1) * 128 / run.steps)
+    trainer.update(0, 128, records)
+    *arrays, ended, terminal = rollouts[-1]
+    for player, learner in enumerate(learners):
+        of_player = ended["slot"] % 2 == player
+        player_ended = ended[of_player]
+        player_ended["slot"] //= 2
+        player_arrays = [np.ascontiguousarray(array[player::2]) for array in arrays]
+        rollout = Rollout._make([*player_arrays, player_ended, terminal[of_player]])
+        learner.learn_from(rollout, budget_left=1 - 128 / run.steps)
     policy = trainer.policy()
     assert policy.players == 2
     for player, learner in enumerate(learners):
-        for network in ("actor", "critic"):
-            for (weight, bias), layer in zip(
-                learner.networks[network], getattr(policy, network), strict=True
-            ):
+        for layers, own_layers in (
+            (policy.actor, learner.networks["actor"]),
+            (policy.critic, learner.networks["critic"]),
+        ):
+            for layer, (weight, bias) in zip(layers, own_layers, strict=True):
                 assert np.array_equal(layer[0][player], weight) and np.array_equal(layer[1][player], bias)
 
 
@@ -114,18 +116,15 @@ def test_each_acts_by_its_own_policy_in_a_rollout() -> None:
 
 def test_each_plays_by_its_own_policy_compiled_or_not(monkeypatch: pytest.MonkeyPatch) -> None:
     run = run_of("team")
-    result, _ = train_once(run)
-    assert result.policy
-    policy = read_sound_policy(result.policy.to_bytes())
+    policy = train_once(run)[0].policy
+    assert isinstance(policy, Policy)
     with pytest.raises(UserError, match="3 observations are not allowed: give one for each of 2 players"):
         policy.best(np.zeros((3, policy.features), np.float32))
     observations = np.random.default_rng(0).normal(size=(10, policy.features)).astype(np.float32)
     for player in range(2):
-        layers = [(weight[player], bias[player]) for weight, bias in policy.actor]
-        hidden = np.tanh(observations[player::2] @ layers[0][0] + layers[0][1])
-        np.testing.assert_allclose(
-            policy.logits(observations)[player::2], hidden @ layers[1][0] + layers[1][1], 1e-4
-        )
+        alone = replace(policy, actor=tuple((weight[player], bias[player]) for weight, bias in policy.actor))
+        logits = alone.logits(observations[player::2])
+        np.testing.assert_allclose(policy.logits(observations)[player::2], logits, 1e-4)
     compiled = Evaluation(run).evaluate(policy, 0)
     monkeypatch.setattr("pneuma.engines.evaluation.MOST_WEIGHTS", 0)
     by_numpy = Evaluation(run).evaluate(policy, 0)

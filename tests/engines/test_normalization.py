@@ -70,9 +70,8 @@ def test_a_scaling_worked_out_by_hand_clips_at_ten() -> None:
     np.testing.assert_allclose(scaling(np.array([[5.0, -99.0]], np.float32)), [[2.0, -10.0]], rtol=1e-6)
 
 
-@pytest.mark.parametrize("engine", ["batched", "sb3"])
-def test_a_policy_carries_the_statistics_of_the_last_rollout_and_records_are_as_paid(engine: str) -> None:
-    result, checkpoints = train_once(normalized(engine=engine))
+def test_a_policy_carries_the_statistics_of_the_last_rollout_and_records_are_as_paid() -> None:
+    result, checkpoints = train_once(normalized())
     assert isinstance(result.policy, Policy) and result.policy.scaling is not None
     saved = checkpoints[-1].arrays
     np.testing.assert_array_equal(result.policy.scaling.mean, saved["worlds/observed_mean"])

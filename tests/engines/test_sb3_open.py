@@ -158,17 +158,14 @@ def test_a_rollout_learners_horizon_is_its_n_steps() -> None:
 
 def test_a_policy_for_pictures_sees_pictures() -> None:
     fields = {**SHORT, **CORRIDOR, "env_kwargs": {"kind": "picture"}, "steps": 128}
-    flat: tuple[dict[str, Any], ...] = (
-        {}, {"engine": "sb3"}, {"algorithm": "dqn"}, {"policy": "MlpLstmPolicy"},
-        {"algorithm_kwargs": {"clip_range_vf": 0.2}},
+    flattened: tuple[dict[str, Any], ...] = (
+        {}, {"algorithm": "dqn"}, {"policy": "MlpLstmPolicy"}, {"algorithm_kwargs": {"clip_range_vf": 0.2}},
     )  # fmt: skip
-    for flattening in flat:
-        run = make_run({**fields, **flattening})
+    for settings in flattened:
         with pytest.raises(UserError, match=r'pictures, .*: set policy = "CnnPolicy", or wrappers = '):
-            check_environment(run)
+            check_environment(make_run({**fields, **settings}))
     check_environment(make_run({**fields, "wrappers": ["FlattenObservation"]}))
     run = make_run({**fields, "policy": "CnnPolicy", "epochs": 1})
-    check_environment(run)
     assert train_run(run, lambda _: True).status == "done"
     small = make_run({**fields, "policy": "CnnPolicy", "env_kwargs": {"kind": "small picture"}})
     with pytest.raises(UserError, match="ppo in Corridor-v0: RuntimeError: .*Kernel size"):
@@ -232,19 +229,14 @@ def test_a_policy_comes_back_without_unpickling(case: str, monkeypatch: pytest.M
 def test_what_is_no_learners_file_is_refused() -> None:
     run = make_run(LEARNED["sac"])
     data = OpenTrainer(run).policy().to_bytes()
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        parts = {name: archive.read(name) for name in archive.namelist()}
-    for changed in ({**parts, "policy.pth": b"x"}, {**parts, STATISTICS: b""}, {"data": b"{}"}):
-        file = io.BytesIO()
-        with zipfile.ZipFile(file, "w") as archive:
-            for name, content in changed.items():
-                archive.writestr(name, content)
-        with pytest.raises(UserError, match="is not a policy of sac"):
-            load_learner(run, file.getvalue())
+    without_statistics = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as archive, zipfile.ZipFile(without_statistics, "w") as changed:
+        for name in archive.namelist():
+            changed.writestr(name, b"" if name == STATISTICS else archive.read(name))
     other_run = make_run({**LEARNED["sac"], "algorithm_kwargs": {"policy_kwargs": {"net_arch": [8]}}})
-    for wrong, file_of in ((other_run, data), (run, b"no zip")):
+    for reader, file in ((run, without_statistics.getvalue()), (other_run, data), (run, b"no zip")):
         with pytest.raises(UserError, match="is not a policy of sac"):
-            load_learner(wrong, file_of)
+            load_learner(reader, file)
 
 
 # --- What is refused before training ----------------------------------------------------------------
@@ -262,9 +254,6 @@ def test_what_is_not_used_does_not_move_an_id() -> None:
     assert run_id(pasted(policy="MlpPolicy", use_sde=False, sde_sample_freq=-1)) == run_id(make_run(SHORT))
 
 
-NOISE = {"algorithm": "td3", **NUMBERS}
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -274,29 +263,20 @@ NOISE = {"algorithm": "td3", **NUMBERS}
         ({"algorithm_kwargs": {"ent_coef": 0.1}}, "ent_coef is not allowed: ppo has the field entropy_coeff"),
         (
             {"algorithm_kwargs": {"policy_kwargs": {"net_arch": [8]}}},
-            "net_arch .*: ppo has .* actor and critic",
+            "net_arch .*: ppo has .* actor and crit",
         ),
         ({"policy": "NoPolicy"}, 'policy = "NoPolicy": ppo has MlpPolicy, CnnPolicy, MultiInputPolicy'),
-        ({"algorithm": "recurrent-ppo"}, 'policy = "MlpPolicy": recurrent-ppo has MlpLstmPolicy, '),
-        (
-            {"algorithm": "dqn", "algorithm_kwargs": {"train_freq": 0}},
-            "train_freq = 0 is not allowed: at least 1",
-        ),
+        ({"algorithm": "dqn", "algorithm_kwargs": {"train_freq": 0}}, "train_freq = 0 .*: at least 1"),
         ({"algorithm": "qr-dqn", "horizon": 66}, "horizon = 66 .* every 4 steps; set .* = 68"),
         ({"algorithm": "stable_baselines3:PPO"}, "horizon = 64 .* every 2048 steps; set horizon = 2048"),
         ({"algorithm": "sb3_contrib:ARS"}, "must be an OnPolicyAlgorithm or an OffPolicyAlgorithm"),
         ({"algorithm": "sb3_contrib:MaskablePPO"}, "evaluations do not support action masks"),
-        ({"algorithm": "no.such.module:Learner"}, "no.such.module cannot be imported"),
         (
-            {**NOISE, "algorithm_kwargs": {"action_noise": {"name": "NormalActionNoise"}}},
-            "td3 in Pendulum-v1: TypeError: .*missing 1 required positional argument: 'sigma'",
-        ),
-        (
-            {**NOISE, "algorithm_kwargs": {"action_noise": {"sigma": 1.0}}},
+            {"algorithm": "td3", **NUMBERS, "algorithm_kwargs": {"action_noise": {"sigma": 1.0}}},
             "action_noise = .*: a table with the name NormalActionNoise or Ornstein",
         ),
     ],
 )
-def test_what_cannot_learn_is_told_before_training(given: dict[str, Any], message: str) -> None:
+def test_what_cannot_learn_is_refused_before_training(given: dict[str, Any], message: str) -> None:
     with pytest.raises(UserError, match=message):
         check_environment(make_run({**SHORT, **given}))
