@@ -10,7 +10,6 @@ import pytest
 from pneuma.env.worlds import Worlds
 
 from .arena import GODOT, RIGHT, begin, stage
-from .oracle import Pair as Place
 
 WIDTHS = {"thesis": (4, 4), "pygame": (6, 5), "godot": (4, 5)}  # of the player's part and of a monster's
 
@@ -57,16 +56,6 @@ def test_a_scale_holds_for_every_number(
     assert rows(pair.worlds)[0] == pytest.approx([distance, 0.6, -0.8, monster_hp], abs=1e-6)  # (300, -400)
 
 
-ZOO: list[Place] = [(0.0, 90.0), (-110.0, 0.0), (180.0, 0.0), (0.0, -300.0)]  # bamboo, spirit, raccoon, squid
-
-
-@pytest.mark.parametrize(("perceive", "distances"), [("nearest:1", [90]), ("nearest:3", [90, 110, 180])])
-def test_some_monsters_alone_may_be_perceived(zoo: str, perceive: str, distances: list[float]) -> None:
-    for order in ("nearest", "fixed"):  # they stand in this order
-        worlds = stage(zoo, *ZOO, perceive=perceive, scale="raw", order=order).worlds
-        assert rows(worlds)[:, 0].tolist() == pytest.approx(distances)
-
-
 def test_rays_show_what_they_meet_first_and_how_far_off_it_is(zoo: str) -> None:
     # A bamboo 100 px to the right: its body begins 12 px before. A raccoon behind it is not seen. A dead
     # squid below is nothing; down there the coast begins at 576. A player at (-200, 200), down and left, has
@@ -89,8 +78,7 @@ def test_rays_show_what_they_meet_first_and_how_far_off_it_is(zoo: str) -> None:
 def test_rays_end_at_trees_and_at_the_sea(arena: str, scale: str, unit: float) -> None:
     # The obstacle is from 256 to 320 and from 0 to 64; of 4 rays the first goes right, the second down.
     rays: dict[str, Any] = {"perceive": "rays:4", "scale": scale}
-    for trees, far in (("wall", 156), ("pass", 476)):
-        pair = stage(arena, trees=trees, **rays)
-        pair.put(x=100, y=30)
-        numbers = pair.worlds.observations[0, 0, 4:].reshape(4, 4)  # one kind of monster
-        assert numbers[:, 0] * unit == pytest.approx([far, 546, 676, 606], rel=1e-6)
+    pair = stage(arena, **rays)
+    pair.put(x=100, y=30)
+    numbers = pair.worlds.observations[0, 0, 4:].reshape(4, 4)  # one kind of monster
+    assert numbers[:, 0] * unit == pytest.approx([156, 546, 676, 606], rel=1e-6)

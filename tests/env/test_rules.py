@@ -10,11 +10,10 @@ import pytest
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
 from pneuma.env.players import Hunter
-from pneuma.env.rules import ATTACK, DOWN, FLAME, LEFT, RIGHT, UP
+from pneuma.env.rules import ATTACK, DOWN, LEFT, RIGHT, UP
 from pneuma.env.worlds import Worlds
 
 from .arena import GODOT, begin, play, stage
-from .oracle import DIRECTIONS
 from .oracle import Pair as Place
 
 
@@ -33,21 +32,6 @@ def test_a_blow_knocks_back_60_px_away_from_the_hilt(arena: str) -> None:
     for ticks, position in ((1, (85.2, -27.6)), (29, (120.0, -74.0)), (1, (117.5, -71.5))):  # it comes back
         pair.play(*[ATTACK] * ticks)
         assert pair.monster("x", "y") == pytest.approx(position)
-
-
-def test_a_second_blow_does_not_extend_a_flight(arena: str) -> None:
-    # At the hilt itself, (54, 14), a blow knocks nowhere, for 30 ticks. The second attack begins in tick 25
-    # and strikes; in tick 31 the monster comes nearer by 2.5 px on x, as on y it is within 30 px.
-    pair = stage(arena, (54.0, 14.0), ticks=1)
-    pair.put(monsters=True, hp=[400])
-    hits = 0
-    for _ in range(30):
-        pair.play(ATTACK)
-        hits += pair.player("hits")[0]
-        assert pair.monster("x", "y") == (54.0, 14.0)
-    assert hits == 2
-    pair.play(ATTACK)
-    assert pair.monster("x", "y") == (51.5, 14.0)
 
 
 @pytest.mark.parametrize(
@@ -80,41 +64,6 @@ def test_blade_and_circles_reach_as_far_as_in_the_scenes(
         assert pair.player(event) == [further == 0]
 
 
-# A base player has magic 4: a flame burns 5 + 4 = 9 HP.
-
-
-@pytest.mark.parametrize("facing", DIRECTIONS)
-def test_a_flame_burns_the_320_x_64_px_ahead_and_nothing_else(arena: str, facing: int) -> None:
-    # A body is 24 x 50 px, 2 px below its place: half of it along the way faced, and half across.
-    along, across = (12.0, 25.0) if facing in (LEFT, RIGHT) else (25.0, 12.0)
-    x, y = DIRECTIONS[facing]
-    for far, aside in ((320 + along, 0.0), (-along, 0.0), (160.0, 32 + across), (160.0, -32 - across)):
-        for inside, hp in ((0.001, 31), (0.0, 40)):
-            far_inside, aside_inside = far - inside * np.sign(far - 160), aside - inside * np.sign(aside)
-            position = x * far_inside + y * aside_inside, y * far_inside + x * aside_inside - 2
-            pair = stage(arena, position, facing=facing, still=True, magic=True)
-            pair.play(FLAME, FLAME, FLAME)
-            assert pair.monster("hp", "knocked") == (hp, 0), (far, aside)
-
-
-@pytest.mark.parametrize(
-    ("start", "stop", "later"),
-    [
-        ((-200.0, 100.0), (-130.0, 30.0), (-127.5, 30.0)),
-        ((100.0, -200.0), (30.0, -130.0), (30.0, -127.5)),
-    ],
-)
-def test_a_monster_comes_no_nearer_than_30_px_on_either_axis(
-    arena: str, start: Place, stop: Place, later: Place
-) -> None:
-    # 100 - 28 x 2.5 = 30 on one axis after 28 ticks; then it comes nearer on the other axis alone.
-    pair = stage(arena, start, ticks=1)
-    pair.play(*[ATTACK] * 28)
-    assert pair.monster("x", "y") == stop
-    pair.play(ATTACK)
-    assert pair.monster("x", "y") == later
-
-
 def test_the_first_bite_comes_at_once_and_the_next_60_ticks_later(arena: str) -> None:
     pair = stage(arena, (-40.0, 0.0), ticks=1)
     hp = []
@@ -124,15 +73,6 @@ def test_the_first_bite_comes_at_once_and_the_next_60_ticks_later(arena: str) ->
     assert hp == [93] * 60 + [86] * 60 + [79]
 
 
-def test_healing_saves_from_a_deadly_bite_in_the_same_tick(arena: str) -> None:
-    # One monster dies of the sword, which heals 7 HP, before another one bites for 7: 5 + 7 - 7 = 5.
-    pair = stage(arena, (80.0, 0.0), (-40.0, 0.0), ticks=1, still=True)
-    pair.put(hp=5)
-    pair.put(monsters=True, hp=[20])
-    pair.play(ATTACK)
-    assert [pair.player(name) for name in ("kills", "hp_lost", "hp", "died")] == [[1], [7], [5], [0]]
-
-
 @pytest.mark.parametrize("action", [LEFT, RIGHT])
 def test_who_walks_one_way_for_ever_is_bitten_to_death_as_the_collapsed_logs_are(action: int) -> None:
     """Six of the published logs end with episodes of 93 to 115 steps in the mean."""
@@ -140,25 +80,6 @@ def test_who_walks_one_way_for_ever_is_bitten_to_death_as_the_collapsed_logs_are
     while worlds.ending(0) == "running":
         play(worlds, action)
     assert (worlds.ending(0), worlds.worlds["steps"][0]) == ("killed", 111)
-
-
-@pytest.mark.parametrize(("x", "paid"), [(62.0, True), (62.5, False)])  # 40 px off the body, and more
-def test_a_kill_earns_only_within_the_attack_circle(arena: str, x: float, paid: bool) -> None:
-    pair = stage(arena, (x, 0.0), ticks=1, still=True, env_id=GODOT)
-    pair.put(monsters=True, hp=[20])
-    pair.play(LEFT, RIGHT)  # it has stood there for a tick
-    pair.put(xp=4, hp=100)
-    pair.play(ATTACK)
-    assert (pair.player("xp"), pair.player("hp"), pair.player("kills")) == ([4 + paid], [100 + 7 * paid], [1])
-    assert pair.player("reward") == [5 * paid]  # set to the XP of who earns it
-
-
-def test_clearing_the_level_costs_1_xp(arena: str) -> None:
-    pair = stage(arena, (54.0, 0.0), env_id=GODOT)
-    pair.put(xp=4)
-    pair.put(monsters=True, hp=[20, 0, 0, 0], bite=[[30] * 8])
-    pair.play(ATTACK)
-    assert pair.player("xp") == pair.player("reward") == [4 + 1 - 1] and pair.worlds.ending(0) == "cleared"
 
 
 @pytest.mark.parametrize("players", [1, 2])
