@@ -29,7 +29,7 @@ COMMANDS = {
     "study": ("study", "Compare conditions over many seeds."),
     "run": ("runs", "Inspect, export and delete single runs."),
     "search": ("search", "Search hyperparameters and confirm them on fresh seeds."),
-    "env": ("env", "Draw environments."),
+    "env": ("env", "List and draw environments."),
     "report": ("report", "Write all evidence as one HTML page."),
     "import": ("logs", "Import logs of other programs as a study."),
 }

@@ -1,13 +1,14 @@
-"""`pneuma env render`: draw environments."""
+"""`pneuma env …`: list and draw environments."""
 
 from __future__ import annotations
 
+from contextlib import closing
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, check_file, write_file
+from pneuma.cli.output import Result, check_file, rows_result, write_file
 from pneuma.env.fields import ENVIRONMENTS
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.presets import WORLDS
@@ -17,18 +18,34 @@ if TYPE_CHECKING:
     from pneuma.engines.sb3_open import LearnedPolicy
     from pneuma.env.worlds import Worlds
 
-app = opt.Commands("env", "Draw environments.")
+app = opt.Commands("env", "List and draw environments.")
+
+ABOUT = {
+    "pneuma/Pneuma-v0": "the thesis's text, well posed: unit-scale observations, 1,000 steps",
+    "pneuma/PneumaGodot-v0": "its published code with the quirks: raw pixels, rewarded events, XP for ever",
+    "pneuma/PneumaArena-v0": "the text's rules, rewarded for XP gained minus HP lost, the facing observed",
+}
+"""A description of each environment."""
 
 RANDOM, HUNTER = "random", "hunter"
 BEST = "best:"
 
-Environment = Annotated[str, opt.argument("ID", "An environment's id, as in docs/environment.md.")]
+Environment = Annotated[str, opt.argument("ID", "An environment's id, as in `pneuma env list`.")]
 Seed = Annotated[int, opt.option("N", "Seed of the world.", min=0)]
 
 
-@app.callback()
-def _group() -> None:
-    """Draw environments."""
+@app.command("list")
+def list_() -> Result:
+    """List the environments and what they are."""
+    import gymnasium
+
+    rows: list[dict[str, Any]] = []
+    for env_id in ENVIRONMENTS:
+        with closing(gymnasium.make(env_id).unwrapped) as env:
+            observation = str(env.observation_space.shape or env.observation_space)
+            actions = int(env.action_space.n)  # type: ignore[attr-defined]
+        rows.append({"id": env_id, "observation": observation, "actions": actions, "about": ABOUT[env_id]})
+    return rows_result("environments", rows)
 
 
 @app.command()

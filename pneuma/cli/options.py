@@ -1,8 +1,8 @@
 """Options: how they are declared, and those that several commands share.
 
 A command is a function whose parameters are annotated with options, as `steps: opt.Steps = None`, or with a
-dataclass of options, as `picked: opt.RunFilter`. It returns a `Result`, which `Commands` prints, with
-`--json` for programs.
+dataclass of options, as `selection: opt.RunFilter`. It returns a `Result` or an `Answer`, which `Commands`
+prints, with `--json` for programs.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from pneuma.cli.output import OUTPUT_FORMATS, Result, kept_for_the_result, print_result, say
+from pneuma.answers.answer import Answer
+from pneuma.cli.output import OUTPUT_FORMATS, Result, answer_result, kept_for_the_result, print_result, say
 from pneuma.errors import UserError, nearest_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.presets import WORLDS
@@ -227,7 +228,7 @@ class Commands(typer.Typer):
         return lambda function: add_command(_printing(function))
 
 
-def _printing(function: Callable[..., Result]) -> Callable[..., int]:
+def _printing(function: Callable[..., Result | Answer]) -> Callable[..., int]:
     """Return a command as Typer takes it: it prints its result, has --json, and options one by one."""
     groups: dict[str, Any] = {}
     options: list[inspect.Parameter] = []
@@ -249,6 +250,8 @@ def _printing(function: Callable[..., Result]) -> Callable[..., int]:
             values[parameter_name] = group(**{item.name: values.pop(item.name) for item in fields(group)})
         with kept_for_the_result():
             result = function(**values)
+        if isinstance(result, Answer):
+            result = answer_result(result)
         if json and result.file:
             raise UserError("--json: standard output already gets the table; name a file with --out")
         print_result(result, "json" if json else values.get("format", TABLE))

@@ -143,21 +143,20 @@ def print_result(result: Result, output_format: str) -> None:
     if result.file:
         sys.stdout.buffer.write(result.file)
         return
-    if output_format == "table" and result.title:
-        print(printable(result.title))
-    for note in result.notes:
-        note_text = write_hints(note, write_hint)
-        if note_text and output_format == "table":
-            print(printable(note_text))
-        elif note_text:
-            say(note_text)
     if output_format == "table":
+        if result.title:
+            print(printable(result.title))
+        for note in result.notes:
+            print(printable(write_hints(note, write_hint)))
         for shown_item in result.shown:
             if isinstance(shown_item, Table):
                 _print_table(shown_item)
             else:
                 print(printable(shown_item))
-    elif output_format == "json":
+        return
+    for note in result.notes:
+        say(note)
+    if output_format == "json":
         from pydantic_core import to_jsonable_python
 
         document = {"schema": 1, **result.document}  # of objects and tables too; NaN becomes null
@@ -210,16 +209,11 @@ def _column_widths(text_rows: Sequence[Sequence[str]], free_width: float) -> lis
     widths, least_widths = [], []
     for column in zip(*text_rows, strict=True):
         widths.append(max(map(cell_len, column)))
-        column_words = " ".join(column).split(" ")
-        least_widths.append(max(map(cell_len, column_words)))
-    while sum(widths) > free_width:
-        spare = [
-            width if width > least_width else 0
-            for width, least_width in zip(widths, least_widths, strict=True)
-        ]
-        if not any(spare):
+        least_widths.append(max(map(cell_len, " ".join(column).split(" "))))
+    for limit in range(max(widths, default=0), 0, -1):
+        if sum(widths) <= free_width:
             break
-        widths[spare.index(max(spare))] -= 1
+        widths = [max(least, min(width, limit)) for width, least in zip(widths, least_widths, strict=True)]
     return widths
 
 

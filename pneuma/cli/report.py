@@ -34,8 +34,7 @@ def report(
     contents = gather_report(RunIndex(store), names or [], aside)
     html_page = report_page(**contents, write=write_hint)
     write_file(out, html_page)
-    document = {"file": out, "bytes": len(html_page)}
-    for name in ("studies", "claims"):
-        document[name] = len(contents[name])
-    amounts = f"studies: {document['studies']}, claims: {document['claims']}"
-    return Result(document, [f"wrote {out}: {len(html_page) / 1e6:.1f} MB; {amounts}"])
+    studies, claims = len(contents["studies"]), len(contents["claims"])
+    document = {"file": out, "bytes": len(html_page), "studies": studies, "claims": claims}
+    amounts = f"{len(html_page) / 1e6:.1f} MB; studies: {studies}, claims: {claims}"
+    return Result(document, [f"wrote {out}: {amounts}"])

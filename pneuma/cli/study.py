@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
+from pneuma.answers.answer import Answer
 from pneuma.cli import delete, study_answers, study_files, study_run, study_verify
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, answer_result, frame_table, listed_result, say, write_file
@@ -142,7 +143,7 @@ def status(
     ] = None,
     runs: Annotated[bool, opt.flag("--runs", "List each run.")] = False,
     format: opt.Format = opt.TABLE,
-) -> Result:
+) -> Answer | Result:
     """Show how many runs of a study have ended, by preset and condition; with --runs, list them."""
     from pneuma.analysis.runs import find_study
     from pneuma.answers.status import runs_status, studies_status, study_status
@@ -154,5 +155,5 @@ def status(
     for problem in selection.index.problems:
         say(f"Note: {problem}.")
     if runs or study_data.plan is None:
-        return answer_result(runs_status(study_data))
-    return answer_result(study_status(selection.index, study_data))
+        return runs_status(study_data)
+    return study_status(selection.index, study_data)

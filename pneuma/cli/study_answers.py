@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Annotated
 
+from pneuma.answers.answer import Answer
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, answer_result
 from pneuma.errors import UserError
 
 PAPER_FORMATS = ("markdown", "latex")
@@ -21,7 +21,7 @@ def summary(
     cells: Annotated[
         str | None, opt.choice(("sd", "interval"), "With markdown or latex: mean ± SD, or mean [low, high].")
     ] = None,
-) -> Result:
+) -> Answer:
     """Summarize each condition: means with 95 % confidence intervals; with --outcome, all statistics.
 
     --format markdown or latex prints a table for a paper: a column for each outcome, with mean ± SD. Over
@@ -32,7 +32,7 @@ def summary(
     study_data = selection.open(name)
     from pneuma.answers.summary import summarize
 
-    return answer_result(summarize(study_data, outcome or (), format in PAPER_FORMATS, cells))
+    return summarize(study_data, outcome or (), format in PAPER_FORMATS, cells)
 
 
 def compare(
@@ -45,7 +45,7 @@ def compare(
     ] = None,
     outcome: opt.Outcomes = None,
     format: opt.Format = opt.TABLE,
-) -> Result:
+) -> Answer:
     """Compare two conditions: the difference of their means, and how likely a run of A beats one of B.
 
     With --with, each condition is compared with the condition of the same name in another study. In a study
@@ -55,20 +55,17 @@ def compare(
 
     if with_ and a is None:
         second = replace(selection, condition=None, set_=None)
-        answer = comparison.compare(
-            selection.open(name), outcomes=outcome or (), other_data=second.open(with_)
-        )
-    elif a and b and not with_:
+        study_data, other_data = selection.open(name), second.open(with_)
+        return comparison.compare(study_data, outcomes=outcome or (), other_data=other_data)
+    if a and b and not with_:
         study_data = selection.open(comparison.narrowed(selection.query(name), a, b))
-        answer = comparison.compare(study_data, a, b, outcome or ())
-    else:
-        raise UserError("name two conditions, A and B, or another study by --with STUDY")
-    return answer_result(answer)
+        return comparison.compare(study_data, a, b, outcome or ())
+    raise UserError("name two conditions, A and B, or another study by --with STUDY")
 
 
-def collapse(name: opt.Study, selection: opt.RunFilter) -> Result:
+def collapse(name: opt.Study, selection: opt.RunFilter) -> Answer:
     """Show which runs collapsed, when and by which signs, and how often in each condition."""
     study_data = selection.open(name)
     from pneuma.answers.collapse import find_collapses
 
-    return answer_result(find_collapses(study_data))
+    return find_collapses(study_data)

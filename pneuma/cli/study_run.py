@@ -12,10 +12,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
+from pneuma.answers.answer import Answer
 from pneuma.cli import STOPPED
 from pneuma.cli import options as opt
 from pneuma.cli.hints import command
-from pneuma.cli.output import Result, answer_result, say
+from pneuma.cli.output import Result, say
 from pneuma.errors import UserError, counted, install_extra, tallied
 from pneuma.store.provenance import uncommitted
 from pneuma.store.store import Store
@@ -42,18 +43,17 @@ def plan_(
     sd: Annotated[
         float | None, opt.option("SD", "With --detect: the SD to assume if there are no runs.")
     ] = None,
-) -> Result:
+) -> Answer:
     """Show which runs are stored, which would be trained, and how long that would take."""
     from pneuma.answers import planned
 
     if detect is not None:
         study_data = None if sd else selection.open(name)
-        answer = planned.seeds_to_detect(study_data, detect, outcome or "", sd)
-        return replace(answer_result(answer), numbers=None)
+        return planned.seeds_to_detect(study_data, detect, outcome or "", sd)
     if outcome or sd:
         raise UserError(f"{'--outcome' if outcome else '--sd'} requires --detect")
     planned_runs = _plan(selection, name, unpublished)
-    return answer_result(planned.plan_answer(selection.index, planned_runs, opt.Place().config().workers))
+    return planned.plan_answer(selection.index, planned_runs, opt.Place().config().workers)
 
 
 def run(
@@ -121,8 +121,7 @@ def _check_logs(folders: Iterable[str]) -> None:
     for folder in folders:
         try:
             os.makedirs(folder, exist_ok=True)
-            with tempfile.TemporaryFile(dir=folder):
-                pass
+            tempfile.TemporaryFile(dir=folder).close()
         except OSError as error:
             raise UserError(f"--tensorboard: {folder} cannot be written ({error.strerror})") from None
 
