@@ -54,6 +54,8 @@ def _seeds(baseline_values: np.ndarray, condition_values: np.ndarray, difference
         other_share = share + difference
         if other_share > 1:
             other_share = share - difference
+        if other_share < 0:
+            return "no shares differ so much"
         return seeds_text(seeds_for_shares(share, other_share))
     if np.ptp(baseline_values) == 0 and np.ptp(condition_values) == 0:
         return "runs are all equal"
@@ -80,8 +82,11 @@ def power_of_means(difference: float, sd_a: float, sd_b: float, seeds: int) -> f
     freedom = (seeds - 1) * (variance_a + variance_b) ** 2 / (variance_a**2 + variance_b**2)
     noncentrality = abs(difference) / np.sqrt((variance_a + variance_b) / seeds)
     critical_value = special.stdtrit(freedom, (1 + LEVEL) / 2)
-    power_above = 1 - special.nctdtr(freedom, noncentrality, critical_value)
-    return float(special.nctdtr(freedom, noncentrality, -critical_value) + power_above)
+    # SciPy has NaN for some shares that are nearly 0
+    share_below, share_above = np.nan_to_num(
+        special.nctdtr(freedom, noncentrality, [-critical_value, critical_value])
+    )
+    return float(share_below + 1 - share_above)
 
 
 def seeds_for_shares(share_a: float, share_b: float, power: float = POWER) -> int | None:
