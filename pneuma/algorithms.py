@@ -1,8 +1,8 @@
 """The learning algorithms and their optimizers: the engines that train them, and their fields' defaults.
 
-Data for `pneuma.config`, where each field of a run is declared with the algorithms that read it. What an
-algorithm does not read is at its default in a resolved run (None, where only some algorithms have it), and a
-study that sets it is refused.
+`pneuma.config` declares each field of a run with the algorithms that read it. In a resolved run, a field that
+the algorithm does not read has its default (None, where only some algorithms have it). A study that sets it
+is refused.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ class Optimizer:
     """An optimizer of the engine `batched`.
 
     Attributes:
-        defaults: the fields that it reads, with torch's defaults, or UPGD's authors'.
-        torch_class: its class in `torch.optim`, by which the engine `sb3` has it; empty if there is none.
-        decays_weights_itself: its step uses `weight_decay`, which is not added to its gradients then.
+        defaults: the fields that it reads, with torch's defaults, or those of UPGD's authors.
+        torch_class: its class in `torch.optim`, which the engine `sb3` uses; empty if there is none.
+        decays_weights_itself: whether its step uses `weight_decay`, instead of gradients that contain it.
     """
 
     defaults: Mapping[str, Any]
@@ -47,9 +47,9 @@ class Algorithm:
     """A learning algorithm.
 
     Attributes:
-        defaults: what a run has where nobody sets it, as the class of Stable-Baselines3 or sb3-contrib has.
-        optimizers: defaults of optimizers that are others than the optimizers' own.
-        engines: those that train it, the usual one first.
+        defaults: of fields, as in the class of Stable-Baselines3 or sb3-contrib.
+        optimizers: defaults of optimizers that differ from the optimizers' own.
+        engines: those that train it, the default one first.
         learner: the class of an algorithm without fields of its own: see `pneuma.engines.sb3_open`.
     """
 
@@ -109,7 +109,7 @@ ALGORITHMS: dict[str, Algorithm] = {
 VALUE_BASED = ("dqn", "double-dqn")
 """Algorithms that act by estimated values of actions (thesis chapter 3)."""
 ROLLOUT_LEARNERS = ("ppo", "a2c", "trpo", "recurrent-ppo")
-"""Learners whose `n_steps` are the steps of a rollout, which is the field `horizon`."""
+"""Learners whose argument `n_steps` is the field `horizon`: the steps of a rollout."""
 
 
 def find_algorithm(algorithm_name: str) -> Algorithm:
@@ -124,11 +124,11 @@ def is_own_algorithm(algorithm_name: str) -> bool:
 
 
 def default_fields(algorithm: str, optimizer: str = "") -> dict[str, Any]:
-    """Return the defaults of an algorithm and of an optimizer, which is the algorithm's own if left out."""
-    chosen_algorithm = find_algorithm(algorithm)
-    optimizer = optimizer or chosen_algorithm.defaults.get("optimizer", "")
-    defaults = dict(chosen_algorithm.defaults)
+    """Return the defaults of an algorithm and of an optimizer, which is by default the algorithm's."""
+    declaration = find_algorithm(algorithm)
+    optimizer = optimizer or declaration.defaults.get("optimizer", "")
+    defaults = dict(declaration.defaults)
     if optimizer:
         defaults |= OPTIMIZERS[optimizer].defaults
-        defaults |= chosen_algorithm.optimizers.get(optimizer, {})
+        defaults |= declaration.optimizers.get(optimizer, {})
     return defaults

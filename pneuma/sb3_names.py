@@ -1,7 +1,7 @@
-"""Fields of PPO as Stable-Baselines3 and rl-baselines3-zoo write them, so that these can be pasted.
+"""Fields of PPO by their names in Stable-Baselines3 and rl-baselines3-zoo, so that settings can be pasted.
 
 n_steps = 32 is horizon = 32; learning_rate = "lin_1e-3" is learning_rate = 1e-3 with
-learning_rate_schedule = "linear". Arguments of other learners stand in `algorithm_kwargs`, as they are.
+learning_rate_schedule = "linear". The arguments of other learners are in `algorithm_kwargs`, unchanged.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ def _names_of_ppo() -> dict[str, str]:
 
 
 NAMES = _names_of_ppo()
-"""The fields that PPO has by another name."""
-PASSED_ON = "algorithm_kwargs"
+"""Fields that PPO has by another name, by that name."""
+ALGORITHM_KWARGS = "algorithm_kwargs"
 _ACTIVATIONS = {f"nn.{torch_class}": activation for activation, torch_class in ACTIVATIONS.items()}
 WRONG_TEXT = (KeyError, TypeError, ValueError, SyntaxError, RecursionError, MemoryError)
-"""What `read_arguments_text` raises."""
+"""Exceptions of `read_arguments_text`."""
 
 
 def own_fields(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return fields by Pneuma's own names; values are checked elsewhere."""
+    """Return fields by Pneuma's own names; their values are not checked here."""
     fields, _ = fields_and_keys(settings)
     return fields
 
@@ -44,7 +44,7 @@ def fields_and_keys(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[s
     for key, setting in settings.items():
         for field_name, value in _translate(key, setting).items():
             earlier = fields.get(field_name, {})
-            if field_name == PASSED_ON and isinstance(earlier, Mapping) and isinstance(value, Mapping):
+            if field_name == ALGORITHM_KWARGS and isinstance(earlier, Mapping) and isinstance(value, Mapping):
                 value = {**earlier, **value}
             elif field_name in fields:
                 raise UserError(f"{key} and {keys_by_field[field_name]} both set {field_name}: leave out one")
@@ -62,7 +62,7 @@ def _translate(key: str, setting: Any) -> dict[str, Any]:
 
 
 def annealed_from(setting: Any) -> float | None:
-    """Return the number of lin_3e-4, the zoo's word for a value that falls from there to 0; else None."""
+    """Return the number in lin_3e-4, by which the zoo means a value that falls from there to 0; else None."""
     if isinstance(setting, str) and re.fullmatch(r"lin_(\d+(\.\d*)?|\.\d+)(e-?\d+)?", setting):
         return float(setting.removeprefix("lin_"))
     return None
@@ -77,8 +77,8 @@ def _read_schedule(key: str, setting: Any) -> dict[str, Any]:
 
 def _read_normalize(key: str, setting: Any) -> dict[str, Any]:
     if not isinstance(setting, bool):
-        one_by_one = "normalize_observations and normalize_rewards set one alone"
-        raise UserError(f"{key} = {setting!r} is not allowed: true or false; {one_by_one}")
+        single = "normalize_observations and normalize_rewards set one alone"
+        raise UserError(f"{key} = {setting!r} is not allowed: true or false; {single}")
     return {"normalize_observations": setting, "normalize_rewards": setting}
 
 
@@ -87,14 +87,14 @@ def _read_policy(key: str, policy: Any) -> dict[str, Any]:
 
 
 def _pass_on(key: str, argument: Any) -> dict[str, Any]:
-    """Read an argument that is no field, if it is not at the learner's own default."""
-    return {} if argument in (False, None, -1) else {PASSED_ON: {key: argument}}
+    """Pass an argument that is not a field to the learner, unless it has the learner's default."""
+    return {} if argument in (False, None, -1) else {ALGORITHM_KWARGS: {key: argument}}
 
 
 def _read_policy_kwargs(key: str, setting: Any) -> dict[str, Any]:
     """Read a table, or the zoo's text "dict(net_arch=dict(pi=[64], vf=[64]), activation_fn=nn.ReLU)".
 
-    Networks of pi and vf, and three activations, are fields; all else is passed on to the policy.
+    Networks and three activations are fields. Other arguments are passed to the policy.
     """
     try:
         arguments = {**(read_arguments_text(setting) if isinstance(setting, str) else setting)}
@@ -102,14 +102,14 @@ def _read_policy_kwargs(key: str, setting: Any) -> dict[str, Any]:
         if arguments.get("activation_fn") in _ACTIVATIONS:
             fields["activation"] = _ACTIVATIONS[arguments.pop("activation_fn")]
         if arguments:
-            fields[PASSED_ON] = {key: arguments}
+            fields[ALGORITHM_KWARGS] = {key: arguments}
         return fields
     except WRONG_TEXT:
         raise UserError(f"{key} = {setting!r} is not allowed: a table or dict(…)") from None
 
 
 def _read_net_arch(layers: Any) -> dict[str, Any]:
-    """Read net_arch: one list for both networks, or one for each, which older versions put into a list."""
+    """Read net_arch: one list for both networks, or a table of two, which older versions put into a list."""
     if layers is None:
         return {}
     if isinstance(layers, list | tuple) and len(layers) == 1 and isinstance(layers[0], Mapping):
@@ -120,7 +120,7 @@ def _read_net_arch(layers: Any) -> dict[str, Any]:
 
 
 def read_arguments_text(arguments_text: str) -> Any:
-    """Return the arguments that a text such as "dict(net_arch=[64, 64])" has, by name; nothing is called.
+    """Return the arguments in a text such as "dict(net_arch=[64, 64])", by name; nothing is called.
 
     Raises:
         Exception: one of `WRONG_TEXT`, for any other text.

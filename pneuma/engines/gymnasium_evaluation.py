@@ -14,19 +14,19 @@ from pneuma.engines.records import NAN, Row, evaluation_row
 from pneuma.errors import OwnCodeError
 
 BEST_EPISODES = 5
-"""Episodes of an evaluation with the most probable actions, beside those with sampled ones."""
+"""Greedy episodes of an evaluation, in addition to those with sampled actions."""
 LONGEST_EPISODE = 50_000
-"""Most steps of an episode of an evaluation, which must end some time."""
+"""Most steps of an episode of an evaluation."""
 
 
 class Evaluation:
     """Evaluates the policies of one run: always the same episodes, on seeds of their own.
 
-    Environments are made anew each time, because wrappers may keep what they learned, such as means.
+    Each evaluation makes new environments, because wrappers may keep what they learned, such as means.
     """
 
     def __init__(self, run: Run, most_steps: float = math.inf) -> None:
-        """Play at random; with fewer episodes than the run's, if these take over `most_steps`."""
+        """Play at random, with fewer episodes than the run's if these would take more than `most_steps`."""
         self.run = run
         self.episodes, self.best_episodes = run.evaluation_episodes, BEST_EPISODES
         if most_steps < math.inf:

@@ -1,7 +1,7 @@
 """Observations and rewards normalised by running statistics, as Stable-Baselines3's VecNormalize does it.
 
-    training: slots → Normalization, which learns → what the learner sees and is paid
-    afterwards: its Scaling, which a policy carries and applies to what it is shown
+    training: slots → Normalization, which learns → observations and rewards for the learner
+    afterwards: observations → the policy's Scaling → its networks
 
 Statistics are float64. They follow from a run's seeds and actions, as its slots do.
 """
@@ -17,8 +17,6 @@ from pneuma.config import Run
 
 CLIP = 10.0
 EPSILON = 1e-8
-MOMENTS = {"mean": "mean", "variance": "var", "count": "count"}
-"""What is saved of running means, and what Gymnasium calls it."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +58,7 @@ class Normalization:
     def step(
         self, observations: np.ndarray, rewards: np.ndarray, ended: np.ndarray, terminal: np.ndarray
     ) -> np.ndarray:
-        """Learn from a step of all slots; return rewards, (S,), as the learner is paid.
+        """Learn from a step of all slots; return normalised rewards, (S,), for the learner.
 
         Observations are those after the step. Where an episode has ended, the rows of `terminal` are
         normalised in place.
@@ -86,6 +84,6 @@ class Normalization:
         """Return the statistics: arrays by name."""
         state_arrays = {"discounted": self._returns.copy()}
         for quantity, moments in (("observed", self._observed), ("returned", self._returned)):
-            for statistic, attribute in MOMENTS.items():
-                state_arrays[f"{quantity}_{statistic}"] = np.array(getattr(moments, attribute))
+            for statistic in ("mean", "var", "count"):
+                state_arrays[f"{quantity}_{statistic}"] = np.array(getattr(moments, statistic))
         return state_arrays

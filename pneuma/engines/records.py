@@ -30,13 +30,14 @@ VALUE_COLUMNS = (
     "q_estimate", "q_true", "success", "random_return", "random_spread", "steps_to_clear", "hp_lost",
     "commonest_action", "kill_evenness",
 )  # fmt: skip
-"""What some evaluations have on top.
+"""Additional columns of some evaluations.
 
-Where values of actions are learned the first two; in environments that are not Pneuma's, what a random
-player's episodes return, mean and standard deviation, and `success`, a share of episodes, where the
-environment tells of it. In Pneuma's, the steps after which no monster is left, the HP that a player loses in
-an episode, the share of all steps that the most frequent action takes, and of several players how evenly they
-share the kills. Older runs lack these four.
+- q_estimate, q_true: where values of actions are learned
+- success, random_return, random_spread: in environments that are not Pneuma's, the share of successful
+  episodes, if `info` reports success, and mean and standard deviation of a random player's returns
+- steps_to_clear, hp_lost, commonest_action, kill_evenness: in Pneuma's worlds, the steps until no monster is
+  left, the HP that a player loses in an episode, the most frequent action's share of steps, and how evenly
+  several players share the kills; older runs lack these four
 """
 
 Row = Mapping[str, Any]
@@ -122,9 +123,9 @@ class CheckpointError(ValueError):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A run's whole state after an update, from which its engine resumes with the same bits.
+    """A run's complete state after an update, from which its engine resumes with the same bits.
 
-    `arrays` are of the learner, optimizer, random generators and worlds; `numbers` are all else, as JSON.
+    `arrays` contain learner, optimizer, random generators and worlds, and `numbers` all else, as JSON.
     """
 
     step: int
@@ -133,7 +134,7 @@ class Checkpoint:
     records: Records = field(default_factory=Records)
 
     def part(self, prefix: str) -> dict[str, np.ndarray]:
-        """Return the arrays whose names begin with a prefix, by the rest of their names."""
+        """Return the arrays whose names begin with a prefix, without the prefix."""
         matching_arrays = {}
         for array_name, array in self.arrays.items():
             if array_name.startswith(prefix):

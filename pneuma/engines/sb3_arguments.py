@@ -1,8 +1,8 @@
 """The arguments of a learner of Stable-Baselines3's kind, from `algorithm_kwargs` of a run.
 
-Numbers, texts and lists are handed on as they are. What a file cannot hold is written as rl-baselines3-zoo
-writes it: "lin_7e-4" is a schedule, "nn.ELU" a class, "dict(net_arch=[64])" a dictionary. Action noise is a
-table with the name of its class.
+Numbers, texts and lists are passed on as they are. What TOML cannot contain is written as in
+rl-baselines3-zoo: "lin_7e-4" is a schedule, "nn.ELU" a class, "dict(net_arch=[64])" a dictionary. Action
+noise is a table with the name of its class.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ from pneuma.errors import UserError
 from pneuma.sb3_names import WRONG_TEXT, annealed_from, read_arguments_text
 
 TUPLES = ("train_freq", "betas")
-"""Arguments for which a list does not do."""
+"""Arguments that must be tuples."""
 CLASSES_OF = (torch.nn, torch.optim, torch_layers, buffers, rmsprop_tf_like, stable_baselines3)
-"""Where a class is looked up by its name. None of a user's own modules, as the name may be untrusted."""
+"""Modules in which a class is looked up by its name, which may be untrusted: so a user's own are not among
+them."""
 NOISE = ("NormalActionNoise", "OrnsteinUhlenbeckActionNoise")
 
 

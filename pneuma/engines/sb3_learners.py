@@ -244,19 +244,19 @@ def logged_losses(model: Any) -> dict[str, float]:
 # --- Checkpoints ----------------------------------------------------------------------------------
 
 
-_NUMBERS = {
-    "updates": "_n_updates", "timesteps": "num_timesteps", "calls": "_n_calls",
-    "exploration": "exploration_rate",
-}  # fmt: skip
-"""Names of saved numbers, and the attributes of learners that have them."""
-_ARRAYS = {"last/observations": "_last_obs", "last/episode_starts": "_last_episode_starts"}
+_NUMBERS = ("_n_updates", "num_timesteps", "_n_calls", "exploration_rate")
+"""Attributes of learners that are saved, of those that a learner has."""
+_ARRAYS = ("_last_obs", "_last_episode_starts")
 _REPLAYED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
 def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
     env: Any = model.env
-    generator, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
-    arrays = {"random/torch": torch.get_rng_state().numpy().copy(), "random/numpy": np.array(keys)}
+    generator: Any = np.random.get_state(legacy=False)
+    arrays = {
+        "random/torch": torch.get_rng_state().numpy().copy(),
+        "random/numpy": generator["state"].pop("key"),
+    }
     for saved_name, tensor in model.policy.state_dict().items():
         arrays[f"policy/{saved_name}"] = _copy(tensor)
     for index, entries in model.policy.optimizer.state_dict()["state"].items():
@@ -265,12 +265,12 @@ def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
                 arrays[f"optimizer/{index}/{saved_name}"] = _copy(entry)
     for saved_name, array in env.slots.saved_state().items():
         arrays[f"worlds/{saved_name}"] = array
-    for saved_name, attribute in _ARRAYS.items():
-        arrays[saved_name] = np.array(getattr(model, attribute))
-    numbers: dict[str, Any] = {"numpy": [str(generator), int(position), int(has_gauss), float(gauss)]}
-    for saved_name, attribute in _NUMBERS.items():
+    for attribute in _ARRAYS:
+        arrays[attribute] = np.array(getattr(model, attribute))
+    numbers: dict[str, Any] = {"numpy": generator}
+    for attribute in _NUMBERS:
         if hasattr(model, attribute):
-            numbers[saved_name] = getattr(model, attribute)
+            numbers[attribute] = getattr(model, attribute)
     if isinstance(model, DQN):
         buffer: Any = model.replay_buffer
         for saved_name in _REPLAYED:
@@ -299,12 +299,13 @@ def restore_checkpoint(model: Learner, checkpoint: Checkpoint) -> None:
     model.policy.load_state_dict(policy)
     env.slots.restore_state(checkpoint.part("worlds/"))
     torch.set_rng_state(torch.tensor(arrays["random/torch"]))
-    generator, position, has_gauss, gauss = numbers["numpy"]
-    np.random.set_state((generator, arrays["random/numpy"].copy(), position, has_gauss, gauss))
-    for saved_name, attribute in _ARRAYS.items():
-        setattr(model, attribute, arrays[saved_name].copy())
-    for saved_name in _NUMBERS.keys() & numbers.keys():
-        setattr(model, _NUMBERS[saved_name], numbers[saved_name])
+    generator = numbers["numpy"]
+    np.random.set_state(generator | {"state": generator["state"] | {"key": arrays["random/numpy"]}})
+    for attribute in _ARRAYS:
+        setattr(model, attribute, arrays[attribute].copy())
+    for attribute in _NUMBERS:
+        if hasattr(model, attribute):
+            setattr(model, attribute, numbers[attribute])
     if isinstance(model, DQN):
         buffer: Any = model.replay_buffer
         for saved_name in _REPLAYED:

@@ -1,10 +1,10 @@
-"""Any learner of Stable-Baselines3's kind, trained as a script of one's own would train it.
+"""Any learner of Stable-Baselines3's kind, trained as a user's own script would train it.
 
-    run → environments by Gymnasium alone, learner → its own `learn`, an update at a time → records
+    run → Gymnasium's environments, learner → its own `learn`, an update at a time → records
 
-Nothing is flattened, so that a policy may see pictures. Neither a replay buffer nor the state of environments
-is stored, so that a run is not resumed. What was learned is stored as the library saves it, in a .zip, and is
-read without unpickling: a learner is made from the run's fields and loads the parameters.
+Observations are not flattened, so that a policy may see pictures. Neither the replay buffer nor the state of
+environments is stored, so that a run cannot be resumed. The policy is stored as the library saves it, in a
+.zip, and read without unpickling: a learner is made from the run's fields and loads the parameters.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ IN_POLICY_KWARGS = {
     "optimizer_class": "optimizer",
     "optimizer_kwargs": "betas",
 }
-"""What PPO's fields say of `policy_kwargs`."""
+"""Parts of `policy_kwargs` that are set by fields of PPO."""
 STATISTICS = "observations.safetensors"
-"""In a learner's .zip: mean and variance of observations, by key. Stable-Baselines3 leaves it alone."""
+"""File in a learner's .zip: mean and variance of observations, by key. Stable-Baselines3 ignores it."""
 
 HOOKS = ("_update_current_progress_remaining",)
 """Attributes that `prepare` sets. They hold the learner with its replay buffer."""
@@ -118,7 +118,7 @@ def _algorithm_kwargs(run: Run) -> dict[str, Any]:
 
 
 def _environments(run: Run, slots: int, seed: int = 0) -> VecEnv:
-    """Return environments in slots, normalised if the run says so."""
+    """Return environments in slots, normalised if the run asks for it."""
     environments: VecEnv = DummyVecEnv([lambda: Monitor(make_env(run))] * slots)
     environments.seed(seed % 2**31)
     if run.normalize_observations or run.normalize_rewards:
@@ -131,7 +131,7 @@ def _environments(run: Run, slots: int, seed: int = 0) -> VecEnv:
 
 
 def _make_learner(run: Run, env: VecEnv, to_play: bool = False) -> Any:
-    """Return the learner of a run. One `to_play` has no room for replay, and seeds no generators."""
+    """Return the learner of a run. One `to_play` has an empty replay buffer, and seeds no generators."""
     learner_type = learner_class(run)
     policy_name = run.policy or "MlpPolicy"
     if policy_name not in learner_type.policy_aliases:
@@ -172,7 +172,7 @@ def _pace(learner: OnPolicyAlgorithm | OffPolicyAlgorithm) -> int:
     if isinstance(learner, OnPolicyAlgorithm):
         return learner.n_steps
     frequency: Any = learner.train_freq
-    if frequency.frequency < 1:  # it would wait for ever
+    if frequency.frequency < 1:  # it would wait forever
         raise UserError(f"algorithm_kwargs: train_freq = {frequency.frequency} is not allowed: at least 1")
     return int(frequency.frequency) if frequency.unit is TrainFrequencyUnit.STEP else 1
 
@@ -232,7 +232,7 @@ class OpenTrainer(Trainer):
         return LearnedPolicy(self._model)
 
 
-# --- What was learned ------------------------------------------------------------------------------
+# --- Policies ------------------------------------------------------------------------------
 
 
 class LearnedPolicy:
@@ -256,7 +256,7 @@ class LearnedPolicy:
     ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
         """Return actions and the next state for observations as the environment gives them.
 
-        As a model of Stable-Baselines3 does, whose `evaluate_policy` can play it therefore.
+        It is a `PolicyPredictor` of Stable-Baselines3, for its `evaluate_policy`.
         """
         normalizing = self.learner.get_vec_normalize_env()
         if normalizing is not None:
@@ -273,7 +273,7 @@ class LearnedPolicy:
 
 
 def load_learner(run: Run, zip_bytes: bytes) -> LearnedPolicy:
-    """Read what a run learned, from the bytes of `LearnedPolicy.to_bytes`, which may be untrusted.
+    """Read a policy from the bytes of `LearnedPolicy.to_bytes`, which may be untrusted.
 
     The learner and its environment are made from the run's fields. Nothing is unpickled.
     """

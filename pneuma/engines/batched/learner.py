@@ -28,7 +28,7 @@ Networks = dict[str, Layers]
 """{"actor": layers giving logits, "critic": layers giving one value}."""
 
 HIDDEN_GAIN, ACTOR_GAIN, CRITIC_GAIN = math.sqrt(2), 0.01, 1.0
-"""Of the orthogonal initial weights, as Stable-Baselines3 has them."""
+"""Gains of the orthogonal initial weights, as in Stable-Baselines3."""
 
 
 def initial_networks(run: Run, features: int, actions: int, player: int = 0) -> Networks:
@@ -42,13 +42,13 @@ def initial_networks(run: Run, features: int, actions: int, player: int = 0) -> 
 
 
 class Learner:
-    """The networks, optimizer and minibatch order of a policy: all players', or one's where each has one."""
+    """The networks, optimizer and minibatch order of one policy, of all players or of one player."""
 
     def __init__(self, run: Run, features: int, actions: int, player: int = 0) -> None:
         self.run = run
         self.networks: Networks = initial_networks(run, features, actions, player)
         self.optimizer: Tree = to_numpy(initial_state(run.optimizer, self.networks))
-        # of the order of minibatches
+        # for the order of minibatches
         self.generator = np.random.default_rng(stream_seed(run.seed, "minibatches", player))
         self._actions = actions
         self._player = player
@@ -57,7 +57,7 @@ class Learner:
         return Policy(self.run.activation, self.networks["actor"], self.networks["critic"])
 
     def learn_from(self, rollout: Rollout, budget_left: float = 1.0) -> dict[str, float]:
-        """Take an update's gradient steps, with a share of the budget left after them; return its metrics."""
+        """Take an update's gradient steps; return its metrics. A share of the budget is left after them."""
         run = self.run
         batch, values, dead_units = self._compute_advantages(rollout)
         count = len(batch["actions"])
@@ -98,7 +98,7 @@ class Learner:
         return batch, values.reshape(-1), float(dead_units)
 
     def _bootstrapped(self, rollout: Rollout) -> np.ndarray:
-        """Return rewards plus the discounted value of states that a time limit cut off, (S, T)."""
+        """Return rewards plus the discounted values of states that a time limit cut off, (S, T)."""
         cut = np.flatnonzero(rollout.ended["ending"] == rules.TIME_LIMIT)
         if not len(cut) or self.run.time_limit == "terminate":
             return rollout.rewards

@@ -38,7 +38,7 @@ def adam(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> t
 
 
 def sgd(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> tuple[Tree, State]:
-    """Gradient descent with momentum; the first step takes the whole gradient, as torch has it."""
+    """Gradient descent with momentum; as in torch, the first step does not dampen the gradient."""
     first = state["steps"] == 0
     factor = numbers["momentum"]
     fresh = jnp.where(first, 1.0, 1.0 - numbers["dampening"])
@@ -50,7 +50,7 @@ def sgd(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> tu
 
 
 def rmsprop(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> tuple[Tree, State]:
-    """RMSProp with momentum; epsilon is outside the root, as torch has it."""
+    """RMSProp with momentum; as in torch, epsilon is outside the root."""
     smoothing, factor = numbers["smoothing"], numbers["momentum"]
     square = jax.tree.map(lambda v, g: smoothing * v + (1 - smoothing) * g * g, state["square"], gradients)
     scaled = jax.tree.map(lambda g, v: g / (jnp.sqrt(v) + numbers["epsilon"]), gradients, square)
@@ -117,7 +117,7 @@ OPTIMIZERS: dict[str, tuple[Step, tuple[str, ...]]] = {
     "rmsprop": (rmsprop, ("square", "momentum")),
     "upgd": (upgd, ("mean", "square", "utility")),
 }
-"""Of each the function that takes a step, and what it keeps for every parameter."""
+"""The function that takes a step, and the arrays that it keeps for every parameter."""
 
 
 def initial_state(optimizer: str, parameters: Tree) -> State:

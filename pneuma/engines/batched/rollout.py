@@ -30,7 +30,7 @@ ENDED = np.dtype(
         ("kills", "i8"), ("hp", "f8"), ("ending", "i8"),
     ],
 )  # fmt: skip
-"""A finished episode; `step` counts steps of the rollout from 1."""
+"""A finished episode; `step` counts the rollout's steps from 1."""
 
 kernel: Any = cached(error_model="numpy")
 
@@ -48,17 +48,17 @@ class Rollout(NamedTuple):
     terminal_observations: np.ndarray  # (K, features), the last one of each ended episode
 
     def of_player(self, player: int, players: int) -> Rollout:
-        """Return the part of one of the players of each world, as a rollout of its own."""
+        """Return the rollout of one player of each world."""
         *arrays, ended_episodes, terminal = self
-        is_players = ended_episodes["slot"] % players == player
-        ended_episodes = ended_episodes[is_players]
+        is_player = ended_episodes["slot"] % players == player
+        ended_episodes = ended_episodes[is_player]
         ended_episodes["slot"] //= players
-        of_player = [np.ascontiguousarray(array[player::players]) for array in arrays]
-        return Rollout._make([*of_player, ended_episodes, terminal[is_players]])
+        player_arrays = [np.ascontiguousarray(array[player::players]) for array in arrays]
+        return Rollout._make([*player_arrays, ended_episodes, terminal[is_player]])
 
 
 def empty_rollout(slots: int, steps: int, features: int) -> Rollout:
-    """Return a rollout to be filled in, with room for an ending in every step."""
+    """Return a rollout to fill in, with space for an ending in every step."""
     rewards, starts = np.zeros((2, slots, steps), np.float32)
     return Rollout(
         np.zeros((slots, steps, features), np.float32), np.zeros((slots, steps), np.int64), rewards, starts,

@@ -6,8 +6,8 @@ and critic or one for each. Hyperparameters that are numbers are passed as data,
 only in them share one compiled program. Another shape, activation or optimizer makes another program.
 
 With small networks most time goes into starting operations, so there are few: each layer is one matrix
-(`joined`), and a step's metrics are one array. With large ones it goes into moving weights, which are left in
-place and not read for a decay of zero.
+(`joined`), and a step's metrics are one array. With large ones most time goes into moving weights. So these
+are left in place, and not read for a decay of zero.
 """
 
 from __future__ import annotations
@@ -33,12 +33,15 @@ JAX_ACTIVATIONS: dict[str, Callable[[Any], Any]] = {
     "leaky-relu": partial(jax.nn.leaky_relu, negative_slope=LEAKY_SLOPE),
 }
 JOINED_BELOW = 2**18
-"""Weights of a layer from which on it is not worth while to copy them beside their biases."""
+"""Layers with so many weights are not joined, because copying them would take longer than it saves."""
 METRICS = (
     "policy_loss", "value_loss", "entropy", "clip_fraction", "approx_kl", "grad_norm", "grad_norm_actor",
     "grad_norm_critic",
 )  # fmt: skip
-"""What a step tells, in this order. Of an update: means over minibatches; the last epoch's of `approx_kl`."""
+"""Metrics of a gradient step, in this order.
+
+An update's are means over all its minibatches; that of `approx_kl` is over the last epoch's.
+"""
 
 _LEARNING_NUMBERS = (
     "learning_rate",
@@ -50,7 +53,7 @@ _LEARNING_NUMBERS = (
 
 
 class Program(NamedTuple):
-    """What of a run makes another compiled program, beside shapes."""
+    """What identifies a compiled program, in addition to shapes."""
 
     activation: str
     optimizer: str
@@ -68,10 +71,10 @@ def program(run: Run) -> Program:
 
 
 def run_numbers(run: Run, player: int = 0, budget_left: float = 1.0) -> dict[str, Any]:
-    """Return the run's numeric fields, float32, with the logarithms of its optimizer's.
+    """Return the run's numeric fields, float32, and the key of its noise, (2,) uint32.
 
-    Some fall with the share of the budget that is left. An absent limit is infinite. The key of UPGD's noise,
-    (2,) uint32, is with them.
+    The optimizer's numbers also have their logarithms. Annealed fields fall with the share of steps that is
+    left. An absent limit is infinite.
     """
     numbers = {"joint_limit": math.inf, "separate_limit": math.inf}
     if run.gradient_limit is not None:
@@ -108,7 +111,7 @@ def evaluate_rollout(
     is_dead = NUMPY_ACTIVATIONS[activation].is_dead
     hidden_outputs = hidden_a + [layer[:sample_count] for layer in hidden_c]
     dead_share = jnp.concatenate([is_dead(units).all(axis=0) for units in hidden_outputs]).mean()
-    return _of_actions(jax.nn.log_softmax(logits), actions), values[:, 0], dead_share
+    return _at_actions(jax.nn.log_softmax(logits), actions), values[:, 0], dead_share
 
 
 @partial(jax.jit, static_argnames="program", donate_argnums=(0, 1))
@@ -174,7 +177,7 @@ def _is_layer(node: Any) -> bool:
 
 
 def _step(carry: Tree, batch: Mapping[str, Any], numbers: Any, program: Program) -> tuple[Tree, Any]:
-    """Take one gradient step on a minibatch; return `METRICS` beside the carry."""
+    """Take one gradient step on a minibatch; return the carry and `METRICS`."""
     parameters, state = carry
     gradients, metrics = jax.grad(_loss, has_aux=True)(parameters, batch, numbers, program)
     actor_square, critic_square = _square(gradients["actor"]), _square(gradients["critic"])
@@ -210,7 +213,7 @@ def _loss(parameters: Tree, batch: Mapping[str, Any], numbers: Any, program: Pro
     if program.normalizes and advantages.shape[0] > 1:
         advantages = (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
     log_probabilities = jax.nn.log_softmax(logits)
-    difference = _of_actions(log_probabilities, batch["actions"]) - batch["log_probabilities"]
+    difference = _at_actions(log_probabilities, batch["actions"]) - batch["log_probabilities"]
     ratio = jnp.exp(difference)
     clip_range = numbers["clip_range"]
     terms = [
@@ -226,7 +229,7 @@ def _loss(parameters: Tree, batch: Mapping[str, Any], numbers: Any, program: Pro
     return loss, metrics
 
 
-def _of_actions(log_probabilities: Any, actions: Any) -> Any:
+def _at_actions(log_probabilities: Any, actions: Any) -> Any:
     """Return the log-probabilities of actions: (N, actions), (N,) -> (N,)."""
     return (log_probabilities * jax.nn.one_hot(actions, log_probabilities.shape[1])).sum(axis=1)
 
