@@ -22,7 +22,7 @@ from pneuma.presets import WORLDS
 from pneuma.seeds import format_seeds
 from pneuma.store.quantities import WINDOWS
 from pneuma.store.rows import Row
-from pneuma.store.series import SLACK, held_curve, make_grid
+from pneuma.store.series import held_curve, make_grid
 from pneuma.store.store import FINISHED
 from pneuma.study.identity import config_id
 from pneuma.study.plan import Plan, Query
@@ -244,14 +244,6 @@ class StudyData:
     def origin(self) -> str:
         """Where the runs are, for messages."""
         return " with ".join(sorted({run.origin for run in self.rows}))
-
-    @property
-    def ends(self) -> str:
-        """Where runs end, for notes; empty if all end at the same step, apart from rounding to horizons."""
-        least_steps, most_steps = self.runs["steps"].min(), self.runs["steps"].max()
-        if most_steps <= least_steps * (1 + SLACK):
-            return ""
-        return f"Runs end at {least_steps:,} to {most_steps:,} steps, and each counts at its own end."
 
     # --- Rows -----------------------------------------------------------------------------------------
 

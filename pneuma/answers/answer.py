@@ -32,10 +32,6 @@ class Answer:
     notes: Sequence[str] = ()
     legend: Sequence[str] = ()
 
-    def __post_init__(self) -> None:
-        """Leave out empty notes, which are about what is not the case."""
-        object.__setattr__(self, "notes", [note for note in self.notes if note])
-
     @property
     def table(self) -> pd.DataFrame:
         """The main table of numbers."""

@@ -15,8 +15,8 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import Group, compare_groups, outcomes_to_compare
 from pneuma.answers.answer import Answer
 from pneuma.answers.cells import comparison_cells, with_cells
-from pneuma.answers.notes import averaging
-from pneuma.answers.summary import SCALE, few_episodes, few_runs
+from pneuma.answers.notes import averaging, notes_on_ends, notes_on_few_episodes, notes_on_few_runs
+from pneuma.answers.summary import SCALE
 from pneuma.errors import UserError, counted
 from pneuma.presets import WORLDS
 from pneuma.study.plan import Query
@@ -86,7 +86,7 @@ def compare(
             answer,
             tables={**answer.tables, "scores": score_table},
             cells=[*answer.cells, score_cells],
-            notes=[*answer.notes, few_runs(data_by_env)],
+            notes=list(answer.notes) + notes_on_few_runs(data_by_env),
             legend=list(answer.legend) + list(SCALE),
         )
     claims = [] if outcomes else _claims_about(study_data, a, b)
@@ -146,7 +146,7 @@ def _compare_pairs(
         shared_column: the name of the column with the keys of `pairs` in the numbers; left out if empty.
     """
     comparison_rows = []
-    notes = [study_data.ends]
+    notes = notes_on_ends(study_data)
     for pair_key, (a, b) in pairs.items():
         for outcome in dict.fromkeys([*first_outcomes, *(outcomes or outcomes_to_compare(a, b))]):
             row = compare_groups(a, b, outcome)
@@ -164,9 +164,9 @@ def _compare_pairs(
             f"A condition with fewer than {LEAST_RUNS} runs, or whose runs are all equal, has no interval."
         )
     outcome_names = list(comparison_table["outcome"])
-    notes.append(few_episodes(study_data, outcome_names))
+    notes += notes_on_few_episodes(study_data, outcome_names)
     if any(find_outcome(outcome).is_return for outcome in outcome_names):
-        notes.append(_averages(*next(iter(pairs.values()))))
+        notes += _notes_on_averages(*next(iter(pairs.values())))
     if not shared_column:
         comparison_table = comparison_table.drop(columns="shared")
     comparison_table = comparison_table.rename(columns={"shared": shared_column})
@@ -193,13 +193,12 @@ def _notes_on_pair(a: Group, b: Group) -> list[str]:
     return notes
 
 
-def _averages(a: Group, b: Group) -> str:
-    """Return that the returns of two studies average different episodes; empty if they do not."""
-    averages = averaging(a.data), averaging(b.data)
-    if averages[0] == averages[1]:
-        return ""
-    texts = [f"{average} ({arm.data.study.name})" for average, arm in zip(averages, (a, b), strict=True)]
-    return f"Note: returns average different episodes: {', '.join(texts)}."
+def _notes_on_averages(a: Group, b: Group) -> list[str]:
+    """Return that the returns of two studies average different episodes, if they do."""
+    if averaging(a.data) == averaging(b.data):
+        return []
+    texts = [f"{averaging(group.data)} ({group.data.study.name})" for group in (a, b)]
+    return [f"Note: returns average different episodes: {' and '.join(texts)}."]
 
 
 def _claims_about(study_data: StudyData, a: str, b: str) -> list[Claim]:

@@ -49,7 +49,6 @@ EPISODE_WORDS = {
 }
 """What notes call the `EPISODE_QUANTITIES`."""
 X_NOTES = {
-    STEPS: "",
     EPISODES: "Episodes are counted by their mean length up to each point.",
     WALL_CLOCK: "Within a run, all steps are taken to last equally long.",
 }
@@ -325,7 +324,9 @@ def _notes(column: Column, options: CurveOptions) -> list[str]:
         beside_name = beside.study.name
         average = averaging(beside, options.window)
         notes.append(f"{beside_name}: {average}. The environment of {beside_name} is not recorded.")
-    return [*notes, X_NOTES[options.x]]
+    if options.x in X_NOTES:
+        notes.append(X_NOTES[options.x])
+    return notes
 
 
 def _has_gaps(curve: Curve) -> bool:

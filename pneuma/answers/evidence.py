@@ -11,6 +11,7 @@ import pandas as pd
 
 from pneuma.analysis.runs import find_study, finished_rows
 from pneuma.analysis.study_data import StudyCall, StudyData
+from pneuma.answers.notes import notes_on_ends
 from pneuma.answers.settings import compare_settings, setting_text
 from pneuma.answers.summary import summarize
 from pneuma.errors import UserError, counted
@@ -117,8 +118,7 @@ def _evidence(index: RunIndex, study_data: StudyData) -> Evidence:
 def _add_rows(evidence: Evidence, study_data: StudyData) -> None:
     """Add the numbers and the provenance of finished runs."""
     evidence.data = study_data
-    if study_data.ends:
-        evidence.notes.append(study_data.ends)
+    evidence.notes += notes_on_ends(study_data)
     answer = summarize(study_data)
     evidence.numbers = _captioned(f"Outcomes of {evidence.label}", answer.cells[0])
     evidence.legend = " ".join(answer.legend)

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
+from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import kinds_of_return
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import counted
 from pneuma.store.quantities import WINDOWS
+from pneuma.store.series import SLACK
 from pneuma.values import format_settings
 
 TRAILING_WINDOW = WINDOWS[1]
 OF_BUDGET = "mean of the last 5 % of the budget at each point"
+FEW_EPISODES = 10
+"""With fewer, the last point of a return is noted to average few."""
 MOST_NAMED = 3
 """Most conditions that a note names."""
 
@@ -55,6 +59,34 @@ def notes_on_runs(
     return notes
 
 
+def notes_on_ends(study_data: StudyData) -> list[str]:
+    """Return where runs end, unless all end alike, apart from rounding to whole horizons."""
+    least_steps, most_steps = study_data.runs["steps"].min(), study_data.runs["steps"].max()
+    if most_steps <= least_steps * (1 + SLACK):
+        return []
+    return [f"Runs end at {least_steps:,} to {most_steps:,} steps, and each counts at its own end."]
+
+
+def notes_on_few_episodes(study_data: StudyData, outcomes: Sequence[str]) -> list[str]:
+    """Return how many runs' last returns average few episodes, if any do."""
+    last_counts = [run.statistic("episodes", "last") for run in study_data.rows]
+    episode_counts = sorted(episodes for episodes in last_counts if 0 < episodes < FEW_EPISODES)
+    if not episode_counts or "final-return" not in outcomes:
+        return []
+    amounts = f"{episode_counts[0]:.0f}"
+    if episode_counts[0] < episode_counts[-1]:
+        amounts += f" to {episode_counts[-1]:.0f}"
+    return [f"final-return of {counted(len(episode_counts), 'run')} averages few episodes: {amounts}."]
+
+
+def notes_on_few_runs(data_by_env: Mapping[str, StudyData]) -> list[str]:
+    """Return that intervals over environments are of few runs, if they are."""
+    for env_data in data_by_env.values():
+        if any(len(env_data.of_condition(condition)) < LEAST_RUNS for condition in env_data.conditions):
+            return [f"Bootstrap intervals are too narrow if an environment has fewer than {LEAST_RUNS} runs."]
+    return []
+
+
 def averaging(study_data: StudyData, window: str | None = None) -> str:
     """Return what a point of a study's returns averages, in a window; by default in the study's first."""
     if study_data.averaged_over == 1:
@@ -84,7 +116,7 @@ def merge_notes(studies: Mapping[str, StudyData], notes: Mapping[str, Iterable[s
         if len(studies) > 1 and study_data.study.settings:
             settings_note = f"runs with {format_settings(study_data.study.settings)}."
             titles_by_note.setdefault(settings_note, []).append(title)
-        for note in dict.fromkeys(filter(None, notes[title])):
+        for note in dict.fromkeys(notes[title]):
             titles_by_note.setdefault(note, []).append(title)
     merged: list[str] = []
     for note, titles in titles_by_note.items():

@@ -15,7 +15,7 @@ from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_foreign, known_va
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.answers.answer import Answer
-from pneuma.answers.notes import merge_notes, notes_on_runs
+from pneuma.answers.notes import merge_notes, notes_on_ends, notes_on_runs
 
 WITHOUT_EVALUATIONS = "final-return"
 SHOWN_STATISTICS = ("mean", "iqm")
@@ -136,7 +136,7 @@ def _random_levels(study_data: StudyData, outcome: str) -> dict[str, float]:
 
 def _notes(column: OutcomeColumn) -> list[str]:
     study_data = column.data
-    notes = [*notes_on_runs(study_data, find_outcome(column.outcome).is_return), study_data.ends]
+    notes = notes_on_runs(study_data, find_outcome(column.outcome).is_return) + notes_on_ends(study_data)
     value_counts = [len(values) for values in column.values.values()]
     for condition, value_count in zip(column.values, value_counts, strict=True):
         run_count = len(study_data.of_condition(condition))

@@ -6,6 +6,7 @@ from pneuma.analysis.environments import OUTCOME, by_environment, profiles, refe
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.study_data import StudyData
 from pneuma.answers.answer import StudyAnswer
+from pneuma.answers.notes import notes_on_ends
 from pneuma.errors import Hint, UserError
 
 
@@ -30,8 +31,13 @@ def profile_scores(study_data: StudyData) -> StudyAnswer:
         if env not in study_data.study.scores:
             scale_text += " (random player, best condition)"
         scale_texts.append(scale_text)
-    notes = [f"Score: {find_outcome(OUTCOME).words}; 0 and 1 are {', '.join(scale_texts)}.", study_data.ends]
+    scale_note = f"Score: {find_outcome(OUTCOME).words}; 0 and 1 are {', '.join(scale_texts)}."
     cells = profile_table[["condition", "runs"]].drop_duplicates()
     return StudyAnswer(
-        study_data.full_title, study_data.about, {"profiles": profile_table}, [cells], notes, data=study_data
+        study_data.full_title,
+        study_data.about,
+        {"profiles": profile_table},
+        [cells],
+        [scale_note] + notes_on_ends(study_data),
+        data=study_data,
     )

@@ -13,15 +13,14 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.answers.answer import Answer
 from pneuma.answers.cells import NO_CELL, condition_cells, pivot_cells, with_cells
-from pneuma.errors import Hint, UserError, counted
+from pneuma.answers.notes import notes_on_ends, notes_on_few_episodes, notes_on_few_runs
+from pneuma.errors import Hint, UserError
 
 SHOWN = 3
 """Outcomes whose means are shown by default."""
 FAILURES = ("collapsed", "diverged")
 STANDING_FOR = ("mean", "share", "median")
 """Statistics that stand for an outcome in a column of its own: the first of them that it has."""
-FEW_EPISODES = 10
-"""With fewer, the last point of a return is noted to average few."""
 SCALE = (
     "Scores are 0 and 1 at the numbers of [scores] in the study's file, or else at the random player's mean",
     "and the best condition's. Intervals over all are of the stratified bootstrap (Agarwal et al. 2021).",
@@ -66,9 +65,9 @@ def summarize(
         cells = _overview_cells(study_data, with_cells(summary))
         legend = _overview_legend(study_data, summary, cells)
     notes = (
-        [study_data.ends]
+        notes_on_ends(study_data)
         + _missing_values(study_data, summary, outcomes)
-        + [few_episodes(study_data, outcomes)]
+        + notes_on_few_episodes(study_data, outcomes)
     )
     return Answer(study_data.full_title, study_data.about, {"summary": summary}, [cells], notes, legend)
 
@@ -97,7 +96,7 @@ def _summarize_environments(
     cells.insert(0, "runs", run_counts)
     legend = [f"{with_unit(outcome)} in each environment, then scores over all."] + list(SCALE)
     tables = {"summary": summary.drop(columns="cell"), "scores": scores}
-    notes = [study_data.ends, few_runs(data_by_env)]
+    notes = notes_on_ends(study_data) + notes_on_few_runs(data_by_env)
     return Answer(study_data.full_title, study_data.about, tables, [cells.reset_index()], notes, legend)
 
 
@@ -185,25 +184,3 @@ def _missing_values(study_data: StudyData, summary: pd.DataFrame, outcomes: Sequ
                 cause = reason(study_data.of_condition(condition)[0], outcome)
                 notes.append(f"{outcome}, {condition}: {cause}")
     return notes
-
-
-def few_episodes(study_data: StudyData, outcomes: Sequence[str]) -> str:
-    """Return how many runs' last returns average few episodes; empty if none do."""
-    last_counts = [run.statistic("episodes", "last") for run in study_data.rows]
-    episode_counts = sorted(episodes for episodes in last_counts if 0 < episodes < FEW_EPISODES)
-    if not episode_counts or "final-return" not in outcomes:
-        return ""
-    between = f"{episode_counts[0]:.0f}"
-    if episode_counts[0] < episode_counts[-1]:
-        between += f" to {episode_counts[-1]:.0f}"
-    return f"final-return of {counted(len(episode_counts), 'run')} averages few episodes: {between}."
-
-
-def few_runs(data_by_env: Mapping[str, StudyData]) -> str:
-    """Return that intervals over environments are of few runs; empty if they are not."""
-    run_counts = []
-    for env_data in data_by_env.values():
-        run_counts += [len(env_data.of_condition(condition)) for condition in env_data.conditions]
-    if min(run_counts) >= LEAST_RUNS:
-        return ""
-    return f"Bootstrap intervals are too narrow if an environment has fewer than {LEAST_RUNS} runs."

@@ -13,6 +13,7 @@ import pytest
 from pneuma.analysis.outcomes import OUTCOMES, find_outcome, outcome, outcome_values
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
+from pneuma.answers.notes import notes_on_ends
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.imports.tensorboard import import_tensorboard
 from pneuma.store.index import RunIndex
@@ -213,8 +214,8 @@ def test_runs_that_end_at_unlike_steps_count_at_their_own_ends_and_that_is_said(
     data = open_study(RunIndex(store), Query(study="logs"))
     found = outcome_values(data, "a", "final-return")
     np.testing.assert_allclose(found, [1000, 1001, 982, 403], atol=1)  # in steps of 2
-    assert data.ends == "Runs end at 400 to 1,000 steps, and each counts at its own end."
-    assert replace(data, runs=data.runs[:3]).ends == ""
+    assert notes_on_ends(data) == ["Runs end at 400 to 1,000 steps, and each counts at its own end."]
+    assert notes_on_ends(replace(data, runs=data.runs[:3])) == []
 
 
 # --- Laws -----------------------------------------------------------------------------------------
