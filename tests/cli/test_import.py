@@ -67,8 +67,8 @@ def test_logs_are_compared_and_drawn_beside_a_study_in_what_both_have(
     assert runs == {"tanh, activation": (2, 2), "relu, activation": (2, 1)}
     called = call(*words, "--json")
     assert {row["outcome"] for row in called.document["comparisons"]} == {"final-return", "auc-return"}
-    averages = "mean of the last 5 % of the budget at each point (activation) and mean of the last 100 episodes (old)"
-    assert f"Note: returns average different episodes: {averages}." in called.err
+    own = "Note: returns average different episodes: mean of the last 5 % of the budget at each point"
+    assert f"{own} (activation) and mean of the last 100 episodes (old)." in called.err
     assert "leaky-relu alone, seeds 0..1, " in refused(*words, "--condition", "leaky-relu")
     plot = ("study", "plot", "activation", *SETTINGS, "--condition", "tanh", "--beside", "old")
     printed(*plot, "--out", tmp_path / "beside.png", *at)
