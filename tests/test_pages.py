@@ -22,7 +22,6 @@ from pneuma.config import ACTIVATIONS
 from pneuma.errors import UserError
 from pneuma.search.samplers import PRUNERS, SAMPLERS
 from pneuma.search.spec import load_search
-from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 from tools.pages import PAGES, ROOT, renewed, rewrite
 
@@ -135,25 +134,6 @@ def test_a_block_that_trains_or_fails_is_refused_and_kept(tmp_path: Path, block:
     with pytest.raises(UserError, match=message):
         rewrite([page])
     assert page.read_text() == text
-
-
-@pytest.mark.parametrize(
-    ("page", "horizons", "seeds"),
-    [
-        ("README.md", {"short": 128, "long": 1024}, 5),
-        ("docs/tutorial.md", {"short": 256, "long": 2048}, 5),
-    ],
-)
-def test_the_study_to_save_from_a_page_can_be_run(
-    tmp_path: Path, page: str, horizons: dict[str, int], seeds: int
-) -> None:
-    text = (ROOT / page).read_text(encoding="utf-8")
-    ((name, block),) = re.findall(r"Save this as `(\w+\.toml)`:\n\n((?: {4}.*\n|\n(?= {4}))+)", text)
-    path = tmp_path / name
-    path.write_text(dedent(block), encoding="utf-8")
-    cells = make_plan(load_study(str(path)), Query()).cells
-    assert {cell.condition: cell.run.horizon for cell in cells} == horizons
-    assert {cell.seed for cell in cells} == set(range(seeds))
 
 
 _INDENTED = re.compile(r"(?:^ {4}.*\n|^\n(?= {4}))+", re.MULTILINE)

@@ -77,7 +77,7 @@ def test_values_that_are_nested_too_deep_are_refused_in_python_too() -> None:
         ("colour = ", "", "not TOML: "),
     ],
 )
-def test_a_mistake_is_told_at_its_line(tmp_path: Path, text: str, line: str, message: str) -> None:
+def test_a_mistake_has_a_message_with_its_line(tmp_path: Path, text: str, line: str, message: str) -> None:
     with pytest.raises(UserError) as caught:
         _read(tmp_path, f'title = "t"\n{text}' if text else "")
     assert str(caught.value).startswith(f"{tmp_path / 'mine.toml'}{line}: {message}")
@@ -90,11 +90,10 @@ def test_a_line_is_found_behind_a_text_of_several_lines(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("written", "names", "meant"),
+    ("typed", "names", "suggestion"),
     [
         ("activaton", ["search", "activation"], "activation"),
         ("Activation", ["search", "activation"], "activation"),
-        ("activation-study", ["search", "activation"], "activation"),
         ("final", ["finality", "final-hp", "final"], "final"),
         ("lr", ["clip", "learning_rate"], "learning_rate"),  # by meaning
         ("reward", ["length", "return"], "return"),
@@ -102,8 +101,7 @@ def test_a_line_is_found_behind_a_text_of_several_lines(tmp_path: Path) -> None:
         ("reward", ["auc-return", "final-return"], "final-return"),
         ("share_killed", ["auc-share-killed", "final-share-killed"], "final-share-killed"),
         ("xyz", ["search", "activation"], ""),
-        ("xyz", [], ""),
     ],
 )
-def test_a_near_name_is_suggested(written: str, names: list[str], meant: str) -> None:
-    assert nearest_name(written, names) == (f" (did you mean {meant}?)" if meant else "")
+def test_a_near_name_is_suggested(typed: str, names: list[str], suggestion: str) -> None:
+    assert nearest_name(typed, names) == (f" (did you mean {suggestion}?)" if suggestion else "")

@@ -1,4 +1,4 @@
-"""Scripts beside the studies: the parts of the reproduction, and Q-learning in tables by hand."""
+"""Scripts in the folder of studies: the parts of the reproduction, and Q-learning in tables by hand."""
 
 from __future__ import annotations
 
@@ -21,42 +21,35 @@ ROOT = Path(__file__).parents[1]
 REPRODUCE = runpy.run_path(str(ROOT / "studies/reproduce.py"))
 
 
-def _trained(part: str) -> set[str]:
-    """Return the ids of the runs that a part would train."""
-    ids: set[str] = set()
-    for words in REPRODUCE["commands"](part):
-        _, _, study, *rest = words
-        options = dict(zip(rest[::2], rest[1::2], strict=True))
-        ids |= _planned(load_study(study, options["--world"]), Query(preset=options["--preset"]))
-    return ids
-
-
-def _planned(study: Study, selection: Query) -> set[str]:
-    asked = with_claims(study, selection.steps) if selection.preset == "claims" else study
-    return {cell.run_id for cell in make_plan(asked, selection).cells}
+def _planned(study: Study, preset: str, steps: int | None = None) -> set[str]:
+    return {cell.run_id for cell in make_plan(study, Query(preset=preset, steps=steps)).cells}
 
 
 @pytest.mark.slow
 def test_together_they_train_every_study_and_all_that_claims_fix() -> None:
-    trained = set().union(*map(_trained, REPRODUCE["PARTS"]))
+    trained: set[str] = set()
+    for part in REPRODUCE["PARTS"]:
+        for _, _, name, *words in REPRODUCE["commands"](part):
+            options = dict(zip(words[::2], words[1::2], strict=True))
+            trained |= _planned(load_study(name, options["--world"]), options["--preset"])
     for name in list_studies():
         studies = [load_study(name, world) for world in load_study(name).worlds]
         amounts = [(study, steps) for study in studies for steps in fixed_amounts(study)]
         for study, steps in amounts:
-            assert _planned(study, Query(preset="claims", steps=steps)) <= trained, name
+            assert _planned(with_claims(study, steps), "claims", steps) <= trained, name
         for study in () if amounts else studies:
-            assert _planned(study, Query(preset="paper")) <= trained, name
+            assert _planned(study, "paper") <= trained, name
 
 
 def test_options_narrow_the_commands_of_a_part() -> None:
     commands = REPRODUCE["commands"]
-    (one,) = commands("other-networks", "publish", ["architecture"], options=["--results", "mine"])
-    assert " ".join(one) == "study publish architecture --world arena --results mine"
-    (one,) = commands("other-networks", "plan", ["architecture"], steps=4096, options=["--preset", "quick"])
-    assert one[4:] == ["arena", "--steps", "4096", "--preset", "paper", "--preset", "quick"]
+    (words,) = commands("other-networks", "publish", ["architecture"], options=["--results", "mine"])
+    assert " ".join(words) == "study publish architecture --world arena --results mine"
+    (words,) = commands("other-networks", "plan", ["architecture"], steps=4096, options=["--preset", "quick"])
+    assert words[4:] == ["arena", "--steps", "4096", "--preset", "paper", "--preset", "quick"]
     presets = [words[-1] for words in commands("small-networks", "run", ["hyperparameters"], ["arena"])]
     assert presets == ["paper", "paper-300k"]  # claims on it fix runs of both
-    assert [each[4] for each in commands("causes", "status", ["collapse"], ["text"])] == ["text"]
+    assert [words[4] for words in commands("causes", "status", ["collapse"], ["text"])] == ["text"]
 
 
 def test_makefile_names_every_part() -> None:
@@ -100,13 +93,6 @@ POST_OFFICE, LETTERS, HOME = 0, 1, 2
 GO_ON, GO_HOME = 0, 1
 
 
-def test_a_day_goes_as_chosen() -> None:
-    go = TABULAR["go"]
-    assert go(POST_OFFICE, GO_ON) == (LETTERS, 0.0)
-    assert go(POST_OFFICE, GO_HOME) == (HOME, -1.0)
-    assert go(LETTERS, GO_ON) == go(LETTERS, GO_HOME) == (HOME, 1.0)
-
-
 def test_a_step_of_q_learning_by_hand() -> None:
     # Eq. 3.2: 0.5 + 0.9 max(2, 3) - 1 = 2.2. At home nothing follows: 0.5 - 1 = -0.5.
     table = np.array([[[1.0, 0.0], [2.0, 3.0], [9.0, 9.0]]])
@@ -122,7 +108,7 @@ def test_a_step_of_double_q_learning_by_hand() -> None:
     error, estimated_value = TABULAR["temporal_difference"], TABULAR["estimated_value"]
     assert error(tables, 0, POST_OFFICE, GO_ON, 0.5, LETTERS, 0.9) == pytest.approx(4.0)
     assert error(tables, 1, POST_OFFICE, GO_ON, 0.5, LETTERS, 0.9) == pytest.approx(-1.7)
-    # What they hold the letters to be worth: the mean of 5 and 2; Q-learning with table 1 alone: 7.
+    # Their values of the letters: the mean of 5 and 2; Q-learning with table 1 alone: 7.
     assert estimated_value(tables, LETTERS) == 3.5
     assert estimated_value(tables[1:], LETTERS) == 7.0
 
@@ -140,10 +126,7 @@ def test_noise_is_overestimated_by_one_table_as_much_as_theory_says(tables: int,
     assert overestimation == pytest.approx(excess, abs=0.2)
 
 
-def test_runs_are_those_of_the_published_table() -> None:
-    """Of seed 3, as Pneuma's engine for tables had trained it."""
-    for name, last_return in {
-        "rate-1": 0.952755905511811,
-        "noisy-double-rate-tenth": 0.6126915267749027,
-    }.items():
-        assert TABULAR["train"](TABULAR["CONDITIONS"][name], seed=3)[0] == pytest.approx(last_return)
+def test_a_run_is_that_of_the_published_table() -> None:
+    """As Pneuma's engine for tables had trained it."""
+    condition = TABULAR["CONDITIONS"]["noisy-double-rate-tenth"]
+    assert TABULAR["train"](condition, seed=3)[0] == pytest.approx(0.6126915267749027)
