@@ -19,7 +19,7 @@ from pneuma.config import Run, evaluation_config, stream_seed
 from pneuma.engines.mlp import choose, network
 from pneuma.engines.policy import Policy
 from pneuma.env import rules
-from pneuma.env.fields import MOST_STEPS, is_own_reward
+from pneuma.env.fields import MAX_STEPS, is_own_reward
 from pneuma.env.players import RandomPlayer
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
@@ -98,7 +98,7 @@ class Evaluation:
         kills = worlds.players["kills"]
         killed_share = kills.sum(axis=1) / max(worlds.monsters.shape[1], 1)
         sampled, best = slice(None, self.episodes), slice(self.episodes, None)
-        action_counts = worlds.taken[sampled].sum(axis=0)
+        action_counts = worlds.action_counts[sampled].sum(axis=0)
         evaluation_row = {
             "step": step,
             "episodes": self.episodes,
@@ -271,6 +271,6 @@ def _steps_beyond(run: Run) -> int | None:
     if run.gamma == 1:
         return None
     steps_beyond = math.ceil(math.log(WEIGHT_LEFT_OUT) / math.log(run.gamma))
-    if run.episode_steps + steps_beyond > MOST_STEPS:
+    if run.episode_steps + steps_beyond > MAX_STEPS:
         return None
     return steps_beyond

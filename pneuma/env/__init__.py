@@ -1,7 +1,7 @@
 """The environment: a top-down world in which players fight monsters (thesis chapter 5).
 
-`rules.py` holds the compiled rules, `layouts.py` and `observe.py` what a player perceives and `reward.py`
-what it is paid; `kernel.py` calls them, `worlds.py` owns the state, `slots.py` has the players one by one.
+`rules.py` contains the compiled rules, `layouts.py` and `observe.py` what a player perceives and `reward.py`
+its rewards. `kernel.py` calls them, `worlds.py` owns the state, and `slots.py` makes each player a slot.
 `gym.py`, `gym_vector.py`, `pettingzoo.py` and `sb3.py` are interfaces of other libraries, on `interface.py`.
 """
 
@@ -11,7 +11,7 @@ from pneuma.env.fields import ENVIRONMENTS
 def register_environments() -> None:
     """Register all environments with Gymnasium, with vector environments for Pneuma's worlds.
 
-    Worlds end their episodes themselves, by `episode_steps`: none has a limit of Gymnasium's beside it
+    They are registered without a time limit, because worlds end their episodes themselves, by `episode_steps`
     (`pneuma.env.interface.Interface`).
     """
     import gymnasium  # which takes long, and registers them when it is imported

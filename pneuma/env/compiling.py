@@ -33,9 +33,9 @@ DIGEST = hashlib.sha256(b"".join((PACKAGE / name).read_bytes() for name in KERNE
 
 
 def cached(*signature: Any, using: Any = njit, notice: str = "", **options: Any) -> Callable[[Any], Any]:
-    """Return `njit`, or `cfunc`, with its cache; where no folder can be written, each process compiles anew.
+    """Return `njit`, or `cfunc`, with its cache; where no folder can be written, each process compiles again.
 
-    Numba writes beside the code, in the user's cache, or in NUMBA_CACHE_DIR; in some containers it can write
+    Numba writes next to the code, in the user's cache, or in NUMBA_CACHE_DIR; in some containers it can write
     to none of them.
 
     Args:

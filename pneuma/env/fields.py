@@ -26,7 +26,7 @@ ACTION_NAMES = ("down", "left", "up", "right", "attack")
 SPELL_NAMES = ("flame", "heal")
 KINDS_OF_MONSTERS = ("bamboo", "mixed")
 MAX_PLAYERS = MOST_NAMES
-MOST_STEPS = 1_000_000
+MAX_STEPS = 1_000_000
 """Most agent steps of an episode."""
 PERCEIVE = "all, nearest:K for the K nearest, or rays:N, 1 to 64"
 
@@ -72,7 +72,7 @@ class EnvConfig:
     kill_credit: Annotated[str, OneOf(("striker", "near"))] = "striker"
     xp_scope: Annotated[str, OneOf(("episode", "forever"))] = "episode"
     ending_cost: Annotated[float, Interval(ge=0, le=1000)] = 0.0
-    episode_steps: Annotated[int, Interval(ge=1, le=MOST_STEPS)] = declare(1000, paces=True)
+    episode_steps: Annotated[int, Interval(ge=1, le=MAX_STEPS)] = declare(1000, paces=True)
     time_limit: Annotated[str, OneOf(("truncate", "terminate"))] = "truncate"
     end_on_clear: bool = False
 

@@ -98,8 +98,8 @@ class PneumaEnv(Interface, gymnasium.Env[np.ndarray, np.int64]):
     | argument | default | meaning |
     | --- | --- | --- |
     | `level` | thesis | a shipped level, a folder of tables, `random:train:N` or `random:test:N` |
-    | `random_levels` | 1 | so many random levels from number N on; each episode draws one |
-    | `monsters` | bamboo | on random levels: `bamboo` alone; or `mixed`: 8, and 2 of each other |
+    | `random_levels` | 1 | number of random levels, from N on; each episode draws one |
+    | `monsters` | bamboo | on random levels: `bamboo` only, or `mixed`: 8 of them, and 2 of each other kind |
     | `characters` | none | a file that overrides and extends the shipped ones; or `pygame` |
     | `players` | 1 | 1 to 8 in a world; more than one not here, but in the other interfaces |
     | `classes` | base | `base`, `tank`, `mage`, `warrior`, or a list of one per player |
@@ -109,14 +109,14 @@ class PneumaEnv(Interface, gymnasium.Env[np.ndarray, np.int64]):
     | `observation` | thesis, godot, thesis | the layout |
     | `perceive` | all | `all`, `nearest:K`, or `rays:N`, 1 to 64 |
     | `order` | nearest, fixed, nearest | dead monsters are left out, or rows of zeros (HP 0 in `godot`) |
-    | `scale` | unit, raw, unit | of what is observed |
+    | `scale` | unit, raw, unit | scale of what is observed |
     | `observe_facing` | false, false, true | whether a player observes its facing: four numbers |
     | `start` | random, first, random | a random start place of the level, or always the first |
     | `trees` | wall, pass, wall | whether trees and other obstacles stop bodies |
     | `terrain_stops` | all, players, all | whom trees and coast stop |
-    | `attack_ticks` | 0 | that every attack lasts; 0: the weapon's, 24 for `blade` |
-    | `blow` | attack | a sword hits a monster once an attack; or on each `entry` into its box |
-    | `kill_credit` | striker, near, striker | who gains: who struck, or all within the attack circle |
+    | `attack_ticks` | 0 | length of every attack; 0: the weapon's, 24 for `blade` |
+    | `blow` | attack | a sword hits a monster once per attack, or on each `entry` into its box |
+    | `kill_credit` | striker, near, striker | who gains: the striker, or all within the attack circle |
     | `xp_scope` | episode, forever, episode | `forever`: XP is kept until `reset(seed=...)` |
     | `ending_cost` | 0, 1, 0 | XP lost by death, clearing the level and the time limit |
     | `episode_steps` | 1000, 7500, 1000 | the world's time limit |

@@ -70,7 +70,7 @@ class PneumaVectorEnv(Interface, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         own_options = read_options(options, "start", "reset_mask")
         slot_mask = np.broadcast_to(own_options.get("reset_mask", True), self.num_envs)
         mask = np.asarray(slot_mask.reshape(len(self.worlds), -1).any(axis=1))
-        if not self.slots.begun and not mask.all():
+        if not self.slots.has_begun and not mask.all():
             raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
         seeds = world_seeds(seed, len(self.worlds))
         super().reset(seed=seeds[0])

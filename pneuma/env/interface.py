@@ -81,7 +81,7 @@ class Interface:
             raise ValueError(f"start = {start!r}: must be {allowed}") from None
         self.worlds.seed(seeds)
         self.worlds.reset(mask, starts)
-        self.slots.begun = True
+        self.slots.has_begun = True
 
     @property
     def spec(self) -> EnvSpec | None:

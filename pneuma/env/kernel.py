@@ -16,7 +16,7 @@ from pneuma.env.rules import RUNNING, begin_episode, record_step, step_world
 from pneuma.env.state import HANDLE, Array, array_at, open_state, world_of
 
 GO_ON = -2
-"""In place of a start place in `begins`: this world is not reset."""
+"""Instead of a start place in `reset_starts`: this world is not reset."""
 RESET, STEP, RECORD = 0, 1, 2
 """What `run_worlds` does; `STEP | RECORD` at once unless rewards are computed outside."""
 SYMBOL = "pneuma_run_worlds"
@@ -47,9 +47,9 @@ def _run_worlds(handle: Any, actions: Any, work: int) -> int:
     """Reset worlds, or advance every running world by one agent step; observe; return how many ended.
 
     Args:
-        handle: of a `State`. To reset, its `begins` say which worlds start an episode, and where: player p of
-            a world takes start place `begins + p`, wrapping around; -1 draws one at random. Where there are
-            several levels, one is drawn first. All worlds are observed.
+        handle: of a `State`. A reset starts an episode in the worlds whose entry in `reset_starts` is not
+            `GO_ON`: player p of a world takes start place `reset_starts + p`, wrapping around; -1 draws one
+            at random. Of several levels one is drawn first. All worlds are observed.
         actions: (N, P) int64, not read by a reset. A world whose episode has ended stays as it is, with empty
             events, until it is reset.
         work: `RESET`; or `STEP`, `RECORD` what the step paid, or both.
@@ -59,8 +59,8 @@ def _run_worlds(handle: Any, actions: Any, work: int) -> int:
     step_actions = array_at(actions, (state.players.shape[0], players))
     ended_count = 0
     for world_index in range(state.worlds.shape[0]):
-        if work == RESET and state.begins[world_index] != GO_ON:
-            begin_episode(state, world_index, state.begins[world_index])
+        if work == RESET and state.reset_starts[world_index] != GO_ON:
+            begin_episode(state, world_index, state.reset_starts[world_index])
         world = world_of(state, world_index)
         world_actions = step_actions[world_index]
         if work & STEP:

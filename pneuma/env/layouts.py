@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pneuma.env.worlds import Worlds
 
 LAYOUT_THESIS, LAYOUT_PYGAME, LAYOUT_GODOT = range(len(OBSERVATIONS))
-MOST_XP = 1e9
+MAX_XP = 1e9
 """Bound of XP, in points, that is kept through episodes."""
 
 
@@ -29,7 +29,7 @@ def fill_scales(worlds: Worlds) -> None:
     players, monsters = worlds.player_stats, worlds.monster_stats
     settings["layout"] = OBSERVATIONS.index(config.observation)
     settings["fixed_order"] = config.order == "fixed"
-    settings["xp_scale"] = 1 / max(_most_by_level(monsters["xp"]), 1.0)
+    settings["xp_scale"] = 1 / max(_max_by_level(monsters["xp"]), 1.0)
     monsters["xp_scale"] = 1 / max(monsters["xp"].max(initial=0.0), 1.0)
     players["energy_scale"] = 1 / np.maximum(players["energy"], 1.0)
     players["hp_scale"] = 1 / players["hp"]
@@ -72,13 +72,13 @@ def _fill_perceived(worlds: Worlds, settings: Any) -> None:
         angles = 2 * np.pi * np.arange(rays) / rays
         settings["ray_x"][:rays] = np.round(np.cos(angles), 12)  # rounding makes them equal on all machines
         settings["ray_y"][:rays] = np.round(np.sin(angles), 12)
-    sights = sorted({monster.name for level in worlds.levels for monster in level.monsters})
-    settings["sights"] = len(sights)
+    monster_kinds = sorted({monster.name for level in worlds.levels for monster in level.monsters})
+    settings["monster_kinds"] = len(monster_kinds)
     for level_stats, level in zip(worlds.monster_stats, worlds.levels, strict=True):
-        level_stats["sight"] = [sights.index(monster.name) for monster in level.monsters]
+        level_stats["kind"] = [monster_kinds.index(monster.name) for monster in level.monsters]
 
 
-def _most_by_level(numbers: np.ndarray) -> float:
+def _max_by_level(numbers: np.ndarray) -> float:
     """Return the greatest sum of a level's monsters, for (levels, monsters) numbers."""
     return float(numbers.sum(axis=-1).max(initial=0.0))
 
@@ -94,11 +94,11 @@ def observation_space(worlds: Worlds, player_stats: Any) -> spaces.Box:
     config, settings, monsters = worlds.config, worlds.settings[0], worlds.monster_stats
     level = worlds.level
     diagonal = float(np.hypot(level.grid.width, level.grid.height))
-    most_hp = player_stats["hp"] + _most_by_level(monsters["heal"])  # by all kills, unhurt
-    hp_bounds = (0.0, most_hp * player_stats["hp_scale"])
-    least_xp, most_xp = -config.ending_cost, _most_by_level(monsters["xp"]) + 1.0
+    max_hp = player_stats["hp"] + _max_by_level(monsters["heal"])  # by all kills, unhurt
+    hp_bounds = (0.0, max_hp * player_stats["hp_scale"])
+    min_xp, max_xp = -config.ending_cost, _max_by_level(monsters["xp"]) + 1.0
     if config.xp_scope == "forever":
-        least_xp, most_xp = -MOST_XP, MOST_XP
+        min_xp, max_xp = -MAX_XP, MAX_XP
     monster_hp = (0.0, (monsters["hp"] * monsters["hp_scale"]).max(initial=0.0))
     monster_xp = (0.0, (monsters["xp"] * monsters["xp_scale"]).max(initial=0.0))
     distance_bounds = (0.0, diagonal * monsters["distance_scale"].max(initial=0.0))
@@ -109,7 +109,7 @@ def observation_space(worlds: Worlds, player_stats: Any) -> spaces.Box:
         bounds += [DIRECTION, DIRECTION, hp_bounds, energy_bounds]
         monster_bounds.append(monster_xp)
     else:
-        bounds += [hp_bounds, (least_xp * settings["xp_scale"], most_xp * settings["xp_scale"])]
+        bounds += [hp_bounds, (min_xp * settings["xp_scale"], max_xp * settings["xp_scale"])]
     if config.observation == "godot":
         area = _land(level)
         if config.terrain_stops == "players":  # monsters follow out over the sea
@@ -117,7 +117,9 @@ def observation_space(worlds: Worlds, player_stats: Any) -> spaces.Box:
         monster_bounds = [*_position_bounds(settings, area), monster_hp, DIRECTION, DIRECTION]
     if config.observe_facing:
         bounds += [FLAG] * 4
-    ray: list[Bounds] = [(0.0, diagonal * settings["ray_scale"])] + [FLAG] * (2 + int(settings["sights"]))
+    ray: list[Bounds] = [(0.0, diagonal * settings["ray_scale"])] + [FLAG] * (
+        2 + int(settings["monster_kinds"])
+    )
     bounds += monster_bounds * int(settings["perceived"]) + ray * int(settings["rays"])
     limits = np.array(bounds)
     low = np.minimum(limits[:, 0], 0.0)  # idle slots see zeros

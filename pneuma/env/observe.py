@@ -174,24 +174,24 @@ def _write_rays(world: World, player_index: int, observation: Array, column: int
         ray_x = settings.ray_x[ray_index]
         ray_y = settings.ray_y[ray_index]
         nearest = math.inf
-        sight = 0  # terrain
+        kind = 0  # terrain
         for body_index in range(len(world.boxes)):
             box = world.boxes[body_index]
             if body_index != monsters + player_index and box.alive:
                 distance = _distance_to_body(box, player.x, player.y, ray_x, ray_y)
                 if distance < nearest:
                     nearest = distance
-                    sight = 1  # another player
+                    kind = 1  # another player
                     if body_index < monsters:
-                        sight = 2 + world.monster_stats[body_index].sight
+                        kind = 2 + world.monster_stats[body_index].kind
         distance = _distance_to_terrain(world, player.x, player.y, ray_x, ray_y)
         if distance < nearest:
             nearest = distance
-            sight = 0
+            kind = 0
         observation[column] = nearest * settings.ray_scale
-        for possible_sight in range(2 + settings.sights):
-            observation[column + 1 + possible_sight] = possible_sight == sight
-        column += 3 + settings.sights
+        for possible_kind in range(2 + settings.monster_kinds):
+            observation[column + 1 + possible_kind] = possible_kind == kind
+        column += 3 + settings.monster_kinds
     return column
 
 

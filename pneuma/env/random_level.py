@@ -35,9 +35,9 @@ MONSTERS = 14
 
 MARGIN = 3
 """Water on every side, in tiles."""
-LEAST_LAND, MOST_LAND = 1000, 1600
+MIN_LAND, MAX_LAND = 1000, 1600
 """Tiles of land."""
-LEAST_OF_A_GROUND = 100
+MIN_TILES_BY_GROUND = 100
 """Least tiles of snow, grass and sand."""
 START_GAP, MONSTER_GAP = 6, 4
 """Least distances in tiles: from a start place to anything (more than a monster notices), and between
@@ -78,9 +78,9 @@ def _attempt(draw_uniform: Draw, split: str, number: int, population: tuple[str,
     terrain = _draw_terrain(draw_uniform, ground)
     tiles = _choose_tiles(draw_uniform, terrain, STARTS + MONSTERS)
     tiles_by_ground = np.bincount(ground.ravel(), minlength=BRIDGE + 1)
-    if tiles is None or not LEAST_LAND <= tiles_by_ground[SNOW:].sum() <= MOST_LAND:
+    if tiles is None or not MIN_LAND <= tiles_by_ground[SNOW:].sum() <= MAX_LAND:
         return None
-    if tiles_by_ground[SNOW : SAND + 1].min() < LEAST_OF_A_GROUND:
+    if tiles_by_ground[SNOW : SAND + 1].min() < MIN_TILES_BY_GROUND:
         return None
     x = (tiles[:, 1] - ORIGIN[0] + 0.5) * TILE
     y = (tiles[:, 0] - ORIGIN[1] + 0.5) * TILE
@@ -192,10 +192,10 @@ def _choose_tiles(draw_uniform: Draw, terrain: np.ndarray, count: int) -> np.nda
     while len(selected) < count and len(tiles):
         chosen_tile = tiles[0]
         selected.append(chosen_tile)
-        least_distance = MONSTER_GAP
+        min_distance = MONSTER_GAP
         if len(selected) <= STARTS:
-            least_distance = START_GAP
-        tiles = tiles[((tiles - chosen_tile) ** 2).sum(axis=1) >= least_distance * least_distance]
+            min_distance = START_GAP
+        tiles = tiles[((tiles - chosen_tile) ** 2).sum(axis=1) >= min_distance * min_distance]
     if len(selected) < count:
         return None
     return np.array(selected)

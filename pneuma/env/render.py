@@ -318,15 +318,15 @@ class Renderer:
         """Return bars and numbers of a player; rounded up, so that only the dead have 0 HP."""
         player = self.worlds.players[world_index, player_index]
         player_stats = self.worlds.player_stats[player_index]
-        hp, most_hp = player["hp"], player_stats["hp"]
+        hp, max_hp = player["hp"], player_stats["hp"]
         pictures = [
-            sprites.gauge_picture(hp, most_hp, sprites.GOLD, *PANEL_BAR),
-            sprites.text_picture(f"HP {ceil(hp)}/{ceil(most_hp)}"),
+            sprites.gauge_picture(hp, max_hp, sprites.GOLD, *PANEL_BAR),
+            sprites.text_picture(f"HP {ceil(hp)}/{ceil(max_hp)}"),
         ]
         if self.worlds.config.magic:
-            energy, most_energy = player["energy"], player_stats["energy"]
-            pictures.append(sprites.gauge_picture(energy, max(most_energy, 1.0), sprites.BLUE, *PANEL_BAR))
-            pictures.append(sprites.text_picture(f"EN {int(energy)}/{ceil(most_energy)}"))
+            energy, max_energy = player["energy"], player_stats["energy"]
+            pictures.append(sprites.gauge_picture(energy, max(max_energy, 1.0), sprites.BLUE, *PANEL_BAR))
+            pictures.append(sprites.text_picture(f"EN {int(energy)}/{ceil(max_energy)}"))
         pictures.append(sprites.text_picture(f"XP {ceil(player['xp'])}"))
         return pictures
 

@@ -83,8 +83,8 @@ def begin_episode(state: State, world_index: int, start_index: int) -> None:
     for monster_index in range(state.monsters.shape[1]):
         state.monsters[world_index, monster_index] = state.first_monsters[episode.level, monster_index]
     state.tallies[world_index] = state.no_tally[0]
-    for action in range(state.taken.shape[1]):
-        state.taken[world_index, action] = 0
+    for action in range(state.action_counts.shape[1]):
+        state.action_counts[world_index, action] = 0
 
 
 # --- One step ------------------------------------------------------------------------------------
@@ -109,7 +109,7 @@ def step_world(world: World, actions: Array) -> bool:
             if world.monsters[monster_index].hp > 0.0:
                 _tick_monster(world, monster_index)
         for player_index in range(len(world.players)):
-            if world.tick[player_index].there:
+            if world.tick[player_index].is_present:
                 _end_tick(world, player_index)
     episode.players_left = 0
     for player_index in range(len(world.players)):
@@ -150,7 +150,7 @@ def _gather_active(world: World) -> int:
     active_count = 0
     for monster_index in range(len(world.monsters)):
         monster = world.monsters[monster_index]
-        if monster.hp > 0.0 and _may_stir(world, monster_index):
+        if monster.hp > 0.0 and _may_act(world, monster_index):
             world.scratch[active_count].order = monster_index
             active_count += 1
     return active_count
@@ -158,10 +158,10 @@ def _gather_active(world: World) -> int:
 
 @inlined
 def _list_neighbours(world: World, body_index: int) -> None:
-    """List in `near` the living bodies that are near enough to stop another one in this step."""
+    """List in `neighbours` the living bodies that are near enough to stop another one in this step."""
     reach = world.settings.body_reach
     mover = world.boxes[body_index]
-    neighbours = world.near[body_index]
+    neighbours = world.neighbours[body_index]
     neighbours[0] = 0
     for other_index in range(len(world.boxes)):
         other_box = world.boxes[other_index]
@@ -200,7 +200,7 @@ def _pack(box: Array, body: Array, stats: Array) -> None:
 
 
 @inlined
-def _may_stir(world: World, monster_index: int) -> bool:
+def _may_act(world: World, monster_index: int) -> bool:
     monster = world.monsters[monster_index]
     monster_stats = world.monster_stats[monster_index]
     if monster.knocked > 0 or monster.safe > 0 or monster.noticed or monster.inside:
@@ -232,9 +232,9 @@ def _begin_tick(world: World, player_index: int, action: int) -> None:
     player = world.players[player_index]
     player_stats = world.player_stats[player_index]
     tick = world.tick[player_index]
-    tick.there = player.hp > 0.0
+    tick.is_present = player.hp > 0.0
     tick.strikes = 0
-    if not tick.there:
+    if not tick.is_present:
         return
     tick.xp = tick.healed = tick.bitten = 0.0
     tick.notices = tick.contacts = tick.paid = 0
@@ -314,13 +314,13 @@ def _tick_monster(world: World, monster_index: int) -> None:
     if monster.safe > 0:
         monster.safe -= 1
     for player_index in range(len(world.players)):
-        _suffer(world, monster_index, player_index)
+        _take_strike(world, monster_index, player_index)
     if monster.hp <= 0.0:
         return
     target = -1
     nearest = math.inf
     for player_index in range(len(world.players)):
-        if world.tick[player_index].there:
+        if world.tick[player_index].is_present:
             squared_gap = _sense(world, monster_index, player_index)
             if squared_gap <= monster_stats.notice_squared and squared_gap < nearest:
                 nearest = squared_gap
@@ -341,14 +341,14 @@ def _tick_monster(world: World, monster_index: int) -> None:
 
 
 @inlined
-def _suffer(world: World, monster_index: int, player_index: int) -> None:
+def _take_strike(world: World, monster_index: int, player_index: int) -> None:
     """Let a player's strike hit a monster: once per attack, or each time that it enters the sword's box."""
     monster = world.monsters[monster_index]
     tick = world.tick[player_index]
     player_bit = np.uint8(1 << player_index)
-    is_struck = tick.there and tick.strikes and _is_struck(world, monster_index, player_index)
+    is_struck = tick.is_present and tick.strikes and _is_struck(world, monster_index, player_index)
     is_first = monster.struck_by[player_index] != world.players[player_index].attack
-    if not tick.there:
+    if not tick.is_present:
         monster.noticed &= ~player_bit
         monster.bite[player_index] = 0
     on_entry = world.settings.hit_on_entry and tick.strikes == BLADE
@@ -435,7 +435,7 @@ def _credit_kill(world: World, monster_index: int, striker: int) -> None:
         if world.settings.credit_near:
             earns = monster.bite[player_index] > 0
         tick = world.tick[player_index]
-        if tick.there and earns:
+        if tick.is_present and earns:
             tick.paid = 1
             tick.xp += monster_stats.xp
             tick.healed += monster_stats.heal
@@ -526,7 +526,7 @@ def _end_tick(world: World, player_index: int) -> None:
 
 @inlined
 def record_step(world: World, actions: Array) -> None:
-    """Add a step, with its rewards, to a world's `slots`, `tally` and `taken`.
+    """Add a step, with its rewards, to a world's `slots`, `tally` and `action_counts`.
 
     A player's episode ends with its death, or with its world. From the next step until the world ends its
     slot is idle.
@@ -545,7 +545,7 @@ def record_step(world: World, actions: Array) -> None:
             if has_died:
                 slot.ending = KILLED
             slot.episodes += slot.ending != RUNNING
-            world.taken[actions[player_index]] += 1
+            world.action_counts[actions[player_index]] += 1
         slot.begins = slot.ending != RUNNING
         slot.idle = has_died and not present
         rewards += event.reward
@@ -631,7 +631,7 @@ def _stop_at_bodies(world: World, body_index: int, axis: int, direction: float) 
     middle = mover.place[axis] + mover.offset[axis]
     middle_aside = mover.place[aside] + mover.offset[aside]
     limit = math.inf
-    neighbours = world.near[body_index]
+    neighbours = world.neighbours[body_index]
     for neighbour in range(neighbours[0]):
         obstacle = world.boxes[neighbours[neighbour + 1]]
         ahead = direction * (obstacle.place[axis] + obstacle.offset[axis] - middle)

@@ -24,7 +24,7 @@ class Slots:
     with it, and all start again together.
 
     Attributes:
-        begun: whether all worlds were ever reset.
+        has_begun: whether all worlds were ever reset.
         terminated, truncated: (slots,) what the last step ended.
         scaling: how policies normalise observations: not at all, as worlds scale what they show.
     """
@@ -37,7 +37,7 @@ class Slots:
         self.count = worlds.players.size
         self.action_space = worlds.action_space
         self._truncates = worlds.config.time_limit == "truncate"
-        self.begun = False
+        self.has_begun = False
         self.terminated = self.truncated = np.zeros(self.count, np.bool_)
 
     def step(self, actions: np.ndarray) -> np.ndarray:
@@ -47,7 +47,7 @@ class Slots:
             ResetNeeded: before the first reset.
             ValueError: for what is no action.
         """
-        if not self.begun:
+        if not self.has_begun:
             raise ResetNeeded("no episode has begun: call reset first")
         self.worlds.step(actions)
         ending = self.episode_stats["ending"]
@@ -118,7 +118,7 @@ class Slots:
         for array_name in SAVED:
             as_bytes(getattr(self.worlds, array_name))[:] = saved[array_name]
         self.worlds.observe()
-        self.begun = True
+        self.has_begun = True
 
 
 SAVED = ("worlds", "players", "monsters", "slots")

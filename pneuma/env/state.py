@@ -50,7 +50,7 @@ class _World:
     key: uint64  # of the world's random stream
     draws: uint64  # numbers taken from it so far
     steps: int64  # agent steps of this episode
-    level: uint32  # index of the level played
+    level: uint32  # index of its level
     start: int32  # index of player 0's start place
     monsters_left: int32
     players_left: int32
@@ -70,7 +70,7 @@ class _Player:
     energy: float64
     facing: int32
     busy: int32  # ticks that the current attack or spell still lasts
-    action_kind: int32  # what that is: BLADE, BURNING or HEALING; 0: there was none yet
+    action_kind: int32  # of the latest one: BLADE, BURNING or HEALING; 0 before the first
     attack: int32  # number of the latest attack of this episode
     safe: int32  # ticks in which bites do nothing
     kills: int32
@@ -86,7 +86,7 @@ class _Monster:
     y: float64
     hp: float64
     knocked: int32  # ticks that the knock-back still lasts
-    safe: int32  # ticks in which blows do nothing
+    safe: int32  # ticks in which strikes do nothing
     noticed: uint8  # bit p: player p is inside the notice circle
     bite: Annotated[int16, MAX_PLAYERS]  # ticks to the next bite of player p; 0: out of reach
     inside: uint8  # bit p: player p struck where it stood in the last tick
@@ -166,13 +166,13 @@ class _MonsterStats(_Body):
     stand_off: float64  # no approach on an axis nearer than this
     damage: float64
     bite_ticks: int32
-    safe: int32  # ticks after a blow in which further ones do nothing
+    safe: int32  # ticks after a strike in which further ones do nothing
     knock_ticks: int32  # below 0: as the striker's
     knock_speed: float64
     xp: float64  # for the kill
     heal: float64
     reach_squared: float64  # beyond this distance nothing can happen to it within one step
-    sight: int32  # number of its kind, among those that rays tell apart
+    kind: int32  # number of its kind, among those that rays distinguish
     hp_scale: float64  # of an observation
     distance_scale: float64
     xp_scale: float64
@@ -182,7 +182,7 @@ MONSTER_STATS = _record(_MonsterStats)
 
 
 class _Settings:
-    """What holds for all worlds."""
+    """Settings of all worlds."""
 
     corner: Annotated[float64, 2]  # left and top of the tile grid
     tile: float64
@@ -208,7 +208,7 @@ class _Settings:
     scale_y: float64
     xp_scale: float64
     rays: int32  # that a player sees by
-    sights: int32  # kinds of monsters that they tell apart
+    monster_kinds: int32  # that they distinguish
     ray_scale: float64  # of distances along them
     ray_x: Annotated[float64, MAX_RAYS]  # their directions, of length 1
     ray_y: Annotated[float64, MAX_RAYS]
@@ -224,16 +224,16 @@ class _Events:
     """What happened to a player in one step, for rewards computed outside."""
 
     reward: float64
-    xp_gained: float64  # by kills, less what an ending cost
+    xp_gained: float64  # by kills, minus what an ending cost
     hp_lost: float64
     hp_gained: float64
-    hits: int32  # blows landed on monsters
-    kills: int32  # last blows among them
+    hits: int32  # strikes that hit monsters
+    kills: int32  # hits that killed
     notices: int32  # notice circles entered
     contacts: int32  # attack circles entered
     distance: float64  # to the nearest living monster, infinite without one
     died: int32
-    present: int32  # ticks of the step that the player lived through
+    present: int32  # ticks of the step in which the player was alive
 
 
 EVENTS = _record(_Events)
@@ -267,14 +267,14 @@ TALLY = _record(_Tally)
 class _Tick:
     """What a player does in one tick, and its results."""
 
-    there: int32  # whether the player lives through this tick
+    is_present: int32  # whether the player is alive when the tick begins
     strikes: int32  # BLADE, BURNING, or 0
     xp: float64
     healed: float64
     bitten: float64
     notices: int32
     contacts: int32
-    paid: int32  # whether anybody killed
+    paid: int32  # whether a kill was credited
 
 
 TICK = _record(_Tick)
@@ -306,9 +306,9 @@ class State(NamedTuple):
     """Every array that the kernels share, with its dtype and axes.
 
     N worlds of P players, M monsters and B = P + M bodies; L levels of R x C tiles and S start places; A
-    actions, F features. The first three are the whole state of the worlds. `events`, `observations`, `masks`,
-    `slots`, `tallies` and `taken` are written by every step. `tick`, `scratch`, `near` and `boxes` are for
-    the rules alone.
+    actions, F features. The first three are the whole state of the worlds. Every step writes `events`,
+    `observations`, `masks`, `slots`, `tallies` and `action_counts`. `tick`, `scratch`, `neighbours` and
+    `boxes` are for the rules alone.
     """
 
     worlds: Annotated[Array, WORLD, "N"]
@@ -324,14 +324,14 @@ class State(NamedTuple):
     masks: Annotated[Array, np.int8, "N P A"]  # 0 where an action would do nothing
     tick: Annotated[Array, TICK, "P"]
     scratch: Annotated[Array, SCRATCH, "M"]
-    near: Annotated[Array, np.int32, "B B"]  # how many bodies a body may meet in this step, and which
+    neighbours: Annotated[Array, np.int32, "B B"]  # how many bodies a body may meet in this step, and which
     boxes: Annotated[Array, BOX, "B"]
-    begins: Annotated[Array, np.int64, "N"]  # start places of the worlds that `run_worlds` resets
-    first_players: Annotated[Array, PLAYER, "P"]  # an episode's are copies, but for place and kept XP
-    first_monsters: Annotated[Array, MONSTER, "L M"]  # an episode's are copies
+    reset_starts: Annotated[Array, np.int64, "N"]  # start places of the worlds that `run_worlds` resets
+    first_players: Annotated[Array, PLAYER, "P"]  # copied when an episode begins, except place and kept XP
+    first_monsters: Annotated[Array, MONSTER, "L M"]  # copied when an episode begins
     slots: Annotated[Array, SLOT, "N P"]
     tallies: Annotated[Array, TALLY, "N"]
-    taken: Annotated[Array, np.int64, "N A"]  # how often players who lived took each action
+    action_counts: Annotated[Array, np.int64, "N A"]  # how often players who lived took each action
     no_events: Annotated[Array, EVENTS, "1"]  # of a step in which nothing happens
     no_tally: Annotated[Array, TALLY, "1"]  # of an episode that begins
 
@@ -397,7 +397,7 @@ def as_bytes(array: np.ndarray) -> np.ndarray:
 
 
 class World(NamedTuple):
-    """What of a `State` concerns one world, at the level that it plays: without the axes N and L."""
+    """The part of a `State` that belongs to one world and its level: without the axes N and L."""
 
     episode: Array  # its row of `worlds`
     settings: Array
@@ -411,10 +411,10 @@ class World(NamedTuple):
     masks: Array
     slots: Array
     tally: Array
-    taken: Array
+    action_counts: Array
     tick: Array
     scratch: Array
-    near: Array
+    neighbours: Array
     boxes: Array
 
 
@@ -463,10 +463,10 @@ def world_of(state: State, world_index: int) -> World:
         state.masks[world_index],
         state.slots[world_index],
         state.tallies[world_index],
-        state.taken[world_index],
+        state.action_counts[world_index],
         state.tick,
         state.scratch,
-        state.near,
+        state.neighbours,
         state.boxes,
     )
 

@@ -43,10 +43,9 @@ class Worlds:
             `state.WORLD`, `PLAYER` and `MONSTER`.
         events: (N, P) `state.EVENTS`, the events of the last step, with the reward.
         observations: (N, P, features) float32, overwritten by every step.
-        masks: (N, P, actions) int8, 0 if an action would do nothing in the next step; the dead count as
-            alive.
-        slots, tallies, taken: statistics of the episodes in progress: (N, P) `state.SLOT`, (N,) `TALLY`, and
-            how often each action was taken, (N, actions).
+        masks: (N, P, actions) int8, 0 if an action would do nothing in the next step, also of the dead.
+        slots, tallies, action_counts: statistics of the episodes in progress: (N, P) `state.SLOT`, (N,)
+            `TALLY`, and how often each action was chosen, (N, actions).
         levels: the levels played; one, unless random ones are drawn.
         default_starts: (N,) the default start places; negative ones are drawn at random.
         player_stats, monster_stats: (P,) and (L, M), the numbers that the rules read.
@@ -117,7 +116,7 @@ class Worlds:
         self._arrays = arrays
         self.worlds, self.players, self.monsters = arrays.worlds, arrays.players, arrays.monsters
         self.events, self.observations, self.masks = arrays.events, arrays.observations, arrays.masks
-        self.slots, self.tallies, self.taken = arrays.slots, arrays.tallies, arrays.taken
+        self.slots, self.tallies, self.action_counts = arrays.slots, arrays.tallies, arrays.action_counts
         entropy = np.random.SeedSequence()
         self.worlds["key"] = entropy.generate_state(count, np.uint64)  # until they are seeded
         self.players[:] = first_players
@@ -266,7 +265,7 @@ class Worlds:
 
     def _begin(self, starts: Any) -> None:
         """Reset worlds at these start places, those with `kernel.GO_ON` excepted, and observe all."""
-        self._arrays.begins[:] = starts
+        self._arrays.reset_starts[:] = starts
         kernel.call_rules(self._address, self._no_actions, kernel.RESET)
 
     def _try_rewards(self) -> None:

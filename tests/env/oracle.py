@@ -258,20 +258,22 @@ class Monster(Body):
 class Oracle:
     """One world."""
 
-    def __init__(self, book: Row, key: int) -> None:
+    def __init__(self, rulebook: Row, key: int) -> None:
         """Make a world by what does not change; see `read_rulebook`."""
-        self.book = book
+        self.rulebook = rulebook
         self.key = key
         self.draws = self.steps = self.level = self.start = 0
         self.monsters_left = self.players_left = 0
         self.ending = RUNNING
-        self.players = [Player(stats, reward) for stats, reward in zip(book.stats, book.rewards, strict=True)]
+        self.players = [
+            Player(stats, reward) for stats, reward in zip(rulebook.stats, rulebook.rewards, strict=True)
+        ]
         self.monsters: list[Monster] = []
 
     @property
     def ground(self) -> Ground:
         """The tiles of the level that is played."""
-        return self.book.grounds[self.level]
+        return self.rulebook.grounds[self.level]
 
     def seed(self, key: int) -> None:
         """Begin a random stream; XP that outlives episodes starts again from 0."""
@@ -281,22 +283,22 @@ class Oracle:
 
     def reset(self, start: int) -> None:
         """Begin an episode at a start place, or at a random one if `start` is below zero."""
-        book = self.book
+        rulebook = self.rulebook
         self.steps, self.ending, self.level, self.start = 0, RUNNING, 0, start
-        if len(book.starts) > 1:
-            self.level = self._draw_below(len(book.starts))
-        starts = book.starts[self.level]
+        if len(rulebook.starts) > 1:
+            self.level = self._draw_below(len(rulebook.starts))
+        starts = rulebook.starts[self.level]
         if start < 0:
             self.start = self._draw_below(len(starts))
         for index, player in enumerate(self.players):
             x, y = starts[(self.start + index) % len(starts)]
             fresh = Player(player.stats, player.reward, x, y, events=player.events)
             fresh.hp, fresh.energy = player.stats.hp, player.stats.energy
-            if book.config.xp_scope == "forever":
+            if rulebook.config.xp_scope == "forever":
                 fresh.xp = player.xp
             self.players[index] = fresh
         self.monsters = []
-        for stats, (x, y) in zip(book.monster_stats[self.level], book.homes[self.level], strict=True):
+        for stats, (x, y) in zip(rulebook.monster_stats[self.level], rulebook.homes[self.level], strict=True):
             none_yet = [0] * len(self.players)
             self.monsters.append(Monster(stats, x, y, stats.hp, none_yet, none_yet.copy()))
         self.monsters_left, self.players_left = len(self.monsters), len(self.players)
@@ -307,7 +309,7 @@ class Oracle:
             player.events = Events()
         if self.ending != RUNNING:
             return False
-        for _ in range(self.book.settings.ticks):
+        for _ in range(self.rulebook.settings.ticks):
             self._tick(actions)
         self.steps += 1
         self._end()
@@ -318,7 +320,7 @@ class Oracle:
         present = [player for player in self.players if player.events.present]
         for player in present:
             player.events.reward = player.formula()
-        if self.book.config.shared_reward:
+        if self.rulebook.config.shared_reward:
             total = 0.0  # not by `sum`, which rounds differently from Python 3.12 on
             for player in self.players:
                 total += player.events.reward
@@ -335,7 +337,7 @@ class Oracle:
 
     def _end(self) -> None:
         """Decide whether the episode is over, and charge the living for an ending."""
-        config = self.book.config
+        config = self.rulebook.config
         self.players_left = sum(player.hp > 0.0 for player in self.players)
         self.monsters_left = sum(monster.hp > 0.0 for monster in self.monsters)
         if self.players_left == 0:
@@ -351,7 +353,7 @@ class Oracle:
 
     def _charge(self, player: Player) -> None:
         """Take the XP that an ending costs; the published code then sets the reward to the XP."""
-        cost = self.book.config.ending_cost
+        cost = self.rulebook.config.ending_cost
         if cost != 0.0:
             player.xp -= cost
             player.events.xp_gained -= cost
@@ -376,7 +378,7 @@ class Oracle:
 
     def _act(self, player: Player, action: int) -> Row | None:
         """Let a player act, unless an attack or spell still lasts; return what strikes in this tick."""
-        stats, name = player.stats, self.book.actions[action]
+        stats, name = player.stats, self.rulebook.actions[action]
         blow = None
         if player.busy == 0:
             if name == "attack":
@@ -409,7 +411,7 @@ class Oracle:
         """Return where one tick of walking the way it faces takes a player among obstacles."""
         stats, (x, y) = player.stats, DIRECTIONS[player.facing]
         steps, offset = (x * stats.speed, y * stats.speed), (stats.body_x, stats.body_y)
-        closed = self.book.closed_to_players
+        closed = self.rulebook.closed_to_players
         return move((player.x, player.y), offset, player.box.half, steps, self.ground, closed, obstacles)
 
     def _others(self, mover: Body) -> list[Box]:
@@ -428,7 +430,7 @@ class Oracle:
                 monster.bite[index] = 0
         meeting = {index for index, blow in blows.items() if monster.box.meets(blow.box)}
         swords = {index for index in blows if self.players[index].action_kind == 1}
-        if self.book.config.blow == "attack":
+        if self.rulebook.config.blow == "attack":
             swords = set()
         for index in sorted(meeting):
             hit = monster.struck_by[index] != blows[index].number
@@ -447,7 +449,7 @@ class Oracle:
         elif target is not None:
             steps = monster.approach(target.x - monster.x), monster.approach(target.y - monster.y)
         position, offset = (monster.x, monster.y), (monster.stats.body_x, monster.stats.body_y)
-        closed, obstacles = self.book.closed_to_monsters, self._others(monster)
+        closed, obstacles = self.rulebook.closed_to_monsters, self._others(monster)
         monster.x, monster.y = move(position, offset, monster.box.half, steps, self.ground, closed, obstacles)
 
     def _strike(
@@ -465,7 +467,7 @@ class Oracle:
         gains[striker].kills += 1
         for index in present:
             earns = index == striker
-            if self.book.config.kill_credit == "near":  # by the attack circle as it was a tick ago
+            if self.rulebook.config.kill_credit == "near":  # by the attack circle as it was a tick ago
                 earns = monster.bite[index] > 0
             if earns:
                 gains[index].is_paid = True

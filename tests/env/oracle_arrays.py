@@ -71,8 +71,8 @@ class Pair:
     def __init__(self, worlds: Worlds, seed: int = 0) -> None:
         self.worlds = worlds
         worlds.seed(range(seed, seed + len(worlds)))
-        book = read_rulebook(worlds)
-        self.oracles = [Oracle(book, int(key)) for key in worlds.worlds["key"]]
+        rulebook = read_rulebook(worlds)
+        self.oracles = [Oracle(rulebook, int(key)) for key in worlds.worlds["key"]]
         self.views: list[list[tuple[list[float], list[int]]]] = [[] for _ in self.oracles]
         self.reset(range(len(worlds)))
 

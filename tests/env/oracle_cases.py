@@ -246,7 +246,7 @@ def choose_actions(case: Case, oracles: Sequence[Oracle], step: int) -> np.ndarr
 
 def _act(world: Oracle, player: Player, mood: int, step: int) -> int:
     """Return what a player does: hunts, burns, heals, walks straight on, or anything."""
-    names = world.book.actions
+    names = world.rulebook.actions
     if mood < 100 or (mood < 145 and len(names) == 5):
         return hunt(world, player, ATTACK)
     if mood < 130:

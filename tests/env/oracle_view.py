@@ -22,7 +22,7 @@ TERRAIN, PLAYER, MONSTERS = 0, 1, 2
 
 def observe(world: Oracle, player: Player) -> list[float]:
     """Return what a player observes, and note how far off the nearest living monster is."""
-    settings, config = world.book.settings, world.book.config
+    settings, config = world.rulebook.settings, world.rulebook.config
     numbers = _about_player(world, player)
     if config.observe_facing:
         numbers += [float(player.facing == direction) for direction in (DOWN, LEFT, UP, RIGHT)]
@@ -42,17 +42,19 @@ def mask(world: Oracle, player: Player) -> list[int]:
     None does while an attack or spell lasts through the step. Walking against a wall that one faces already
     does nothing, nor does a spell that cannot be paid at any tick of it. Bodies in the way may go.
     """
-    ticks, stats = world.book.settings.ticks, player.stats
+    ticks, stats = world.rulebook.settings.ticks, player.stats
     energy = player.energy
     for _ in range(ticks - 1):
         energy = min(energy + stats.energy_gain, stats.energy)
     is_useful = {
         "flame": energy >= stats.flame_cost,
         "heal": energy >= stats.heal_cost,
-        world.book.actions[player.facing]: world.walked(player, []) != (player.x, player.y),
+        world.rulebook.actions[player.facing]: world.walked(player, []) != (player.x, player.y),
     }
     is_free = player.busy < ticks
-    return [int(name == "attack" or (is_free and is_useful.get(name, True))) for name in world.book.actions]
+    return [
+        int(name == "attack" or (is_free and is_useful.get(name, True))) for name in world.rulebook.actions
+    ]
 
 
 def _perceived(world: Oracle, player: Player) -> list[Monster]:
@@ -60,10 +62,10 @@ def _perceived(world: Oracle, player: Player) -> list[Monster]:
 
     Nearest first, without the dead; or in fixed order, where the dead are the furthest of all.
     """
-    monsters, limit = world.monsters, world.book.settings.perceived
+    monsters, limit = world.monsters, world.rulebook.settings.perceived
     living = [monster for monster in monsters if monster.hp > 0.0]
     living.sort(key=lambda monster: _distance(monster, player))
-    if world.book.config.order == "nearest":
+    if world.rulebook.config.order == "nearest":
         return living[:limit]
     dead = [monster for monster in monsters if monster.hp <= 0.0]
     nearest = {id(monster) for monster in (living + dead)[:limit]}
@@ -76,11 +78,11 @@ def _distance(monster: Monster, player: Player) -> float:
 
 
 def _about_player(world: Oracle, player: Player) -> list[float]:
-    settings, stats = world.book.settings, player.stats
+    settings, stats = world.rulebook.settings, player.stats
     x = (player.x - settings.middle_x) * settings.scale_x
     y = (player.y - settings.middle_y) * settings.scale_y
     hp = player.hp * stats.hp_scale
-    if world.book.config.observation == "pygame":
+    if world.rulebook.config.observation == "pygame":
         facing_x = float((player.facing == RIGHT) - (player.facing == LEFT))
         facing_y = float((player.facing == DOWN) - (player.facing == UP))
         return [x, y, facing_x, facing_y, hp, player.energy * stats.energy_scale]
@@ -92,7 +94,7 @@ def _about_monster(world: Oracle, player: Player, monster: Monster) -> list[floa
 
     The published code's layout shows the dead where they died (AIController2D.gd:20-25).
     """
-    settings, layout, stats = world.book.settings, world.book.config.observation, monster.stats
+    settings, layout, stats = world.rulebook.settings, world.rulebook.config.observation, monster.stats
     alive = monster.hp > 0.0
     distance, inverse = _distance(monster, player), 0.0
     if (alive or layout == "godot") and distance > 0.0:
@@ -116,30 +118,30 @@ def _about_monster(world: Oracle, player: Player, monster: Monster) -> list[floa
 
 def _look_around(world: Oracle, player: Player) -> list[float]:
     """Return a row for each ray: how far it goes, then 1 for what it meets, else 0."""
-    settings, numbers = world.book.settings, []
+    settings, numbers = world.rulebook.settings, []
     for index in range(settings.rays):
         ray = settings.ray_x[index], settings.ray_y[index]
         ends = _ends_at_bodies(world, player, ray)
         ends.append(
-            (_terrain(world.ground, (player.x, player.y), ray, world.book.closed_to_players), TERRAIN)
+            (_terrain(world.ground, (player.x, player.y), ray, world.rulebook.closed_to_players), TERRAIN)
         )
-        distance, sight = min(ends, key=lambda end: end[0])  # of equals the first
+        distance, kind = min(ends, key=lambda end: end[0])  # of equals the first
         numbers.append(distance * settings.ray_scale)
-        numbers += [float(number == sight) for number in range(MONSTERS + settings.sights)]
+        numbers += [float(number == kind) for number in range(MONSTERS + settings.monster_kinds)]
     return numbers
 
 
 def _ends_at_bodies(world: Oracle, player: Player, ray: Pair) -> list[tuple[float, int]]:
     """Return how far off each living body is entered, and what it is; one that is only touched is not."""
-    boxes = [(monster.box, MONSTERS + monster.stats.sight) for monster in world.monsters if monster.hp > 0.0]
+    boxes = [(monster.box, MONSTERS + monster.stats.kind) for monster in world.monsters if monster.hp > 0.0]
     boxes += [(mate.box, PLAYER) for mate in world.players if mate is not player and mate.hp > 0.0]
     ends = []
-    for (centre, half), sight in boxes:
+    for (centre, half), kind in boxes:
         low = centre[0] - half[0], centre[1] - half[1]
         high = centre[0] + half[0], centre[1] + half[1]
         start, end, beside = _inside(low, high, (player.x, player.y), ray)
         if start < end and end > 0.0 and not beside:
-            ends.append((max(start, 0.0), sight))
+            ends.append((max(start, 0.0), kind))
     return ends
 
 

@@ -85,9 +85,9 @@ def overlaps(world: Oracle) -> set[tuple[int, ...]]:
     living = [(number, body) for number, body in enumerate(bodies) if body.hp > 0.0]
     inside: set[tuple[int, ...]] = set()
     for number, body in living:
-        closed = world.book.closed_to_players
+        closed = world.rulebook.closed_to_players
         if isinstance(body, Monster):
-            closed = world.book.closed_to_monsters
+            closed = world.rulebook.closed_to_monsters
         box = shrunk(body, ROUNDING)
         for column, row in itertools.product(*(world.ground.covered(box, axis) for axis in (0, 1))):
             if world.ground.is_closed(column, row, closed):

@@ -195,7 +195,7 @@ def _keep_step(handle: Any, default_starts: Any, rollout: Any, step: int, ending
         player, slot = state.players[w, p], state.slots[w, p]
         has_ended = state.worlds[w].ending != rules.RUNNING
         any_ended |= has_ended
-        state.begins[w] = default_starts[w] if has_ended else GO_ON
+        state.reset_starts[w] = default_starts[w] if has_ended else GO_ON
         rollout.rewards[i, step] = state.events[w, p].reward
         if slot.ending != rules.RUNNING:
             ended_row = rollout.ended[endings]
