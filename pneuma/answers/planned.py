@@ -104,7 +104,7 @@ def _published_seconds(index: RunIndex, run: Run, steps: int) -> float | None:
     Learning takes as long as there are steps; evaluations are as many in a run of any length. None if no run
     of its configuration is published.
     """
-    runs = index.frame.iloc[list(index.places.get(config_id(run), ()))]
+    runs = index.frame.iloc[list(index.positions.get(config_id(run), ()))]
     for run_id in runs["run_id"][runs["where"] != ""]:
         row = index.row(run_id)
         if row is not None and row.wall_seconds:

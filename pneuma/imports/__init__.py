@@ -1,1 +1,1 @@
-"""Imports: logs of other programs as a study, of which every point is kept."""
+"""Imports: logs of other programs as a study, with every point."""

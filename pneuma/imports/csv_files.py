@@ -1,4 +1,4 @@
-"""Tidy tables, whose columns the user names, and Stable-Baselines3's monitors as logs.
+"""Read tidy tables, whose columns the user names, and Stable-Baselines3's monitors.
 
 Nothing is guessed: what could be read in two ways is refused.
 """
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from pneuma.errors import Hint, Message, UserError, counted, unknown_name
@@ -28,7 +29,7 @@ MONITOR = "monitor.csv"
 QUANTITIES = {quantity: TAGS[quantity] for quantity in TAGS if quantity in TRAINING_QUANTITIES}
 QUANTITIES["evaluated_return"] = (EVALUATION_TAGS["return"],) * 2
 QUANTITIES["success"] = (EVALUATION_TAGS["success"],) * 2
-"""The tags of each quantity: of means over episodes, and of single values."""
+"""Two tags for each quantity: for means over episodes, and for single values."""
 SUGGESTED = {
     "step": r"_?(global_)?steps?|(total_)?timesteps|time/total_timesteps",
     "values": r".*(return|reward|ep_rew_mean).*",
@@ -40,14 +41,14 @@ SUGGESTED = {
 
 @dataclass(frozen=True)
 class Columns:
-    """What of a table is imported; condition and seed are in a file's name where they are not given.
+    """The columns of a table to import. By default, a file's name has condition and seed.
 
     Attributes:
         step: the column of agent steps.
         values: columns of values, COLUMN or COLUMN=QUANTITY; without a quantity they are returns.
         condition: a column, or the condition of all rows.
         seed: a column, or the seed of all rows.
-        averaged_over: episodes of which a return or length is the mean; None to take them as they are.
+        averaged_over: how many episodes returns and lengths average; None to leave them as they are.
     """
 
     step: str = ""
@@ -62,10 +63,10 @@ def import_csv(
 ) -> Import:
     """Import the runs in some files as one study; all files are read before anything is written.
 
-    Each monitor is a run, unless condition and seed name one run, whose environments the monitors are then.
+    Each monitor is a run. If condition and seed name one run, the monitors are its environments.
 
     Raises:
-        UserError: for whatever could be read in two ways.
+        UserError: for files that could be read in two ways.
     """
     shared_folder = Path(os.path.commonpath([path.resolve().parent for path in paths]))
     is_single = len(paths) == 1 and paths[0].name != MONITOR
@@ -145,21 +146,21 @@ def _read_runs(path: Path, shared_folder: Path, file_text: str, columns: Columns
     values_by_column = {column: _numbers(path, table[column]) for column in quantities}
     for _, run_rows in runs.groupby(["condition", "seed"], sort=False):
         condition, seed = str(run_rows["condition"].iloc[0]), int(run_rows["seed"].iloc[0])
-        rows = run_rows.index
         run_name = f"{condition} with seed {seed}"
         notes, points = [], []
         for column, quantity in quantities.items():
-            finite = values_by_column[column][rows].replace([math.inf, -math.inf], math.nan).dropna()
-            lost_rows = len(rows) - len(finite)
+            run_values = values_by_column[column][run_rows.index]
+            finite_values = run_values[np.isfinite(run_values)]
+            lost_rows = len(run_values) - len(finite_values)
             if lost_rows:
-                notes.append(
-                    f"{lost_rows} of {counted(len(rows), 'row')} have no finite {column} and are left out"
-                )
-            _refuse_two_runs(path, steps[finite.index], run_name)
-            mean_tag, single_tag = QUANTITIES[quantity]
-            are_means = quantity in EPISODE_QUANTITIES and columns.averaged_over != 1
-            tag = mean_tag if are_means else single_tag
-            points.append(pd.DataFrame({"tag": tag, "step": steps[finite.index], "value": finite}))
+                row_count = counted(len(run_values), "row")
+                notes.append(f"{lost_rows} of {row_count} have no finite {column} and are left out")
+            run_steps = steps[finite_values.index]
+            _refuse_two_runs(path, run_steps, run_name)
+            mean_tag, tag = QUANTITIES[quantity]
+            if quantity in EPISODE_QUANTITIES and columns.averaged_over != 1:
+                tag = mean_tag
+            points.append(pd.DataFrame({"tag": tag, "step": run_steps, "value": finite_values}))
         log = _make_log(
             f"{path.name}, {run_name}",
             (condition, seed),
@@ -235,7 +236,7 @@ def _numbers(path: Path, cells: pd.Series) -> pd.Series:
 
 
 def _whole_numbers(path: Path, cells: pd.Series) -> pd.Series:
-    """Return steps or seeds; refuse others, and such as 1.000, which may be a thousand."""
+    """Return steps or seeds; refuse other numbers, and 1.000, which may be a thousand."""
     numbers = _numbers(path, cells)
     has_thousands = cells.str.strip().str.fullmatch(r"[1-9]\d{0,2}(\.\d{3})+")
     is_integer = numbers.between(0, 2**53) & (numbers % 1 == 0) & ~has_thousands
@@ -264,10 +265,10 @@ def _refuse_two_runs(path: Path, steps: pd.Series, run_name: str) -> None:
 
 
 def _read_monitors(monitors: Mapping[Path, str], shared_folder: Path, columns: Columns) -> Log:
-    """Return the run of one monitor, or of those of its environments, whose rows are ordered by their clock.
+    """Return the run of one monitor, or of several environments, whose episodes are ordered by their clock.
 
-    The clock begins again where a monitor was appended to after a restart. A single monitor keeps the order
-    of its rows; several are refused.
+    After a restart that appended to a monitor, its clock starts again. A single monitor keeps the order of
+    its rows; several are refused.
     """
     episode_tables = []
     for path, file_text in monitors.items():

@@ -1,9 +1,9 @@
-"""What was read of other programs' logs becomes a study, whose runs were not trained here.
+"""Store logs of other programs as a study.
 
     files -> `tensorboard.py`, `csv_files.py` -> `Log` -> `store_logs` -> run folders with rows, their listing
 
-An imported run holds `scalars.parquet` (tag, step, value, superseded) in place of an engine's records. Its id
-is a hash of its files and of what selects their data, so importing twice changes nothing.
+An imported run has `scalars.parquet` (tag, step, value, superseded) instead of an engine's records. Its id is
+a hash of its files and of what selects their data, so that importing twice changes nothing.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pneuma.study.shipped import list_studies
 AGENT_STEPS = ("rollout/", "train/", "time/", "eval/", "charts/", "losses/")
 """Tags of Stable-Baselines3 and CleanRL whose steps are agent steps."""
 LOG_KINDS = {"csv": "CSV files", "tensorboard": "TensorBoard logs"}
-"""What is imported, by the kind of logs: in place of an environment, which logs do not contain."""
+"""The kinds of logs. Messages name them instead of an environment, which logs do not contain."""
 SCALAR_COLUMNS = ["tag", "step", "value", "superseded"]
 
 
@@ -35,13 +35,13 @@ class Log:
     """One run as it was read.
 
     Attributes:
-        name: where it was read, for messages.
+        name: its file or folder, for messages.
         condition: its condition in the study.
         seed: its seed.
         points: tag, step, value and superseded (by a restart), as written.
         identity: a text that names its files and what selects their data.
         provenance: what produced it, as far as that is known.
-        notes: what is odd about it.
+        notes: messages about points that are left out.
         new: whether it was not stored before.
     """
 
@@ -79,7 +79,7 @@ def store_logs(
         store: where to store them.
         log_kind: the kind of logs.
         study_name: the study's name, as `choose_study_name` returns it.
-        adds_runs: whether other runs that the study has stay in it.
+        adds_runs: whether the study keeps its other runs.
 
     Raises:
         UserError: for two runs of one name or with the same data, or a study that has other runs.
@@ -143,7 +143,7 @@ def _store_run(log: Log, store: Store, log_kind: str) -> None:
 
 
 def choose_study_name(study_name: str | None, source_path: Path, store: Store, log_kind: str) -> str:
-    """Return the name of the study to import into: by default that of the place where the logs are."""
+    """Return the name of the study to import into; the default is the name of the logs' folder or file."""
     if study_name is None:
         study_name = re.sub(r"[^A-Za-z0-9._-]+", "-", source_path.resolve().name).strip("-.")
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", study_name) or study_name.endswith(".toml"):
@@ -173,7 +173,7 @@ def condition_and_seed(folder_names: Sequence[str]) -> tuple[str, int]:
         if match:
             remaining_names[position], seed = match[1], int(match[2])
             break
-    return "/".join(remaining_names).lstrip("_/ ") or "run", seed  # legends leave out what begins with _
+    return "/".join(remaining_names).lstrip("_/ ") or "run", seed  # legends leave out names that begin with _
 
 
 def file_facts(file_bytes: bytes) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from pneuma.imports.logs import Import, Log, choose_study_name, condition_and_se
 from pneuma.store.store import Store
 
 SOURCE, IMPORT_VERSION = "tensorboard", 3
-"""The second is raised by hand when the same logs give other points; part of every imported run's id."""
+"""The version is raised by hand when the same logs give other points; it is part of an imported run's id."""
 
 
 class Scalar(NamedTuple):
@@ -97,7 +97,7 @@ def _read_log(folder_names: tuple[str, ...], paths: Sequence[Path]) -> Log:
 
 
 def _times(points: pd.DataFrame) -> dict[str, object]:
-    """Return when a log was begun, and over how many seconds it was written."""
+    """Return when a log was started, and in how many seconds it was written."""
     seconds = points["second"][points["second"].between(1, 1e11)]  # a later time is invalid: the year 5138
     if seconds.empty:
         return {"started": None, "wall_seconds": 0.0}
@@ -109,8 +109,8 @@ def _times(points: pd.DataFrame) -> dict[str, object]:
 def read_event_file(path: Path) -> tuple[list[Scalar], int]:
     """Return every scalar of an event file in the order of writing, up to damage, and how many bytes that is.
 
-    It uses the reader inside TensorBoard's EventAccumulator, which itself does not keep the order of tags
-    that shows restarts.
+    TensorBoard's EventAccumulator uses the same reader, but does not keep the order of tags, which shows
+    restarts.
     """
     try:
         from tensorboard.backend.event_processing.event_file_loader import RawEventFileLoader
@@ -121,7 +121,7 @@ def read_event_file(path: Path) -> tuple[list[Scalar], int]:
         raise UserError(needed) from None
     scalars: list[Scalar] = []
     sound_bytes = 0
-    plugin_by_tag: dict[str, str] = {}  # what shows a tag's tensors: some writers name it once
+    plugin_by_tag: dict[str, str] = {}  # some writers name the plugin of a tag once
     with suppress(Exception):  # any error from an invalid length or message means damage
         for record in RawEventFileLoader(str(path)).Load():
             event = Event.FromString(record)
@@ -131,7 +131,7 @@ def read_event_file(path: Path) -> tuple[list[Scalar], int]:
                     scalar_value = value.simple_value
                 elif plugin_name == "scalars" and not value.tensor.tensor_shape.dim:
                     scalar_value = float(make_ndarray(value.tensor))
-                else:  # a text, a histogram and the like
+                else:  # a text or a histogram
                     continue
                 scalars.append(Scalar(value.tag, event.step, scalar_value, event.wall_time))
             sound_bytes += len(record) + 16  # its length, and two checksums
@@ -141,9 +141,9 @@ def read_event_file(path: Path) -> tuple[list[Scalar], int]:
 def find_superseded(points: pd.DataFrame) -> pd.Series:
     """Return which scalars of a log were replaced by later ones of their tag, after a restart.
 
-    A restarted logger goes back in steps and writes them again: from that step on, what its file holds so far
-    is replaced, and what is in files that had ended when its own began. Files that are written at the same
-    time are of several writers, and replace nothing of each other.
+    A restarted logger goes back in steps and writes them again. From that step on, its points replace earlier
+    ones of its file, and of files that had ended when its file was started. Files that are written at the
+    same time have several writers, and replace nothing of each other.
     """
     superseded = pd.Series(False, index=points.index)
     written = points.groupby("file")["second"].agg(["min", "max"])

@@ -1,9 +1,9 @@
-"""Checkpoints of a run in the store: taken while it trains, and where it goes on from after a kill.
+"""Checkpoints of a run in the store: written while it trains, and read to resume it after a kill.
 
     results/runs/ID/checkpoints/STEP-CHECKSUM.safetensors
 
-A file's name contains the checksum of its contents, so that a damaged or truncated file is never used. While
-a run trains, its latest two are kept.
+A file's name contains the checksum of its contents, so that a damaged file is never used. While a run
+trains, its latest two are kept.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from pneuma.store.tables import from_parquet, to_parquet
 
 LATEST_KEPT = 2
 WRITE_SHARE = 40
-"""Time between checkpoints is at least this many times what the last one took to write."""
+"""The time between checkpoints is at least this many times the time to write the last one."""
 TABLES = {"episodes": EPISODE_COLUMNS, "metrics": METRIC_COLUMNS, "evaluations": EVALUATION_COLUMNS}
 
 
@@ -48,8 +48,8 @@ class RunCheckpoints:
         attempts: the records of earlier attempts, up to the checkpoint from which this one resumes.
     """
 
-    def __init__(self, store: Store, run_id: str, seconds: float, say: Callable[[str], None]) -> None:
-        self._store, self._run_id, self._seconds, self._say = store, run_id, seconds, say
+    def __init__(self, store: Store, run_id: str, seconds: float, note: Callable[[str], None]) -> None:
+        self._store, self._run_id, self._seconds, self._note = store, run_id, seconds, note
         self._folder = store.run_folder(run_id)
         self._next = time.monotonic() + self._seconds
         self.attempts: list[dict[str, Any]] = []
@@ -65,25 +65,25 @@ class RunCheckpoints:
             if content:
                 checkpoint, self.attempts = content
                 return checkpoint
-            self._say(
+            self._note(
                 f"the checkpoint at step {checkpoint_file.step:,} is damaged: going on from the one before"
             )
             self._store.remove(checkpoint_file.path)
         return None
 
     def give_up(self, reason: Exception) -> bool:
-        """Discard the latest checkpoint, which the engine cannot use; return whether there was one."""
+        """Remove the latest checkpoint, which the engine cannot use; return whether there was one."""
         checkpoints = checkpoint_files(self._folder)
         if not checkpoints:
             return False
-        self._say(f"the checkpoint at step {checkpoints[0].step:,} is given up: {reason}")
+        self._note(f"the checkpoint at step {checkpoints[0].step:,} is given up: {reason}")
         self._store.remove(checkpoints[0].path)
         return True
 
     def update(self, progress: Progress, attempt: Attempt, at_once: bool) -> None:
-        """Write a checkpoint if it is time, or if asked for `at_once`.
+        """Write a checkpoint if it is time, or `at_once`.
 
-        If it cannot be written, this is reported and tried again later. Training goes on.
+        If it cannot be written, a note is sent and training continues.
         """
         if progress.checkpoint is None:
             return
@@ -97,7 +97,7 @@ class RunCheckpoints:
         except StorageError:
             raise
         except UserError as error:
-            self._say(f"no checkpoint at step {progress.step:,}: {error}")
+            self._note(f"no checkpoint at step {progress.step:,}: {error}")
         for checkpoint_file in checkpoint_files(self._folder)[LATEST_KEPT:]:
             self._store.remove(checkpoint_file.path)
         write_seconds = time.monotonic() - start_clock
@@ -125,14 +125,14 @@ def file_name(step: int, encoded_checkpoint: bytes) -> str:
 
 
 def read_checkpoint(checkpoint_file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, Any]]] | None:
-    """Read a checkpoint and its attempts; None if it is damaged or of another run."""
+    """Read a checkpoint and its attempts; None if it is damaged or belongs to another run."""
     try:
         encoded_checkpoint = checkpoint_file.path.read_bytes()
         if checksum(encoded_checkpoint)[:16] != checkpoint_file.digest:
             return None
         checkpoint, metadata = decode(encoded_checkpoint)
         attempts = metadata["history"]["attempts"]
-    except Exception:  # untrusted bytes may raise any error of JSON, safetensors and Parquet
+    except Exception:  # untrusted bytes may raise any error
         return None
     if metadata["run_id"] != checkpoint_file.path.parent.parent.name:
         return None
@@ -148,7 +148,7 @@ def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str) -> b
     record_arrays = {
         f"records/{name}": np.frombuffer(data, np.uint8) for name, data in bytes_by_table.items()
     }
-    # safetensors has no name for an array without dimensions that NumPy would keep so
+    # safetensors needs at least one dimension
     arrays = {name: np.ascontiguousarray(array) for name, array in checkpoint.arrays.items()}
     metadata = {
         "schema": SCHEMA,
@@ -162,11 +162,7 @@ def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str) -> b
 
 
 def decode(encoded_checkpoint: bytes) -> tuple[Checkpoint, dict[str, Any]]:
-    """Return a checkpoint, with the run id and attempts that were encoded in it.
-
-    Raises:
-        ValueError: for bytes of another schema; other bytes may raise anything.
-    """
+    """Return a checkpoint and its metadata; other bytes may raise any error."""
     header_size = int.from_bytes(encoded_checkpoint[:8], "little")
     header = json.loads(encoded_checkpoint[8 : 8 + header_size])
     metadata: dict[str, Any] = json.loads(header["__metadata__"]["pneuma"])
@@ -183,12 +179,7 @@ def decode(encoded_checkpoint: bytes) -> tuple[Checkpoint, dict[str, Any]]:
 
 
 def table_files(records: Records, without: Collection[str] = ()) -> dict[str, bytes]:
-    """Return each table of records as a Parquet file, its `VALUE_COLUMNS`, if it has some, last.
-
-    Args:
-        records: of a run.
-        without: columns that are left out.
-    """
+    """Return each table of records as a Parquet file, without some columns; `VALUE_COLUMNS` are last."""
     files = {}
     for table_name, columns in TABLES.items():
         rows: list[Row] = getattr(records, table_name)

@@ -25,7 +25,7 @@ from pneuma.study.identity import config_id
 from pneuma.study.shipped import list_studies
 
 COLUMNS = ["run_id", "config_id", "seed", "steps", "status", "end", "where"]
-"""Of `RunIndex.frame`; a run in the results folder itself has an empty `where`, else that of its table."""
+"""Columns of `RunIndex.frame`; `where` is a run's published table, or empty if it is stored in the folder."""
 
 
 class RunIndex:
@@ -35,7 +35,7 @@ class RunIndex:
     Pneuma.
 
     Attributes:
-        problems: messages on what cannot be read, or contradicts itself.
+        problems: messages about files that cannot be read, and rows that differ from published ones.
         row: returns the row of a run by its id; None if it cannot be read.
     """
 
@@ -48,7 +48,7 @@ class RunIndex:
 
     @cached_property
     def frame(self) -> pd.DataFrame:
-        """`COLUMNS` of each run, by its id; one that has finished here counts before published ones."""
+        """`COLUMNS` of each run, by its id; a run that finished here replaces a published one."""
         stored_frame = pd.DataFrame(columns=COLUMNS)
         if self._stored:
             stored_frame = pd.DataFrame(self._stored_runs(), columns=COLUMNS)
@@ -79,15 +79,15 @@ class RunIndex:
         return tables_by_name
 
     @cached_property
-    def places(self) -> Mapping[Any, Any]:
-        """The places in the frame of each configuration's runs, of any seed and budget."""
+    def positions(self) -> Mapping[Any, Any]:
+        """The positions in the frame of each configuration's runs, of any seed and budget."""
         return self.frame.groupby("config_id").indices
 
     def engine_of(self, run: Run) -> str:
-        """Return the engine of a run's configuration, or another by which there are runs of it alone."""
+        """Return the run's engine, or, if it trained no run of the configuration, another one that did."""
         engines = dict.fromkeys([run.engine] + list(find_algorithm(run.algorithm).engines))
         for engine in engines:
-            if config_id(replace(run, engine=engine)) in self.places:
+            if config_id(replace(run, engine=engine)) in self.positions:
                 return engine
         return run.engine
 
@@ -109,7 +109,7 @@ class RunIndex:
     def document(self, column: str, run_id: str) -> Mapping[str, Any]:
         """Return the fields or the provenance of a run; empty if they cannot be read."""
         for table in self.tables.values():
-            if run_id in table.places:
+            if run_id in table.row_numbers:
                 return table.document(column, run_id)
         if column == "fields":
             return stored_settings(self.store, run_id)
@@ -137,7 +137,7 @@ class RunIndex:
             except UserError as error:
                 self.problems.append(str(error))
         for table in self.tables.values():
-            if run_id not in table.places or location not in ("", str(table.path)):
+            if run_id not in table.row_numbers or location not in ("", str(table.path)):
                 continue
             try:
                 published_row = table.row(run_id)

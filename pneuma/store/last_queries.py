@@ -1,8 +1,8 @@
-"""What each study's last `study run` in a results folder trained, in each world.
+"""The query of each study's last `study run` in a results folder, by world.
 
     results/last/STUDY.json: by world the preset, seeds, steps, conditions and changed fields
 
-Commands that read runs take this query where none is named.
+Commands that read runs use this query by default.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def last_query(store: Store, study: str, world: str) -> Query | None:
 
 
 def on_top_of_last(store: Store, study: str, world: str, query: Query) -> Query:
-    """Return the last query of a study in a world, with what another query asks for in its place.
+    """Return the last query of a study in a world, changed by the values of another query.
 
     Raises:
         UserError: if the study was not run there.

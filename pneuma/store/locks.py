@@ -1,9 +1,9 @@
 """Locks on the folders of runs, which end with the process that holds them.
 
-Two `study run` on one results folder share the work: a run that another process holds is left to it. On file
+Two `study run` on one results folder share the work: a process skips a run that another one holds. On file
 systems without locks, or with locks for one machine only, two processes may train the same run. Both give the
 same bits, and files are written whole, so that only time is lost. A lock's file stays, held or not, until the
-run is finished: of a file that is removed sooner two could hold a lock.
+run is finished: if it were removed sooner, two processes could hold the lock.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pneuma.files import write_error
 
 LOCK_FILE = ".lock"
 ATTEMPTS, ATTEMPT_SECONDS = 5, 0.002
-"""Attempts to take a lock, and seconds between them: a process that only looks holds it for a moment."""
+"""Attempts to take a lock, and seconds between them: `is_held` in another process holds it for a moment."""
 
 
 @contextmanager
@@ -52,12 +52,12 @@ def is_held(folder: Path) -> bool:
 
 
 def open_lock(lock_path: str, flags: int) -> int:
-    """Open a lock's file, which a link must not lead out of the results."""
-    return os.open(lock_path, flags | os.O_NOFOLLOW, 0o666)  # less the umask
+    """Open a lock's file, but not a link, which may lead out of the results."""
+    return os.open(lock_path, flags | os.O_NOFOLLOW, 0o666)  # minus the umask
 
 
 def take_lock(descriptor: int) -> bool:
-    """Lock a file for this process; wait briefly for others that only look (`is_held`)."""
+    """Lock a file for this process; return whether no other process holds it."""
     for _ in range(ATTEMPTS):
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

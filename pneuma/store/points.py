@@ -1,4 +1,4 @@
-"""The points of an imported log as the series of a run: by quantity, averaged as returns are elsewhere."""
+"""The points of an imported log as the series of a run, by quantity; returns are averaged as elsewhere."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ RUN_COLUMNS = ("run_id", "condition", "seed")
 
 
 def recorded_from_log(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> Recorded:
-    """Return what the points (tag, step, value, superseded) of an imported log hold.
+    """Return the records in the points (tag, step, value, superseded) of an imported log.
 
-    Returns that are means of fewer episodes than elsewhere are averaged further. Those of which nobody said
-    how many episodes they average are taken as they are.
+    Returns that average fewer episodes than elsewhere are averaged further. If it is unknown how many
+    episodes they average, they stay as they are.
     """
     points, averaged_over = _named_points(scalars, provenance)
     series_by_quantity = {}
@@ -46,7 +46,7 @@ def log_table(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> pd.DataFr
 def _named_points(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> tuple[pd.DataFrame, int]:
     """Return name, step and value of every point that no restart superseded, by step, then as written.
 
-    Also of how many episodes returns and lengths are means then; 1 if they are as they were logged.
+    Also return how many episodes returns and lengths average then; 1 if they are as they were logged.
     """
     logged_over = provenance.get("averaged_over", TRAILING_EPISODES)
     scalars = scalars[~scalars["superseded"].astype(bool)].sort_values("step", kind="stable")
@@ -75,6 +75,6 @@ def _evaluations(points: pd.DataFrame) -> list[Any]:
 
 
 def _pivoted(points: pd.DataFrame) -> pd.DataFrame:
-    """Return a column for each name, by step; of points of one step the last."""
+    """Return a column for each name, by step; of several points at one step the last counts."""
     last_points = points.drop_duplicates(["name", "step"], keep="last")
     return last_points.pivot(index="step", columns="name", values="value").rename_axis(columns=None)

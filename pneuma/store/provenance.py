@@ -1,4 +1,4 @@
-"""Provenance: the packages, machine, code and time that produced a run. Kept beside its records."""
+"""Provenance: the packages, machine, code and time that produced a run."""
 
 from __future__ import annotations
 
@@ -156,9 +156,9 @@ def uncommitted(source: Path = SOURCE) -> list[str]:
 
 @cache
 def file_at(file_path: Path, commit: str, searched_line: str) -> str | None:
-    """Return the text of a file with a line as it was at a commit, where it may have had another name.
+    """Return a file as it was at a commit, when it may have had another name; a line of it finds it.
 
-    None without a checkout that has the commit, or where no such file was there.
+    None without a checkout that has the commit, or if no file had the line.
     """
     file_names = _grep_at(file_path, commit, searched_line, f"*{file_path.suffix}", "--full-name", "-l")
     return _git(file_path.parent, "show", file_names[0]) if file_names else None
@@ -193,7 +193,7 @@ def project(study_file: Path, own_files: Iterable[Path] = ()) -> dict[str, str]:
 
 
 def packages_of(run: Run) -> dict[str, str]:
-    """Return the versions of the packages that a run's environment and its own modules come from."""
+    """Return the versions of the packages that contain a run's environment and the user's modules."""
     from gymnasium.envs.registration import registry  # workers have it, commands need not
 
     modules = [name for name in SIMULATORS if name in sys.modules]
@@ -213,7 +213,7 @@ def packages_of(run: Run) -> dict[str, str]:
 
 
 def _is_repository(source: Path) -> bool:
-    """Return whether a source tree is a repository of its own; installed, it may lie in another one."""
+    """Return whether a folder is the root of a repository; an installed package may be inside another one."""
     return (source / ".git").exists()
 
 
@@ -233,7 +233,7 @@ def _git(folder: Path, *git_words: str) -> str:
 
 @cache
 def _cpu() -> str:
-    """Return the processor's model name; of an ARM one, which has none, the numbers that name it."""
+    """Return the processor's model name; ARM processors have numbers instead."""
     model_names = []
     if sys.platform == "linux":
         first_core = Path("/proc/cpuinfo").read_text().split("\n\n")[0]

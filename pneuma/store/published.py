@@ -60,7 +60,7 @@ _FOLDERS = re.compile(r'(?<=")/(?:[^"/]*/)*(?=[^"/]*")')
 
 
 def _without_folders(table: pa.Table) -> pa.Table:
-    """Return rows whose fields name the user's own files without their folders, which are of one machine."""
+    """Return rows whose fields name the user's own files without their folders."""
     column_index = table.column_names.index("fields")
     column = table.schema.field(column_index)
     fields_texts = [_FOLDERS.sub("", fields_text) for fields_text in table["fields"].to_pylist()]
@@ -68,7 +68,7 @@ def _without_folders(table: pa.Table) -> pa.Table:
 
 
 def _as_parquet(column: pa.Field) -> pa.Field:
-    """Return a column whose lists call their elements as Parquet does, as in rows from published tables."""
+    """Return a column whose lists name their elements as Parquet does, as in rows from published tables."""
     if not pa.types.is_list(column.type):
         return column
     return column.with_type(pa.list_(pa.field("element", column.type.value_type)))
@@ -89,7 +89,7 @@ class Published:
     Attributes:
         about: what `encode_published` was given.
         index: `INDEX_COLUMNS` of each run.
-        places: the place of each run, by id.
+        row_numbers: the number of each run's row, by id.
 
     Raises:
         UserError: for a file that is damaged, or that `encode_published` did not make.
@@ -110,14 +110,12 @@ class Published:
             if self.about.get("schema") != SCHEMA:
                 raise ValueError("of another version of Pneuma")
             self.index = index.cast(_INDEX_SCHEMA).replace_schema_metadata()
-        self.places = {run_id: index for index, run_id in enumerate(self.index["run_id"].to_pylist())}
+        self.row_numbers = {run_id: index for index, run_id in enumerate(self.index["run_id"].to_pylist())}
 
     def document(self, column: str, run_id: str) -> dict[str, Any]:
-        """Return the fields or the provenance of one of its runs; empty if they make no sense."""
-        try:
-            return parse_json(self._texts[column][self.places[run_id]].as_py().encode())
-        except (ValueError, AttributeError):
-            return {}
+        """Return the fields or the provenance of one of its runs."""
+        with stored_file(self.path):
+            return parse_json(self._texts[column][self.row_numbers[run_id]].as_py())
 
     @cached_property
     def _texts(self) -> pa.Table:
@@ -134,7 +132,7 @@ class Published:
             UserError: if the table is invalid.
         """
         with stored_file(self.path):
-            return read_row(self._rows, self.places[run_id], published=True)
+            return read_row(self._rows, self.row_numbers[run_id], published=True)
 
     def rows(self) -> dict[str, Row]:
-        return {run_id: self.row(run_id) for run_id in self.places}
+        return {run_id: self.row(run_id) for run_id in self.row_numbers}

@@ -1,8 +1,8 @@
-"""Build the row of a finished run: from what it recorded to the cells of `rows.py`.
+"""Build the row of a finished run: from its records to the cells of `rows.py`.
 
     tables of an engine's records, or points of an imported log → `Recorded` → `row_cells`
 
-Nothing else measures a run. Functions of series of values are in `series.py`.
+Runs are measured here alone. Functions of series of values are in `series.py`.
 """
 
 from __future__ import annotations
@@ -31,21 +31,20 @@ from pneuma.store.store import ROW_FILE, SCALARS_FILE, Status, Store, run_docume
 from pneuma.store.tables import from_parquet
 
 if TYPE_CHECKING:
-    import pandas as pd  # of logs alone: workers do not load it
+    import pandas as pd  # for imported logs alone: workers do not load it
 
 UNKNOWN = "0" * 16
-"""The id of a configuration that is not known."""
+"""The configuration's id of runs without one."""
 
 RELATIVE = ("grad_norm", "grad_norm_actor", "grad_norm_critic")
 """Quantities that are rounded in proportion to each value, as their logarithm is what matters."""
 LEVELS = 512
-"""Most steps into which a curve's range is divided; panels of figures are about as many pixels high."""
+"""The greatest number of steps in a curve's range; panels of figures are about as many pixels high."""
 
 
 def recorded_from_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> series.Recorded:
     """Return what a run's record tables contain."""
     quantities: dict[str, series.Series] = {}
-    # from where every slot has finished an episode
     first_step = math.inf
     for table_name, columns in (("episodes", EPISODE_QUANTITIES), ("metrics", UPDATE_QUANTITIES)):
         record_table = tables[f"{table_name}.parquet"]
@@ -55,9 +54,10 @@ def recorded_from_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Tabl
             if column in record_table.column_names:
                 quantities[column] = steps, record_table[column].to_numpy().astype(float)
         if table_name == "episodes":
-            _, first_places = np.unique(record_table["slot"].to_numpy(), return_index=True)
-            if len(first_places) == (fields.get("slots") or 0) * fields.get("players", 1) > 0:
-                first_step = steps[first_places].max()
+            _, first_rows = np.unique(record_table["slot"].to_numpy(), return_index=True)
+            # with fewer, some slot has not finished an episode
+            if len(first_rows) == (fields.get("slots") or 0) * fields.get("players", 1) > 0:
+                first_step = steps[first_rows].max()
     return series.Recorded(quantities, tables["evaluations.parquet"].to_pylist(), first_step)
 
 
@@ -65,8 +65,8 @@ def recorded_from_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Tabl
 
 
 def stored_row(store: Store, run_id: str) -> Row:
-    """Return the row of a finished run; made from the run's other files if it is missing or damaged."""
-    with suppress(Exception):  # whatever is wrong with it
+    """Return the row of a finished run; if it is missing or damaged, make it from the run's other files."""
+    with suppress(Exception):  # a damaged row may raise any error
         return decode_row(store.read_file(run_id, ROW_FILE))
     with stored_file(store.run_folder(run_id)):
         status = store.status(run_id, quick=True)
@@ -78,7 +78,7 @@ def stored_row(store: Store, run_id: str) -> Row:
 
 
 def row_until(store: Store, run_id: str, run: Run, step: int) -> Row:
-    """Return the row that a run would have if it had ended at a step, from its files or latest checkpoint."""
+    """Return the row of a run as if it had ended at a step, from its files or its latest checkpoint."""
     if store.status(run_id, quick=True).finished:
         files = _stored_files(store, run_id)
     else:
@@ -100,7 +100,7 @@ def _stored_files(store: Store, run_id: str) -> dict[str, bytes]:
 def cells_of_files(
     run_id: str, status: Status, files: Mapping[str, bytes], until: int | None = None
 ) -> dict[str, Any]:
-    """Return the cells of a finished run's row, from the files that it leaves, or their rows up to a step."""
+    """Return the cells of a finished run's row, from its files, or their rows up to a step."""
     fields, provenance = parse_json(files["run.json"])["run"], parse_json(files["provenance.json"])
     tables_by_file = {}
     for file_name, contents in files.items():
@@ -119,7 +119,7 @@ def cells_of_files(
 
 
 def record_frame(store: Store, run_id: str, table_name: str) -> pd.DataFrame:
-    """Return a run's episodes or metrics as recorded, for export; of a log, all its scalars by step."""
+    """Return a run's episodes or metrics for export; those of an imported log are all its scalars by step."""
     file_name = SCALARS_FILE if SCALARS_FILE in store.checksums(run_id) else f"{table_name}.parquet"
     with stored_file(store.run_folder(run_id) / file_name):
         frame = from_parquet(store.read_file(run_id, file_name)).to_pandas()
@@ -140,17 +140,17 @@ def row_cells(
     recorded: series.Recorded,
     provenance: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Return the cells of a finished run's row, by column; of an import, `fields` are what is known."""
-    grid = series.make_grid(fields["steps"])
-    step = np.empty(0)
+    """Return the cells of a finished run's row, by column; those of an import have fewer `fields`."""
     update_values: dict[str, np.ndarray] = {}
-    for update_quantity in UPDATE_QUANTITIES:
-        if update_quantity in recorded.series:
-            steps, values = recorded.series[update_quantity]
-            step = step if update_values else steps
-            if np.array_equal(steps, step):  # those of an imported log may be unlike
-                update_values[update_quantity] = values
-    signs, stuck_counts = series.update_signs(step, update_values)
+    update_steps = np.empty(0)
+    for quantity in UPDATE_QUANTITIES:
+        if quantity in recorded.series:
+            steps, values = recorded.series[quantity]
+            if not update_values:
+                update_steps = steps
+            if np.array_equal(steps, update_steps):  # quantities of an imported log may have other steps
+                update_values[quantity] = values
+    signs, stuck_counts = series.update_signs(update_steps, update_values)
     cells: dict[str, Any] = {
         "run_id": run_id,
         "config_id": status.identity.config_id if status.identity else UNKNOWN,
@@ -166,7 +166,8 @@ def row_cells(
         cells[rows.AVERAGED_OVER] = recorded.averaged_over
     if update_values:
         cells |= dict(zip(rows.STUCK, stuck_counts, strict=True))
-    with np.errstate(over="ignore"):  # of returns of 1e308 sums are infinite
+    grid = series.make_grid(fields["steps"])
+    with np.errstate(over="ignore"):  # sums of returns of 1e308 are infinite
         for quantity in recorded.series:
             cells |= _quantity_cells(recorded, quantity, grid, status.step)
     if "return" in recorded.series and not recorded.averaged_over:
@@ -177,29 +178,31 @@ def row_cells(
 
 def _last_episodes(step: np.ndarray, curve: np.ndarray, grid: np.ndarray) -> float:
     """Return how many episodes the last point of a curve of returns averages."""
-    known_steps, _ = series.finite_points(grid, curve)
-    if not len(known_steps):
+    curve_steps, _ = series.finite_points(grid, curve)
+    if not len(curve_steps):
         return 0.0
     window = grid[-1] * series.WINDOW_POINTS / series.GRID_POINTS
-    is_averaged = (step > known_steps[-1] - window) & (step <= known_steps[-1])
+    is_averaged = (step > curve_steps[-1] - window) & (step <= curve_steps[-1])
     return float(is_averaged.sum())
 
 
 def _quantity_cells(recorded: series.Recorded, quantity: str, grid: np.ndarray, end: int) -> dict[str, Any]:
-    """Return the cells of one quantity: its curves, rounded, and which of their numbers are kept exact."""
+    """Return the cells of one quantity: its rounded curves, and the exact numbers of these."""
     curves = _curves(recorded, quantity, grid, end)
     step, values = series.finite_points(grid, next(iter(curves.values())))
-    exact_values = {}
+    cells: dict[str, Any] = {}
     if len(values):
-        for name in rows.EXACT.get(quantity, ()):
-            exact_values[f"{quantity} {name}"] = series.curve_statistic(name, step, values, float(grid[-1]))
+        for statistic in rows.EXACT.get(quantity, ()):
+            column = f"{quantity} {statistic}"
+            cells[column] = series.curve_statistic(statistic, step, values, float(grid[-1]))
     if quantity in series.EXTREMES:
         extreme = series.EXTREMES[quantity]
         curve = series.peak_curve(*recorded.series[quantity], grid, extreme)
         curves[f"{quantity} {rows.PEAKS}"] = curve
         if np.isfinite(curve).any():
-            exact_values[f"{quantity} {rows.PEAK}"] = float(extreme.reduce(curve))
-    return {name: _rounded(curve, quantity).tolist() for name, curve in curves.items()} | exact_values
+            cells[f"{quantity} {rows.PEAK}"] = float(extreme.reduce(curve))
+    rounded_curves = {column: _rounded(curve, quantity).tolist() for column, curve in curves.items()}
+    return rounded_curves | cells
 
 
 def _curves(recorded: series.Recorded, quantity: str, grid: np.ndarray, end: int) -> dict[str, np.ndarray]:

@@ -1,11 +1,11 @@
-"""A row: what one finished run comes to. It is all that figures, tables and tests read of a run.
+"""A row: the results of one finished run. Figures, tables and tests read nothing else of a run.
 
     a run's files → `row_builder.py` → cells → `encode_row` → row.arrow in its folder
     row.arrow → `decode_row` → Row
 
 `COLUMN_TYPES` declares the columns. Curves are on 200 points of the run's *own* budget and are rounded when
-the row is written, so that a run and its published row cannot differ. Numbers that need more digits are kept
-exact. Updates and episodes themselves are only exported.
+the row is written, so that a run and its published row are equal. Numbers that need more digits are kept
+exact. Single updates and episodes are only exported.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from pneuma.store.tables import from_ipc
 TEXT_CELLS = ("run_id", "config_id", "status", "fields", "provenance", "signs")
 INTEGER_CELLS = ("seed", "steps", "end")
 EVALUATIONS = "evaluations"
-"""The column with a list of structs: of each evaluation its step, and other numbers."""
+"""The column with a list of structs: the step and the other numbers of each evaluation."""
 REQUIRED_CELLS = TEXT_CELLS + INTEGER_CELLS + (EVALUATIONS,)
 AVERAGED_OVER, LAST_EPISODES = "averaged over", "episodes last"
 STUCK = ("stuck updates", "updates", "stuck spells")
 """Counts of updates without entropy and with one action, of all updates, and of spells of the former."""
 PEAK, PEAKS = "peak", "extreme"
-"""A quantity's extreme update, and its curve: the extreme since each previous point."""
+"""The extreme of a quantity over all updates, and its curve: the extreme since the previous point."""
 CURVE, NUMBER = pa.list_(pa.float32()), pa.float64()
 
 EXACT: dict[str, tuple[str, ...]] = {
@@ -54,7 +54,7 @@ EXACT: dict[str, tuple[str, ...]] = {
     "approx_kl": ("average",),
     "explained_variance": ("early",),
 }
-"""The statistics of curves at a run's end that are kept with all digits."""
+"""The statistics of whole curves that are kept with all digits."""
 
 
 def curve_column(quantity: str, window: str) -> str:
@@ -77,7 +77,7 @@ def _column_types() -> dict[str, pa.DataType]:
 
 
 COLUMN_TYPES = _column_types()
-"""The types of all columns that are read, apart from the evaluations."""
+"""The types of all columns that are read, except the evaluations."""
 
 # --- The files --------------------------------------------------------------------------------------
 
@@ -92,11 +92,7 @@ def encode_row(cells: Mapping[str, Any]) -> bytes:
 
 
 def decode_row(encoded_row: bytes) -> Row:
-    """Return the row in a run's folder.
-
-    Raises:
-        ValueError: for anything else; it may be any error.
-    """
+    """Return the row in a run's folder; for anything else any error may be raised."""
     row_table = sound_rows(from_ipc(encoded_row))
     if row_table.num_rows != 1:
         raise ValueError("has not one row")
@@ -125,7 +121,7 @@ def sound_rows(table: pa.Table) -> pa.Table:
 
 
 def read_row(table: pa.Table, row_index: int = 0, published: bool = False) -> Row:
-    """Return a row of a table of `sound_rows`; ValueError or the like for one that is invalid."""
+    """Return a row of a table of `sound_rows`; for an invalid one any error may be raised."""
     row_table = table.slice(row_index, 1).replace_schema_metadata(None)
     cells = {column_name: row_table[column_name][0].as_py() for column_name in TEXT_CELLS + INTEGER_CELLS}
     return Row(
@@ -149,9 +145,9 @@ class Row:
 
     Attributes:
         table: all its cells, as a table of one row.
-        published: whether it is of a published table.
+        published: whether it is in a published table.
         config_id: the id of its configuration, without seed and steps.
-        budget: agent steps that it was to train.
+        budget: agent steps that were planned.
         end: agent steps trained; fewer than the budget if it diverged.
         status: 'done' or 'diverged'.
         fields: its configuration, which may be untrusted.
@@ -181,28 +177,29 @@ class Row:
 
     @property
     def start_step(self) -> int:
-        """Agent steps with which the run began: for a published fork, those of its parent."""
+        """Agent steps at the start: for a published fork of another run, those of its parent."""
         return self.fields.get("fork_step") or 0
 
     @property
     def origin(self) -> str:
-        """Where it is, for messages."""
+        """A description of where it was read, for messages."""
         if self.averaged_over:
             return "a study of imported logs"
         return "the published table" if self.published else "the results folder"
 
     @property
     def update_steps(self) -> int | None:
-        """Agent steps of one update; None if its fields do not say."""
-        field_values = {"horizon": None, "slots": None, "players": 1, **self.fields}
-        counts = [field_values[field_name] for field_name in ("horizon", "slots", "players")]
-        return None if None in counts else math.prod(counts) or None
+        """Agent steps of one update; None if its fields lack them."""
+        horizon, slots = self.fields.get("horizon"), self.fields.get("slots")
+        if not horizon or not slots:
+            return None
+        steps: int = horizon * slots * self.fields.get("players", 1)
+        return steps
 
     @property
     def wall_seconds(self) -> float | None:
         """Seconds of training, without loading and compiling if these were timed; None if unknown."""
-        seconds = self.provenance.get("training_seconds", self.provenance.get("wall_seconds"))
-        return float(seconds) if isinstance(seconds, int | float) and seconds > 0 else None
+        return self.provenance.get("training_seconds", self.provenance.get("wall_seconds")) or None
 
     @cached_property
     def _columns(self) -> frozenset[str]:

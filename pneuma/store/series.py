@@ -28,9 +28,9 @@ SLACK = 1 / 40
 """Budgets that differ by less than this share are equal: half the distance between evaluations."""
 TRAILING_EPISODES = 100
 HUGE = 1e6
-"""Up to which a running total of a run's values still has all their digits that are ever drawn."""
+"""The largest value for which differences of a running total keep all digits that are drawn."""
 EXTREMES: dict[str, np.ufunc] = {"entropy": np.fmin, "grad_norm": np.fmax, "approx_kl": np.fmax}
-"""Quantities of which an extreme is kept, as means would hide it, and which."""
+"""Quantities whose extreme is kept, because means would hide it, and the function that finds it."""
 
 Series = tuple[np.ndarray, np.ndarray]
 """Steps and values, (points,) each; steps do not decrease."""
@@ -43,8 +43,8 @@ class Recorded:
     Attributes:
         series: step and value of every episode or update, by quantity; steps do not decrease.
         evaluations: rows of the evaluations.
-        first_step: from which every slot has finished an episode; infinite if one has none.
-        averaged_over: episodes over which returns were averaged when they were logged; None if they were not.
+        first_step: the step by which every slot has finished an episode; infinite if one has not.
+        averaged_over: episodes over which a log's returns are averaged; None for runs trained here.
     """
 
     series: Mapping[str, Series]
@@ -208,11 +208,11 @@ def curve_statistic(statistic: str, step: np.ndarray, values: np.ndarray, until:
 NO_ENTROPY, ONE_ACTION, DEAD_UNITS, FALL = "no entropy", "one action", "dead units", "fall"
 LOSS = "return below zero"
 SIGNS = (NO_ENTROPY, ONE_ACTION, DEAD_UNITS, FALL, LOSS)
-"""What thesis section 6.1 describes; the last two show in evaluations and in returns, not in updates."""
+"""What thesis section 6.1 describes; the last two are found in evaluations and returns, not in updates."""
 
 LEAST_ENTROPY = 0.1
-"""Nats; of the 1.6 of five equal actions. Thesis 6.1: "the agent had 0 entropy". One action then has a
-probability of 0.985 or more where the others share the rest."""
+"""In nats; five equally likely actions have 1.6. Thesis 6.1: "the agent had 0 entropy". One action then has a
+probability of 0.985 or more if the others share the rest equally."""
 MOST_OF_ONE = 0.95
 """Share of a rollout's actions. Thesis 6.1: the agent "always picked a single state"."""
 MOST_DEAD = 0.5

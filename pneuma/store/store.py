@@ -3,19 +3,19 @@
     results/runs/ID/        run.json         the resolved configuration
                             provenance.json  what produced it, and how long that took
                             episodes.parquet, metrics.parquet, evaluations.parquet
-                            row.arrow        what all that comes to (`rows.py`)
+                            row.arrow        the results of all that (`rows.py`)
                             policy.safetensors
-                            error.txt        why it failed, a crash's traceback
-                            status.json      status, step, what it is a run of, and the checksum of every file
-                            checkpoints/     where a run that has not ended goes on from
+                            error.txt        why it failed: a crash's traceback
+                            status.json      status, step, configuration's id, and every file's checksum
+                            checkpoints/     from which an unfinished run resumes
     results/published/      tables of rows, for version control
     results/studies/NAME.json  the runs of a study without a file: imported logs
                     NAME.toml  a user's own study as it was last run here
-    results/last/NAME.json  the steps that a study was run with here, by world and changed fields
+    results/last/NAME.json  the query of a study's last run here, by world
 
 Every file is written whole or not at all, and status.json last. A run is used only if all checksums in
-status.json are right. An untrusted folder is safe to read: names that would lead out of it are refused, and
-nothing in it is ever run.
+status.json are right. An untrusted folder is safe to read: names that lead out of it are refused, and nothing
+in it is executed.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ FINISHED = ("done", "diverged")
 
 SCALARS_FILE = "scalars.parquet"
 ROW_FILE = "row.arrow"
-"""A run's row, which is made anew from its other files if it is missing or damaged."""
+"""A run's row. If it is missing or damaged, it is made again from the run's other files."""
 
 PUBLISHED, TABLE_SUFFIX = "published", ".parquet"
 
@@ -68,7 +68,7 @@ _FILE_NAME = re.compile(r"[\w-]+\.[\w]+")
 
 @dataclass(frozen=True)
 class Identity:
-    """What a stored run is a run of: a configuration without seed and steps, and these two."""
+    """What identifies a stored run: its configuration without seed and steps, its seed and its steps."""
 
     config_id: str
     seed: int
@@ -80,12 +80,12 @@ class Status:
     """The status of a run, and the agent steps trained.
 
     Attributes:
-        name: planned if nothing is stored; running while a process trains it or its group; partial if there
-            are only checkpoints; damaged if a file is not what was written.
+        name: planned if nothing is stored; running while a process trains it; partial if there are only
+            checkpoints; damaged if a file is not what was written.
         step: agent steps of the records, or of the latest checkpoint.
         detail: the file that is damaged.
-        identity: what it is a run of; None if that is not stored, or damaged.
-        checksums: of its files, by name.
+        identity: None if it is not stored, or damaged.
+        checksums: of the run's files, by name.
     """
 
     name: str
@@ -145,7 +145,7 @@ class Store:
         return run_lock(folder)
 
     def publishing_lock(self, table_name: str) -> AbstractContextManager[bool]:
-        """Return the lock to hold to write a published table: of two that merge, one would lose rows."""
+        """Return the lock that a process must hold to write a published table, which it reads before."""
         folder = self.root / ".publishing" / table_name
         self._check_within(folder)
         return run_lock(folder)
@@ -161,7 +161,7 @@ class Store:
         names = names_in(folder) if stored_status else []
         for file_name, expected in status.checksums.items():
             if file_name == ROW_FILE:
-                continue  # it is made again where it is missing
+                continue  # a missing one is made again
             if file_name not in names or not (quick or read_sound(folder, file_name, expected) is not None):
                 return replace(status, name="damaged", step=0, detail=file_name)
         if status.finished:
@@ -181,7 +181,7 @@ class Store:
         return status
 
     def plan_run(self, run_id: str, identity: Identity) -> None:
-        """Note that a run is to be trained, unless something of it is stored."""
+        """Note that a run will be trained, unless it has a status."""
         folder = self.run_folder(run_id)
         with self._writing(folder):
             create_whole(folder / "status.json", _status_document(Status("planned", identity=identity)))
@@ -199,7 +199,7 @@ class Store:
             self.remove(folder)
 
     def save_row(self, run_id: str, encoded_row: bytes) -> None:
-        """Write the row of a finished run that lacks it."""
+        """Write the row of a finished run that has none."""
         stored_status = self._stored(run_id)
         if stored_status and stored_status.finished:
             status = replace(
@@ -222,7 +222,7 @@ class Store:
         for file_path in folder.glob("[!.]*"):
             if file_path.name not in checksums and file_path.name != "status.json" and file_path.is_file():
                 self.remove(file_path)
-        if status.finished:  # whoever takes a lock from now on sees that nothing is left to train
+        if status.finished:  # a process that takes a new lock sees that the run has finished
             self.remove(folder / LOCK_FILE)
 
     def save_failure(self, run_id: str, run: Run, status: str, reason: str) -> None:
@@ -230,7 +230,7 @@ class Store:
         self.save_run(run_id, Status(status), files)
 
     def failure(self, run_id: str) -> str:
-        """Return the last line of why a run failed; empty if it did not."""
+        """Return the last line of a run's error; empty if it did not fail."""
         try:
             reason = self.read_file(run_id, "error.txt").decode(errors="replace")
         except UserError:
@@ -255,12 +255,12 @@ class Store:
             return {}
 
     def checksums(self, run_id: str) -> Mapping[str, str]:
-        """Return the checksum of each file of a run; none if nothing is stored of it."""
+        """Return the checksum of each file of a run, by name."""
         stored_status = self._stored(run_id)
         return stored_status.checksums if stored_status else {}
 
     def _stored(self, run_id: str) -> Status | None:
-        """Return the status that is stored, true or not; None if there is none, or it is damaged."""
+        """Return the stored status without checking files; None if there is none, or it is damaged."""
         document = load_checksummed(self.run_folder(run_id) / "status.json")
         if document is None:
             return None
@@ -328,7 +328,7 @@ class Store:
     def remove(self, path: Path) -> None:
         """Remove a file or a folder of the results, if it exists; of a link, the link itself.
 
-        All that is ever removed from a results folder is removed here.
+        Nothing else removes files from a results folder.
 
         Raises:
             UserError: if it lies outside the results folder, or cannot be removed.

@@ -1,7 +1,6 @@
-"""What is in a results folder, run by run: which run is meant, what produced it, whether it is sound.
+"""Single runs of a results folder: which run a user names, its configuration, and the state of its files.
 
-The folder may be untrusted. Nothing in it is run, no path out of it is followed, and its files may be
-missing, damaged or invalid.
+The folder may be untrusted: nothing in it is executed.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ MOST_LISTED = 5
 
 
 def find_run(store: Store, prefix: str) -> str:
-    """Return the id of the stored run that the user names by its id or a unique prefix."""
+    """Return the id of the stored run with an id or a unique prefix."""
     run_ids, folder = store.runs(), store.root / "runs"
     matching = [run_id for run_id in run_ids if prefix and run_id.startswith(prefix.lower())]
     if len(matching) == 1:
@@ -48,7 +47,7 @@ def run_files(store: Store, run_id: str) -> list[dict[str, Any]]:
 
 
 def default_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields that a stored run would have had without its study's."""
+    """Return the default fields for a stored run's environment, algorithm and optimizer."""
     chosen_fields = {key: settings[key] for key in ("env", "algorithm", "optimizer") if key in settings}
     try:
         return as_fields(make_run(chosen_fields))
@@ -63,7 +62,7 @@ def stored_settings(store: Store, run_id: str) -> dict[str, Any]:
 
 
 def stored_run(settings: Mapping[str, Any]) -> Run:
-    """Return the run of a stored configuration, without fields that an earlier version had."""
+    """Return the run of a stored configuration; fields of earlier versions are left out."""
     return make_run({field_name: value for field_name, value in settings.items() if field_name in FIELDS})
 
 

@@ -4,7 +4,7 @@
     a row (`rows.py`) → file → `from_ipc`
     published rows (`published.py`) → file → `from_parquet`
 
-How large a table becomes is not limited. What a damaged file raises is caught by `files.stored_file`.
+The size of a table is not limited. `files.stored_file` catches what a damaged file raises.
 """
 
 from __future__ import annotations
@@ -43,8 +43,7 @@ def _column_type(column_name: str, column_values: Sequence[Any]) -> pa.DataType:
 def from_parquet(encoded_table: bytes, columns: Sequence[str] | None = None) -> pa.Table:
     """Read a Parquet file, or some of its columns, from memory, in this thread only.
 
-    Arrow's `read_table`, and reading from a Python file, always start threads, because of which a command may
-    abort when it ends.
+    Arrow's `read_table`, and reading from a Python file, start threads, which may abort a command as it ends.
     """
     return pq.ParquetFile(pa.BufferReader(encoded_table)).read(columns=columns, use_threads=False)
 
@@ -53,5 +52,5 @@ def from_ipc(encoded_table: bytes) -> pa.Table:
     """Read a file in Arrow's own format from memory, in this thread only."""
     options = pa.ipc.IpcReadOptions(use_threads=False)
     table = pa.ipc.open_file(pa.BufferReader(encoded_table), options=options).read_all()
-    table.validate(full=True)  # Arrow checks no offsets of its own accord
+    table.validate(full=True)  # by default Arrow does not check offsets
     return table

@@ -36,13 +36,13 @@ def prepare(
 ) -> tuple[dict[str, Run], list[str]]:
     """Check a plan, and note its runs as planned.
 
-    If an environment cannot be made, nothing is written. A user's own study file is kept beside the results.
+    If an environment cannot be made, nothing is written. A user's study file is copied into the results.
 
     Args:
-        plan: which runs there are to be.
-        store: where they are kept.
+        plan: the runs.
+        store: where they are stored.
         retry_failed: whether runs that failed before are trained again.
-        until: the steps at which runs pause: those that have come so far are not trained; 0 is the end.
+        until: the steps at which runs pause, by id; runs with a checkpoint there are left out. 0 is the end.
 
     Returns:
         The runs to train, by id, and notes for the user.
@@ -71,10 +71,10 @@ def prepare(
 def execute(
     plan: Plan, missing_runs: Mapping[str, Run], store: Store, config: ExecutorConfig, on_progress: OnProgress
 ) -> list[CellResult]:
-    """Train the runs that `prepare` found missing; return the plan's cells, without those only published.
+    """Train the runs that `prepare` returned; return the plan's cells, without those only published.
 
     Raises:
-        KeyboardInterrupt: after Ctrl-C, once every run has reached a checkpoint.
+        KeyboardInterrupt: after Ctrl-C, when every run has written a checkpoint.
     """
     cells_by_run: dict[str, list[Cell]] = {}
     for cell in plan.cells:
@@ -99,10 +99,10 @@ def cell_results(
     """Return the state of a plan's cells, without those that are only published.
 
     Args:
-        plan: whose cells.
-        store: where their runs are kept.
-        missing_runs: the runs that were to be trained. Finished ones without an end event were trained.
-        end_events: the final event of each run that has ended. It counts where the end could not be stored.
+        plan: the cells.
+        store: where their runs are stored.
+        missing_runs: the runs that had to be trained; one that finished without an end event was trained.
+        end_events: the last event of each run that has ended, for ends that could not be stored.
     """
     results = []
     for cell in plan.cells:
@@ -161,7 +161,7 @@ def _notes(plan: Plan, statuses: Mapping[str, Status], missing_runs: Mapping[str
 
 
 def check_environments(runs: Iterable[Run]) -> None:
-    """Make each distinct environment of some runs once, with a learner of no fields, to find mistakes."""
+    """Make each distinct environment of some runs once, to find mistakes."""
     from pneuma.engines.environment import check_environment  # gymnasium: not for `--help`
 
     environment_fields = ("env", *GYMNASIUM_FIELDS, "engine", "algorithm")

@@ -1,8 +1,6 @@
 """A TensorBoard log that is written while a run trains, with the tags of Stable-Baselines3 and CleanRL.
 
-    records of an update → events in DIR/STUDY/CONDITION_SEED, beside what the run itself leaves
-
-It reads the run's records and changes nothing.
+records of an update → events in DIR/STUDY/CONDITION_SEED
 """
 
 from __future__ import annotations
@@ -25,20 +23,20 @@ TAGS_BY_TABLE = {
     "evaluations": EVALUATION_TAGS,
 }
 GROUPS = {"metrics": "train", "evaluations": "eval"}
-"""What columns of a table without a tag of their own are called by; those of episodes are not logged."""
+"""The prefix of columns without a tag; such columns of episodes are not logged."""
 
 
 def open_log(folder: str | None, first_step: int) -> LiveLog:
-    """Return the log of a run from where it starts or resumes; without a folder it writes nothing.
+    """Return the log of a run that starts or resumes; without a folder it writes nothing.
 
-    Training goes on without it where there is no such folder, no tensorboard, or a full disk.
+    It writes nothing either if the folder cannot be written, or TensorBoard is not installed.
     """
     writer = None
     if folder:
         with suppress(OSError, ImportError):
             from torch.utils.tensorboard import SummaryWriter
 
-            # replaces what was logged before a kill
+            # points after this step, which were logged before a kill, are replaced
             writer = SummaryWriter(folder, purge_step=first_step + 1)
     return LiveLog(writer, first_step)
 
@@ -56,7 +54,7 @@ class LiveLog:
         self._written: dict[str, int] = {}
 
     def update(self, progress: Progress) -> None:
-        """Write what an update added to the file, before a checkpoint that could be resumed from."""
+        """Write the records that an update added, before the update's checkpoint."""
         if not self._writer:
             return
         with suppress(OSError):

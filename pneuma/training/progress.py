@@ -24,11 +24,11 @@ SAMPLE = 100
 START_SECONDS = 4.0
 """Seconds that a worker takes to start with compiled programs."""
 PACE_FIELDS = tuple(field_name for field_name, declaration in FIELDS.items() if declaration.paces)
-"""Fields that decide how long a step takes. Steps are one, as every run has the same number of
+"""Fields that decide how long a step takes. The budget is one, because every run has the same number of
 evaluations."""
 LINE_SECONDS = 10.0
 PACE_SECONDS = 600.0
-"""Seconds of training from which the time left is estimated."""
+"""Seconds of recent training from which the time left is estimated."""
 
 Paces = Mapping[str, float]
 """Seconds per agent step of finished runs, by the fields that decide it."""
@@ -48,7 +48,7 @@ def duration(seconds: float) -> str:
 
 
 def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
-    """Return the paces of finished runs on a processor like this one: those of a plan, and some others."""
+    """Return the paces of finished runs on a processor of this kind: those of a plan, and some others."""
     from pneuma.store.row_builder import stored_row  # safetensors, pyarrow: not for `--help`
 
     own_cpu = machine()["cpu"]
@@ -60,19 +60,19 @@ def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
             machines = [attempt["machine"] for attempt in run_row.provenance["attempts"]]
             processors = {(machine["cpu"], machine["device"]) for machine in machines}
         except (UserError, KeyError, TypeError, ValueError, ArithmeticError):
-            continue  # an imported, damaged or untrusted run
+            continue  # an imported or damaged run
         if pace > 0 and processors == {(own_cpu, "cpu")}:
-            paces_by_key.setdefault(_kind(run_row.fields), []).append(pace)
+            paces_by_key.setdefault(_pace_key(run_row.fields), []).append(pace)
     return {pace_key: statistics.fmean(paces) for pace_key, paces in paces_by_key.items()}
 
 
 def expected_seconds(paces: Paces, run: Run, steps: int) -> float | None:
-    """Return the seconds that so many steps of a run take; None if no run like it has ended."""
-    pace = paces.get(_kind(as_fields(run)))
+    """Return the seconds that some steps of a run take; None if no run with its pace has finished."""
+    pace = paces.get(_pace_key(as_fields(run)))
     return START_SECONDS + steps * pace if pace else None
 
 
-def _kind(settings: Mapping[str, Any]) -> str:
+def _pace_key(settings: Mapping[str, Any]) -> str:
     return repr([settings.get(field_name) for field_name in PACE_FIELDS])
 
 
@@ -80,10 +80,9 @@ def _kind(settings: Mapping[str, Any]) -> str:
 
 
 class ProgressDisplay:
-    """Shows on standard error how far runs are. A context manager.
+    """Shows the progress of runs on standard error. A context manager.
 
-    Some of the runs `to_train` may have begun in the store. `until` has the steps at which they pause; 0 is
-    the end. Notes are shown even if it is quiet.
+    `until` has the steps at which runs pause; 0 is the end. Notes are shown even if it is quiet.
     """
 
     def __init__(
@@ -137,10 +136,10 @@ class ProgressDisplay:
             print_aside(self._line(cell_label, status))
 
     def _count(self, run_id: str, event: Event) -> str:
-        """Count the steps of a run in an event; return the status with which it ended or paused, if any."""
+        """Count the steps in a run's event; return the status with which it ended or paused, if any."""
         status: str = event.get("status", "")
         if status in FINISHED:
-            self._steps[run_id] = self._budgets[run_id]  # also of one that diverged before
+            self._steps[run_id] = self._budgets[run_id]  # even if it diverged before
         else:
             self._steps[run_id] = max(self._steps[run_id], event["step"])
         pauses_at = self._until.get(run_id) or self._budgets[run_id]

@@ -2,11 +2,11 @@
 
     python -m pneuma.training.worker PARENT
 
-It gets one `Job` after another as a line of JSON on standard input. Events go out as lines of JSON: `step` at
-the start and now and then, `note` for users, `status` for those who watch, `busy` if another process has a
-run, `end` for every run, once its lock is free. After a line `stop` the worker goes on to a checkpoint. After
-a crash it ends, so that the next run begins in a fresh process. When standard input closes it ends: at once
-if it trains, because then its parent has ended.
+It reads one `Job` after another from standard input, each a line of JSON, and prints events as lines of JSON:
+`step` at the start and every now and then, `note` for users, `status` for progress displays, `busy` if
+another process trains a run, and `end` for every run, after its lock is free. After a line `stop` it stops at
+the next checkpoint. After a crash it ends, so that the next run starts in a new process. When standard input
+closes it ends: at once if it trains, because then its parent has ended.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ REPORT_SECONDS = 0.25
 
 
 def main() -> int:
-    gc.disable()  # until the first update: imports and compilation make much, and leave it all in use
+    gc.disable()  # until the first update: imports and compilation make many objects, and all stay in use
     die_with(int(sys.argv[1]))
     orders: queue.Queue[str] = queue.Queue()
     stop = threading.Event()
     threading.Thread(target=_listen, args=(sys.stdin, orders, stop), daemon=True).start()
     events = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)  # what libraries print is no event
+    os.dup2(2, 1)  # what libraries print must not be read as events
     worker = Worker(events, stop)
     for job_text in iter(orders.get, ""):
         if not worker.train(Job.from_json(job_text)):
@@ -69,7 +69,7 @@ class Worker:
         self._next_report = 0.0
 
     def train(self, job: Job) -> bool:
-        """Train a job's runs, without those that another process holds; return whether none crashed."""
+        """Train a job's runs, except those that another process holds; return whether none crashed."""
         self._job, is_sound = job, True
         for run_id, run in job.runs.items():
             last_event = self._last_event(run_id, run)
@@ -81,7 +81,7 @@ class Worker:
         self._events.write(json.dumps({"event": event, "run_id": run_id, **details}) + "\n")
 
     def _last_event(self, run_id: str, run: Run) -> Event:
-        """Train a run if it is free and has not finished; return the event of its end."""
+        """Train a run if it is free and has not finished; return its last event."""
         store = self._job.store
         try:
             with store.lock(run_id) as is_free:
@@ -106,14 +106,14 @@ class Worker:
         except Exception as error:  # it cannot be locked or stored
             if not is_storage_problem(error):
                 return end_event(run_id, "crashed", reason=describe(error))
-            self._stop.set()  # those after it as well, because the disk takes nothing more
+            self._stop.set()  # the disk is full: the next runs cannot be stored, either
             return end_event(run_id, "stopped", reason=describe(error), storage=True)
 
     def _train(self, run_id: str, run: Run) -> Status:
-        """Train a run to its end, discarding checkpoints that its engine cannot use.
+        """Train a run to its end, from the latest checkpoint that its engine can use; remove the others.
 
         Raises:
-            CheckpointError: when there is no checkpoint left to discard.
+            CheckpointError: when there is no checkpoint left to remove.
         """
         if identity.run_id(run) != run_id:
             raise RuntimeError(
@@ -147,7 +147,7 @@ class Worker:
 
         def update(progress: Progress) -> bool:
             if not gc.isenabled():
-                if run.engine == ENGINES[0]:  # a learner of another one may have a large memory
+                if run.engine == ENGINES[0]:  # the other engine's learners may have a large memory
                     gc.freeze()
                 gc.enable()
             attempt.update(progress.step, progress.evaluation_seconds)
@@ -204,9 +204,9 @@ def _listen(lines: TextIO, orders: queue.Queue[str], stop: threading.Event) -> N
 
 
 def die_with(parent_process: int) -> None:
-    """Let the system kill this process when its parent ends, even during a long computation."""
+    """Let the system kill this process when its parent ends, even in a long computation."""
     if sys.platform != "linux":
-        return  # only the lifeline works there
+        return  # there the end of standard input ends it
     parent_death_signal = 1  # PR_SET_PDEATHSIG of prctl(2)
     ctypes.CDLL(None).prctl(parent_death_signal, signal.SIGKILL)
     if os.getppid() != parent_process:

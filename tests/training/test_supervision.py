@@ -36,7 +36,7 @@ def test_after_ctrl_c_every_run_comes_to_a_checkpoint(tmp_path: Path) -> None:
     out, err = process.communicate(timeout=240)  # of which a busy machine compiles most
     assert process.returncode == 130
     assert (
-        err.count("Stopping after this step") == 1
+        err.count("Stopping after this step. Press Ctrl-C again to stop at once.") == 1
         and "The same command goes on where every run was stopped" in err
     )
     begun = len(checkpoints(tmp_path))  # on a busy machine one may not have come to its first update

@@ -2,30 +2,30 @@
 
 study's plan → runs → executor → workers, which get one `Job` after another → store
 
-Executors are modules, named in `EXECUTORS` and imported only when needed, as each has its own requirements:
+Executors are modules, named in `EXECUTORS` and imported only when needed, because each has its requirements:
 
-    most_workers(config) how many runs train at once unless the user says otherwise; it fails within
-                         ten seconds if the place cannot be reached or cannot train
+    most_workers(config) the default number of runs that train at once; fails within ten seconds if the
+                         machines cannot be reached or cannot train
     train_runs(job, on_event)
-                         trains all runs of a job and passes on their events: {"event": "step" | "note" |
-                         "status" | "end", "run_id", …}; a step has a `step`, a note and a status a `text`, an
-                         end a `status`, a `step` and `trained`; one that could not be stored a `reason`
+                         trains all runs of a job and calls `on_event` with their events: {"event": "step" |
+                         "note" | "status" | "end", "run_id", …}; a step has a `step`, a note and a status
+                         have a `text`, an end has a `status`, a `step`, `trained`, and, if it failed, a
+                         `reason`
 
 All of them guarantee:
 
-- A run leaves the same files in the store as with `local`, except for its provenance. While it trains, its
-  newest checkpoint is there. Files are written whole or not at all.
-- The process that trains a run holds its lock in the store. Runs that other processes hold are reported and
-  left to them.
-- Every run ends with one `end` event, unless Ctrl-C came.
-- If the disk takes nothing more, no further run begins, and it raises StorageError once those that train
-  have come to a checkpoint.
-- A run that crashes, or loses its process or node, is tried once more before it counts as failed, unless a
-  user's own code has raised.
-- After the first Ctrl-C every run goes on to a checkpoint; after the second all stop at once. When all have
-  ended it raises KeyboardInterrupt. The same command resumes, with this executor or another, and ends with
-  the same bits.
-- Nothing pickled is ever written to the results folder.
+- A run leaves the same files in the store as with `local`, except its provenance. While it trains, its newest
+  checkpoint is there. Files are written whole or not at all.
+- The process that trains a run holds its lock in the store. Runs that other processes hold are waited for.
+- Every run ends with one `end` event, except after Ctrl-C.
+- If the disk is full, no further run starts, and StorageError is raised when those that train have stopped at
+  a checkpoint.
+- A run that crashes, or loses its process or node, is tried once more before it counts as failed, unless the
+  user's own code raised the error.
+- After the first Ctrl-C every run stops at its next checkpoint; after the second all stop at once. When all
+  have ended, KeyboardInterrupt is raised. The same command resumes, with any executor, and ends with the same
+  bits.
+- Nothing pickled is written to the results folder.
 """
 
 from __future__ import annotations
@@ -52,13 +52,13 @@ class ExecutorConfig:
     """Where and how runs are trained.
 
     Attributes:
-        workers: how many train at once.
+        workers: how many runs train at once.
         checkpoint_seconds: between two checkpoints of a run.
         logs: folders of TensorBoard logs, by run.
         project: the user's study, for the provenance of runs.
-        until: steps at which runs pause, by run: they go on to a checkpoint there; 0 is the end.
+        until: steps at which runs stop with a checkpoint, by run; 0 is the end.
         executor: one of `EXECUTORS`.
-        address: of a Ray cluster's head, HOST:PORT; None for one of this machine's own.
+        address: HOST:PORT of a Ray cluster's head; None to start a cluster on this machine.
     """
 
     workers: int = 1
@@ -72,7 +72,7 @@ class ExecutorConfig:
 
 @dataclass(frozen=True)
 class Job:
-    """Runs to train, by their ids. Workers and nodes get it as a line of JSON, never as a file.
+    """Runs to train, by their ids. Workers and nodes receive it as a line of JSON.
 
     With `last_try` a crash is final and stored.
     """

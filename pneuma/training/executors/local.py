@@ -3,11 +3,10 @@
     runs → `Supervisor` → processes of `pneuma.training.worker` → store
                         ← their events
 
-Each worker is a process, which can be killed alone: only the run that it trains is affected, and the next one
-begins in a fresh process. It uses one thread, so that workers do not compete for cores and results do not
-depend on their number. Runs that crash are tried once more, runs that another process trains are waited for,
-and after Ctrl-C every run goes on to a checkpoint. The other executors use the same `Supervisor` on the nodes
-of a cluster.
+If a worker is killed, only the run that it trains is affected, and the next run starts in a new process. A
+worker uses one thread, so that workers do not compete for cores and results do not depend on their number.
+Runs that crash are tried once more, runs that another process trains are waited for, and after Ctrl-C every
+run stops at a checkpoint. The Ray executor uses the same `Supervisor` on each node.
 """
 
 from __future__ import annotations
@@ -40,11 +39,11 @@ from pneuma.training.executors.base import Event, ExecutorConfig, Job, OnEvent, 
 
 TRIES = 2
 LOOK_SECONDS = 0.5
-"""Seconds between two looks at signals, and at runs that other processes hold. A signal does not interrupt
-the wait for events where the kernel gives it to a thread of a mathematical library."""
+"""Seconds between two checks of signals, and of runs that other processes hold. A signal does not interrupt
+the wait for events if the kernel delivers it to a thread of a mathematical library."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PATIENCE = 5.0
-"""Seconds after a SIGTERM in which runs may go on to a checkpoint."""
+"""Seconds that runs have to stop at a checkpoint after a SIGTERM."""
 PASSED_VARIABLES = (
     "PATH", "HOME", "USER", "LOGNAME", "SHELL", "LANG", "TZ", "TMPDIR", "VIRTUAL_ENV", "CONDA_PREFIX",
     "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "PYTHONDONTWRITEBYTECODE", "PYTHONPYCACHEPREFIX",
@@ -52,10 +51,10 @@ PASSED_VARIABLES = (
     "CUDA_VISIBLE_DEVICES", "CUDA_DEVICE_ORDER", "NVIDIA_VISIBLE_DEVICES", "JAX_PLATFORMS",
     "XLA_PYTHON_CLIENT_MEM_FRACTION", "XLA_PYTHON_CLIENT_ALLOCATOR", "NUMBA_CACHE_DIR",
 )  # fmt: skip
-"""The shell's variables that workers get: they name folders and devices, and change no numbers."""
+"""The shell's variables that workers get: they name folders and devices, and do not change numbers."""
 PASSED_PREFIXES = ("LC_", "XDG_", "SDL_", "PNEUMA_")
 ALSO_PASSED = "PNEUMA_PASS"
-"""A variable with the names of others that a user's own code reads, separated by commas."""
+"""A variable with the names of others that the user's own code reads, separated by commas."""
 XLA_FLAGS = (
     "--xla_cpu_multi_thread_eigen=false --xla_gpu_deterministic_ops=true "
     "intra_op_parallelism_threads=1"  # the last: it reads no flag after a word without dashes
@@ -79,11 +78,10 @@ def train_runs(job: Job, on_event: OnEvent) -> None:
 
 
 class Interrupts:
-    """Collects signals within a `with` block instead of letting them end it; in the main thread alone.
+    """Collects signals within a `with` block instead of letting them end it; only in the main thread.
 
-    A SIGTERM, as of a shutdown or a queue's time limit, counts as a second one `PATIENCE` seconds later: what
-    trains goes on from its last checkpoint. The shell of a closed terminal sends SIGHUP again, which counts
-    once.
+    A SIGTERM, which a shutdown or a queue sends, counts as a second one `PATIENCE` seconds later. SIGHUP
+    counts once, because the shell of a closed terminal sends it again.
     """
 
     def __init__(self, signals: Iterable[int] = SIGNALS) -> None:
@@ -102,7 +100,7 @@ class Interrupts:
     def __enter__(self) -> Interrupts:
         if threading.current_thread() is threading.main_thread():
             for signal_number in self._signals:
-                # what was ignored still is, as `nohup` ignores SIGHUP
+                # a signal that is ignored stays ignored: `nohup` ignores SIGHUP
                 if signal.getsignal(signal_number) != signal.SIG_IGN:
                     self._handlers_before[signal_number] = signal.signal(signal_number, self._note)
         return self
@@ -118,8 +116,8 @@ class Interrupts:
             self._patience_ends = min(self._patience_ends, time.monotonic() + PATIENCE)
 
 
-def say_stopping() -> None:
-    print_aside("Stopping after this step; again to stop now.")
+def print_stopping() -> None:
+    print_aside("Stopping after this step. Press Ctrl-C again to stop at once.")
 
 
 # --- Supervision ----------------------------------------------------------------------------------
@@ -138,13 +136,13 @@ class _Task:
 class Supervisor:
     """Keeps the `config.workers` workers of a job busy until all runs have ended.
 
-    After the first of `interrupts` every run goes on to a checkpoint; after the second all end at once.
+    After the first of `interrupts` every run stops at a checkpoint; after the second all stop at once.
     """
 
     def __init__(self, job: Job, on_event: OnEvent, interrupts: Interrupts) -> None:
         self._tasks = [_Task(run_id, run) for run_id, run in job.runs.items()]
         self._job, self._store, self._on_event = job, job.store, on_event
-        self._interrupts, self._heeded_level = interrupts, 0
+        self._interrupts, self._sent_level = interrupts, 0
         self._storage_problem = ""
         self._selector = selectors.DefaultSelector()
 
@@ -152,14 +150,14 @@ class Supervisor:
         """Train the runs.
 
         Raises:
-            StorageError: if the disk took nothing more, when those that trained have come to a checkpoint.
+            StorageError: if the disk is full, when all runs have stopped at a checkpoint.
         """
         try:
             while self._tasks or self._workers():
                 self._hand_out_tasks()
                 for selector_key, _ in self._selector.select(LOOK_SECONDS):
                     self._read(selector_key.data)
-                self._heed_interrupts()
+                self._send_stop()
         finally:
             for worker in self._workers():
                 worker.kill()
@@ -172,18 +170,18 @@ class Supervisor:
         return [selector_key.data for selector_key in self._selector.get_map().values()]
 
     def _stop_level(self) -> int:
-        """Return 0 to go on, 1 to let every run go on to a checkpoint, 2 to end all at once."""
+        """Return 0 to continue, 1 to stop every run at a checkpoint, 2 to stop all at once."""
         if self._storage_problem:
             return max(self._interrupts.count, 1)
         return self._interrupts.count
 
-    def _heed_interrupts(self) -> None:
+    def _send_stop(self) -> None:
         level = self._stop_level()
-        if level == self._heeded_level:
+        if level == self._sent_level:
             return
-        if self._heeded_level == 0 and not self._storage_problem:
-            say_stopping()
-        self._heeded_level = level
+        if self._sent_level == 0 and not self._storage_problem:
+            print_stopping()
+        self._sent_level = level
         self._tasks.clear()
         for worker in self._workers():
             if level > 1:
@@ -192,7 +190,7 @@ class Supervisor:
                 worker.send("stop")
 
     def _hand_out_tasks(self) -> None:
-        """Give waiting runs to idle workers, of which some may have to start; end those without work."""
+        """Give waiting runs to idle or new workers; end the workers that get none."""
         workers = self._workers()
         idle_workers = [worker for worker in workers if worker.task is None]
         free_places = self._job.config.workers - len(workers)
@@ -214,7 +212,7 @@ class Supervisor:
                 worker.orders.close()
 
     def _read(self, worker: _Worker) -> None:
-        """Read one event line of a worker, or notice that it has ended."""
+        """Read one event of a worker, or find that it has ended."""
         event_line, task = worker.events.readline(), worker.task
         if not event_line:
             self._selector.unregister(worker.events)
@@ -243,7 +241,7 @@ class Supervisor:
             worker.end_task()
 
     def _reap(self, worker: _Worker) -> None:
-        """Reap a worker, and try the run that crashed or was lost with it once more, or store its end."""
+        """Clean up after a worker, and try the run that was lost with it once more, or store its end."""
         exit_code, error_output = worker.wait_and_read_stderr()
         task, crash, is_stopping = worker.task, worker.crash, self._stop_level() > 0
         if task is None:
@@ -260,11 +258,11 @@ class Supervisor:
             self._end_lost(task, exit_code, error_output)
 
     def _end_lost(self, task: _Task, exit_code: int, error_output: bytes) -> None:
-        """Store and report the end of a run whose worker died, unless another process trains it now."""
+        """Store and report the end of a run whose worker died; store nothing if another process trains it."""
         status, reason_texts = "crashed", [_reason(exit_code), error_output.decode(errors="replace")]
         if exit_code < 0:
             status = "killed"
-            reason_texts.reverse()  # what explains most comes last
+            reason_texts.reverse()  # the last line is shown to users
         try:
             with self._store.lock(task.name) as is_free:
                 if is_free:
@@ -298,19 +296,19 @@ class _Worker(subprocess.Popen[bytes]):
     """A worker process. It has its own session, so that Ctrl-C reaches only its parent.
 
     Attributes:
-        task: what it trains; None while it has nothing to do.
+        task: the run that it trains; None while it is idle.
         crash: the event of its run's crash, after which it ends.
         orders: its standard input.
-        events: its lines.
+        events: its standard output.
     """
 
     def __init__(self) -> None:
         self.task: _Task | None = None
         self.crash: Event | None = None
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (closed when the process is buried)
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (`wait_and_read_stderr` closes it)
         self._errors_start = 0
-        # Inherited by the worker: a shutdown or a queue sends SIGTERM to all processes, and workers learn of
-        # it from their parent.
+        # The worker inherits the mask: a shutdown or a queue sends SIGTERM to all processes, but workers must
+        # wait for the order of their parent.
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
         try:
             super().__init__(
@@ -337,13 +335,13 @@ class _Worker(subprocess.Popen[bytes]):
 
     def send(self, order: str) -> None:
         unsent_bytes = order.encode() + b"\n"
-        # it has ended, which reading from it will show, or has nothing to do
+        # a worker that has ended is found when it is read from
         with suppress(BrokenPipeError, ValueError):
             while unsent_bytes:  # a signal may come in between
                 unsent_bytes = unsent_bytes[self.orders.write(unsent_bytes) :]
 
     def wait_and_read_stderr(self) -> tuple[int, bytes]:
-        """Wait for its end; return its exit code, and what it wrote since its last run ended."""
+        """Wait for its end; return its exit code, and its errors since its last run ended."""
         exit_code = self.wait()
         self.orders.close()
         self.events.close()
@@ -353,18 +351,17 @@ class _Worker(subprocess.Popen[bytes]):
 
 
 def worker_environment() -> dict[str, str]:
-    """Return environment variables for a child process that computes alike anywhere, on one thread.
+    """Return environment variables for a process that imports this code and computes on one thread.
 
-    It imports this code. Of the shell's variables it gets those that are known to change no numbers, and
-    those that the user names.
+    Of the shell's variables it gets only those that do not change numbers, and those that the user names.
     """
     import_path = str(SOURCE)
     if os.environ.get("PYTHONPATH"):
         import_path += os.pathsep + os.environ["PYTHONPATH"]
     fixed_variables = {
-        "NPROC": "1",  # the size of XLA's pool of threads; its flags alone no longer hold that
+        "NPROC": "1",  # the size of XLA's pool of threads; its flags alone do not limit it
         "XLA_FLAGS": XLA_FLAGS,
-        "JAX_DEFAULT_MATMUL_PRECISION": "highest",  # float32 on a GPU too, whose default is less
+        "JAX_DEFAULT_MATMUL_PRECISION": "highest",  # float32 on a GPU, too
         "XLA_PYTHON_CLIENT_PREALLOCATE": "false",  # workers share a GPU
         "JAX_COMPILATION_CACHE_DIR": str(_cache() / "jax"),  # compiled once for all workers
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
@@ -383,9 +380,9 @@ def worker_environment() -> dict[str, str]:
 
 
 def _is_byte_code_kept() -> bool:
-    """Return whether modules have byte code on disk, without which a worker takes twice as long to start.
+    """Return whether installed modules have byte code; without it a worker takes twice as long to start.
 
-    In containers often none is written, and folders of packages may be read-only.
+    Containers often have none, and their folders of packages may be read-only.
     """
     numpy_spec = find_spec("numpy")
     return numpy_spec is None or numpy_spec.cached is None or Path(numpy_spec.cached).is_file()
@@ -394,7 +391,7 @@ def _is_byte_code_kept() -> bool:
 def prepare_node() -> None:
     """Prepare this process, on a node of a cluster, to start workers on its CPUs.
 
-    Compiled programs are cached by processor, because nodes differ and often share a home folder.
+    Compiled programs are cached by processor, because nodes differ and may share a home folder.
     """
     processor = hashlib.sha256(machine()["cpu"].encode()).hexdigest()[:8]
     os.environ["XDG_CACHE_HOME"] = str(_cache() / "nodes" / processor)

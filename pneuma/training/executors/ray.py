@@ -3,8 +3,8 @@
     groups → Ray → `train_here` on a node: workers, supervised as on this machine → results folder
     this command ← the state of runs in the results folder
 
-Pneuma's code is sent to the nodes with the task. The packages that it computes with must be installed there
-in the same versions. Without an address, a cluster is started on this machine for the command.
+Pneuma's code is sent to the nodes. The packages that it computes with must be installed there in the same
+versions. Without an address, the command starts a cluster on this machine.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pneuma.errors import Hint, UserError, install_extra
 from pneuma.store.provenance import CARRIED_CODE, SOURCE, available_cores, code, machine
 from pneuma.store.store import Status
 from pneuma.training.executors.base import RAY, Event, ExecutorConfig, Job, OnEvent, end_event
-from pneuma.training.executors.local import Interrupts, Supervisor, prepare_node, say_stopping
+from pneuma.training.executors.local import Interrupts, Supervisor, prepare_node, print_stopping
 from pneuma.training.worker import die_with
 
 MOST_IN_TASK = 8
@@ -36,7 +36,7 @@ LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 
 
 def most_workers(config: ExecutorConfig) -> int:
-    """Return how many runs the cluster's CPUs can train at once. No cluster is started to find out."""
+    """Return how many runs the cluster's CPUs can train at once; this does not start a cluster."""
     if find_spec("ray") is None:
         raise UserError(EXECUTOR, f" needs Ray: {install_extra('ray')}")
     if config.address is None:
@@ -67,7 +67,7 @@ def train_runs(job: Job, on_event: OnEvent) -> None:
 
 
 class _Tasks:
-    """The jobs that wait, and the cluster's tasks that train others."""
+    """Jobs that wait for a node, and the cluster's tasks that train the others."""
 
     def __init__(self, jobs: list[Job], config: ExecutorConfig, on_event: OnEvent) -> None:
         self._waiting, self._config, self._on_event = jobs, config, on_event
@@ -78,8 +78,8 @@ class _Tasks:
         """Start tasks, and report events of their runs, until all runs have ended.
 
         Raises:
-            UserError: if a node is not fit to train.
-            KeyboardInterrupt: after Ctrl-C, when every run has come to a checkpoint.
+            UserError: if a node cannot train.
+            KeyboardInterrupt: after Ctrl-C, when every run has stopped at a checkpoint.
         """
         import ray
 
@@ -106,7 +106,7 @@ class _Tasks:
                 ray.cancel(task, force=True)
 
     def _report(self, job: Job, state: str) -> None:
-        """Report how far the runs of a job are; one that is nowhere has ended."""
+        """Report the steps of a job's runs; with an empty `state` the job has ended."""
         for run_id in job.runs:
             if self._states.get(run_id) == "":
                 continue
@@ -123,7 +123,7 @@ class _Tasks:
 
 
 def _end_event(run_id: str, status: Status, pause_step: int) -> Event:
-    """Return the event of the end of a run that has no task any more."""
+    """Return the end event of a run whose task has ended."""
     is_paused = 0 < pause_step <= status.step
     if status.finished or status.failed or status.name == "killed" or is_paused:
         return end_event(run_id, status.name, status.step)
@@ -131,7 +131,7 @@ def _end_event(run_id: str, status: Status, pause_step: int) -> Event:
 
 
 def _check(task: Any) -> None:
-    """Stop if a task ended because its node is not fit to train. A lost task is no problem."""
+    """Raise the error of a task that cannot train on its node; a lost task is tried again."""
     import ray
 
     try:
@@ -144,10 +144,10 @@ def _check(task: Any) -> None:
 
 
 def _stop(tasks: list[Any], interrupts: Interrupts) -> None:
-    """Ask tasks to stop at a checkpoint; after another interrupt, end them at once."""
+    """Stop tasks at a checkpoint; after another interrupt return at once."""
     import ray
 
-    say_stopping()
+    print_stopping()
     for task in tasks:
         ray.cancel(task)
     while tasks and interrupts.count < 2:
@@ -160,26 +160,27 @@ def _stop(tasks: list[Any], interrupts: Interrupts) -> None:
 @cache
 def join(address: str | None) -> None:
     """Join the cluster at an address, or start one on this machine; once per process."""
-    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"  # all this before Ray, which reads it when it is loaded
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"  # Ray reads variables when it is imported
     os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")  # the nodes have their own environments
     if address is None or address.rpartition(":")[0] in LOOPBACK:
-        # or Ray takes 127.0.0.1 for the machine's address in its network; it has no option for this
+        # without this, Ray replaces 127.0.0.1 by the machine's address in its network
         os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
     import ray
     from ray._private import worker
 
-    if hasattr(worker, "print_to_stdstream"):  # else Ray writes on standard output, where --json does
+    if hasattr(worker, "print_to_stdstream"):  # otherwise Ray prints into the output of --json
         worker.print_to_stdstream = lambda *_, **__: None
     quiet_options: dict[str, Any] = {"log_to_driver": False, "logging_level": "CRITICAL"}
     if address is None:
-        os.environ.setdefault("RAY_worker_niceness", "0")  # 15 else: runs would yield to whatever there is
-        runtime_env: dict[str, Any] = {"env_vars": {"PYTHONPATH": str(SOURCE)}}  # the compiled library
+        os.environ.setdefault("RAY_worker_niceness", "0")  # Ray's default is 15
+        runtime_env: dict[str, Any] = {"env_vars": {"PYTHONPATH": str(SOURCE)}}
         resources: dict[str, Any] = {"num_cpus": available_cores(), "_node_ip_address": "127.0.0.1"}
-        with chdir(SOURCE):  # Ray lets its processes import from the current folder
+        with chdir(SOURCE):  # Ray's processes import from the current folder
             ray.init("local", include_dashboard=False, runtime_env=runtime_env, **resources, **quiet_options)
         return
     host, _, port = address.rpartition(":")
-    try:  # or Ray would try for minutes
+    try:
+        # Ray itself would try for minutes
         socket.create_connection((host.strip("[]"), int(port)), JOIN_SECONDS).close()
         runtime_env = {
             "py_modules": [str(SOURCE / "pneuma")],
@@ -205,10 +206,10 @@ def train_here(job_text: str, required: Mapping[str, str], current_folder: str) 
     Args:
         job_text: the job, as JSON.
         required: the versions that the node must have.
-        current_folder: the command's current one, from which users' rewards and levels are read.
+        current_folder: the command's, to which paths of users' rewards and levels are relative.
 
     Raises:
-        UserError: if the node has other versions, or does not see the results folder.
+        UserError: if the node has other versions, or does not have the results folder.
     """
     installed, node = versions(), socket.gethostname()
     missing = [f"{name} {version}" for name, version in required.items() if installed.get(name) != version]
@@ -229,7 +230,7 @@ def train_here(job_text: str, required: Mapping[str, str], current_folder: str) 
 
 
 def versions() -> dict[str, str]:
-    """Return the versions that must match between the command and every node, as they can change results."""
+    """Return the versions that must be the same here and on every node, because they can change results."""
     machine_facts = machine()
     packages = {name: version for name, version in machine_facts["packages"].items() if name != "pneuma"}
     return {"Python": machine_facts["python"], **packages}
