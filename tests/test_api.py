@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.api import evaluate, load_policy, run_study
+from pneuma.api import evaluate, load_policy
 from pneuma.config import make_run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, VALUE_COLUMNS
@@ -115,32 +114,6 @@ def test_a_users_script_passes_strict_types(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout
 
 
-@pytest.mark.slow
-def test_the_notebook_runs_and_shows_what_it_should(tmp_path: Path) -> None:
-    """As plain Python: a cell's last expression is printed as a notebook shows it."""
-    (tmp_path / "cells.json").write_text(json.dumps(notebook_cells()))
-    (tmp_path / "kernel.py").write_text(KERNEL)
-    command, env = [sys.executable, "kernel.py"], {**os.environ, "PNEUMA_RESULTS": "kept"}
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, env=env)
-    assert done.returncode == 0, done.stderr
-    assert "4/4 runs ended, 100 % of all steps" in done.stderr
-    outputs = done.stdout.split("--- ")
-    assert any("<th>tanh</th>\n      <td>2</td>" in cell for cell in outputs)  # the runs of a condition
-    assert "final-share-killed" in outputs[3] and len(list((tmp_path / "kept" / "runs").iterdir())) == 4
-
-
-KERNEL = """
-import ast, json, pathlib
-
-names = {}
-for cell in json.loads(pathlib.Path("cells.json").read_text()):
-    *lines, last = ast.parse(cell).body
-    exec(compile(ast.Module(lines, []), "cell", "exec"), names)
-    shown = eval(compile(ast.Expression(last.value), "cell", "eval"), names)
-    print("---", getattr(shown, "_repr_html_", lambda: shown)())
-"""
-
-
 @pytest.mark.parametrize(
     ("settings", "named", "env_id"),
     [
@@ -162,30 +135,6 @@ def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(
     policy, env, env_settings = load_policy("0123", tmp_path, trust=True)
     assert isinstance(policy, Policy) and policy.to_bytes() == stored.to_bytes()
     assert env == env_id and env_settings.items() >= settings.get("env_kwargs", settings).items()
-
-
-EXCEPTION = """\
-title = "Unlike"
-base = "table-6-2"
-[conditions.usual]
-[conditions.big]
-horizon = 64
-[presets.quick]
-seeds = 1
-steps = 2_000
-[presets.quick.conditions.big]
-steps = 100
-"""
-
-
-def test_a_preset_is_opened_with_its_exceptions(tmp_path: Path) -> None:
-    """2,000 steps are rounded up to whole updates, of which no preset is."""
-    path, store = tmp_path / "unlike.toml", Store(tmp_path / "results")
-    path.write_text(EXCEPTION)
-    for cell in make_plan(load_study(str(path)), Query()).cells:
-        save_finished(store, cell.run)
-    data = run_study(path, store.root, quiet=True)
-    assert data.runs[["condition", "steps"]].to_numpy().tolist() == [["usual", 2048], ["big", 128]]
 
 
 def test_an_empty_variable_names_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from pneuma.answers.curves import find_curves
 from pneuma.answers.outcomes import show_outcomes
 from pneuma.answers.profiles import profile_scores
 from pneuma.api import open_data
+from pneuma.cli.study_files import FIGURE_KINDS
 from pneuma.config import as_fields
 from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import Page, Panel
@@ -57,6 +58,7 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for cell in plan.cells:
         step, random = cell.run.steps, {"random_return": 20.0, "random_spread": 5.0}
         evaluated = {"step": step, "return": RETURNED[cell.condition] + cell.seed, **random}
+        evaluated["commonest_action"] = 0.5
         fields, config = as_fields(cell.run), config_id(cell.run)
         episode = [{"step": step, "episode": 0, "return": 1.0}]
         save_run(store, run_id(cell.run), episode, [], [evaluated], step, "done", fields, config)
@@ -103,6 +105,22 @@ def test_a_figure_has_a_panel_for_each_environment(study: Path) -> None:
         _, *lines = image.info["Description"].splitlines()
     conditions = [line.partition(", seeds")[0] for line in lines]
     assert conditions == [f"two, {condition}" for condition in RETURNED]
+
+
+SHOWN = {
+    "curves": "Return in training",
+    "summary": "Return of an episode",
+    "profile": "Share of runs above it",
+    "one-action": "Not yet staying in one action",
+}
+"""Words that stand on figures of each kind alone."""
+
+
+@pytest.mark.parametrize("kind", FIGURE_KINDS)
+def test_a_kind_of_figure_is_drawn_and_no_other(study: Path, kind: str) -> None:
+    printed("study", "plot", study, "--figure", kind, "--out", "drawn.svg")
+    drawn = Path("drawn.svg").read_text()
+    assert [other for other, words in SHOWN.items() if words in drawn] == [kind]
 
 
 def test_a_figure_that_cannot_be_drawn_or_written_is_refused(study: Path) -> None:
@@ -161,7 +179,6 @@ def test_a_profile_is_of_the_runs_of_all_environments(study: Path) -> None:
     above = {name: of.set_index("x")["share"] for name, of in shares.groupby("condition")}
     for name, at, share in (("ppo", 0.5, 1), ("ppo", 0.9, 0.5), ("a2c", 0.4, 0.5), ("a2c", 0.9, 0)):
         assert above[name][above[name].index >= at].iloc[0] == share
-    assert call("study", "plot", study, "--figure", "profile", "--out", "profile.png").code == 0
     assert (
         "0 and 1 are 0 and 100 in CartPole-v1, −500 and −100 in Acrobot-v1."
         in profile_scores(open_data(study)).notes[0]

@@ -1,4 +1,4 @@
-"""Tables as pages, papers and programs take them: `--format` of summary, compare and verify."""
+"""Tables as pages, papers and programs take them: `--format`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pneuma.analysis.export import encode_frame
 from pneuma.cli.output import Result, Table, print_result
 from pneuma.store.store import Store
 
-from ..analysis.claim_files import HIGH, LOW, save_runs, write_files
+from ..analysis.claim_files import save_runs
 from .calls import described, printed, refused
 
 SUMMARY = """\
@@ -69,23 +69,6 @@ def test_a_comparison_in_every_form(mine: list[str]) -> None:
     assert "high against middle" in printed(*words)
 
 
-def test_verdicts_in_every_form(tmp_path: Path) -> None:
-    """0.735 against 0.235: a difference of one half in every run."""
-    save_runs(Store(tmp_path / "results"), tmp_path, {"high": HIGH, "low": LOW})
-    words = ["study", "verify", "--claims", write_files(tmp_path), "--results", tmp_path / "results"]
-    effect = "kills 74 against 24 % (47 to 53; ±4.0)"
-    lines = printed(*words, "--format", "markdown").splitlines()
-    assert lines[0] == "| Section | The thesis's sentence | text |"
-    assert lines[2].startswith(f"| 6 | “a quote”<br>high against low | holds [p]<br>{effect} |")
-    assert r"kills 74 against 24 \% (47 to 53; " in printed(*words, "--format", "latex")
-    (row,) = csv.DictReader(io.StringIO(printed(*words, "--format", "csv")))
-    assert (row["claim"], row["verdict"], row["seeds_a"]) == ("better", "supported", "8")
-    assert float(row["mean_a"]) - float(row["mean_b"]) == pytest.approx(0.5)
-    page = printed(*words, "better")
-    assert page.startswith("better (section 6)\n  “a quote”\n  high against low\n    text")
-    assert "high against low, 8 and 8 runs: kills 74" in page
-
-
 def test_the_thesis_tables_are_printed_as_they_stand_there() -> None:
     """Table 6.2 in the thesis's order and words; γ and others are commands of LaTeX."""
     rows = described("study", "table", "--json")["rows"]
@@ -100,7 +83,6 @@ def test_the_thesis_tables_are_printed_as_they_stand_there() -> None:
 TABLES = {
     "thesis": ["table", "table-6-2"],
     "summary": ["summary", "activation"],
-    "crossed": ["summary", "robustness"],
     "comparison": ["compare", "activation", "tanh", "relu"],
     "verdicts": ["verify", "betas-solve", "clip-alike"],
 }

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from pneuma.analysis.runs import find_study, have_same_fields
 from pneuma.api import open_data
@@ -141,6 +142,33 @@ def test_a_document_names_its_runs(store: Store) -> None:
     document = call("study", "summary", "activation", "--json", "--results", store.root).document
     about = {"study": "activation", "world": "arena", "preset": "quick", "steps": 2048, "seeds": [0, 3]}
     assert document.items() >= {**about, "settings": {"gamma": 0.5}}.items()
+
+
+@pytest.mark.usefixtures("unshipped")
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        ("--quantity actions --band minmax", "5-quantities-minmax"),
+        ("--figure summary", "summary"),
+        ("--window trailing-100 --condition tanh --seeds 1", "tanh-seeds-0-trailing-100"),
+        ("--x wall-clock --band minmax", "minmax-over-wall-clock"),
+        ("--steps 1024", "steps-1024"),
+    ],
+)
+def test_a_figure_names_what_it_shows_and_its_runs(
+    store: Store, tmp_path: Path, words: str, name: str
+) -> None:
+    finish_study(store, world="text", conditions=PAIR, seeds=(0, 1), steps=1024, settings={"gamma": 0.5})
+    options = ("--world", "text", "--set", "gamma=0.5", "--results", store.root, "--out", tmp_path / "there")
+    assert call("study", "plot", "activation", *words.split(), *options).code == 0
+    (drawn,) = (tmp_path / "there").glob("*.png")
+    assert drawn.name == f"fig-6-5-text-gamma=0.5-{name}.png"
+    with Image.open(drawn) as image:
+        first, *lines = image.info["Description"].splitlines()
+    assert first.startswith("Pneuma: Activation function")
+    seeds = "0" if "--seeds" in words else "0..1"
+    assert lines[0].startswith(f"activation, tanh, seeds {seeds}, ids ")
+    assert len(lines) == (1 if "--condition" in words else 2)
 
 
 # --- Conditions with changed fields ----------------------------------------------------------------
