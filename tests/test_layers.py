@@ -1,4 +1,4 @@
-"""Laws of the code: who may import whom (CONTRIBUTING.md), the package list, how texts are written."""
+"""Laws of the code: which rooms a module imports (CONTRIBUTING.md), the package list, forms of texts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What README, CONTRIBUTING.md and docs name is there, and what they say that commands print is so."""
+"""What README, CONTRIBUTING.md and docs name exists, and commands print what the pages show."""
 
 from __future__ import annotations
 
@@ -25,52 +25,38 @@ from pneuma.search.spec import load_search
 from pneuma.study.spec import load_study
 from tools.pages import PAGES, ROOT, renewed, rewrite
 
-_TYPED = re.compile(r"`(pneuma [^`]+)`|^ {4}(pneuma .*)$", re.MULTILINE)
+_COMMAND = re.compile(
+    r"(?<=`)pneuma [^`]+(?=`)|(?:(?<=^ {4})|(?<=&& ))pneuma (?:\\\n|[^\n&`])+", re.MULTILINE
+)
 _PLACEHOLDER = re.compile(r"[….|]|^[A-Z_]+$|^\[|\]$")
 
 
-def _typed(page: Path) -> list[str]:
-    """Return the lines that begin with `pneuma`, as code or in a block of it, each command by itself."""
-    text = re.sub(r"\s*\\\n\s*", " ", page.read_text(encoding="utf-8"))
-    joined = (re.sub(r"\s+", " ", one or other) for one, other in _TYPED.findall(text))
-    return [
-        part.strip() for line in joined for part in line.split("&&") if part.strip().startswith("pneuma ")
-    ]
-
-
-def _mistake(line: str) -> str:
-    """Say what of a line there is not; empty where all is."""
-    words = shlex.split(line, comments=True)[1:]
+def _missing(command_line: str) -> list[str]:
+    """Return the words of a command line that the program does not have, and options that it needs."""
+    words = shlex.split(command_line.replace("\\\n", " "), comments=True)[1:]
     command: Any = get_command(app)
     while words and hasattr(command, "commands"):
         if words[0].startswith("-") or _PLACEHOLDER.search(words[0]):
             break
         if words[0] not in command.commands:
-            return f"{words[0]!r} is no command of {command.name}"
+            return [words[0]]
         command = command.commands[words.pop(0)]
-    known = {"--help", "-h"}
+    existing, needed = {"--help", "-h"}, set()
     for parameter in command.params:
-        known.update(parameter.opts, parameter.secondary_opts)
-    options = [word.partition("=")[0] for word in words if word.startswith("--")]
-    wrong = [f"{command.name} has no {option}" for option in options if option not in known]
-    for parameter in command.params:
-        is_needed = options and parameter.required and parameter.param_type_name == "option"
-        if is_needed and parameter.opts[0] not in options:
-            wrong.append(f"{command.name} needs {parameter.opts[0]}")
-    return "; ".join(wrong)
+        existing.update(parameter.opts, parameter.secondary_opts)
+        if parameter.required and parameter.param_type_name == "option":
+            needed.add(parameter.opts[0])
+    options = {word.partition("=")[0] for word in words if word.startswith("--")}
+    return sorted(options - existing) + sorted(needed - options if options else ())
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_commands_of_a_page_are_there_with_their_options(page: Path) -> None:
-    wrong = {line: message for line in _typed(page) if (message := _mistake(line))}
-    assert not wrong
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_what_a_page_links_to_is_there(page: Path) -> None:
-    links = re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text(encoding="utf-8"))
-    near = [link for link in links if "://" not in link]
-    assert [link for link in near if not (page.parent / link).exists()] == []
+def test_commands_and_links_of_a_page_lead_somewhere(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    missing = {command_line: _missing(command_line) for command_line in _COMMAND.findall(text)}
+    assert {command_line: words for command_line, words in missing.items() if words} == {}
+    links = re.findall(r"\]\(([^)#]+)[^)]*\)", text)
+    assert [link for link in links if "://" not in link and not (page.parent / link).exists()] == []
 
 
 def test_files_that_contributing_names_exist() -> None:
@@ -96,8 +82,8 @@ def test_pages_name_what_can_be_chosen(page: str, names: list[str]) -> None:
     assert [name for name in names if not re.search(rf'[` "]{name}[`",]', text)] == []
 
 
-def test_pages_hold_what_their_commands_print_from_published_tables() -> None:
-    """`make figures` writes them anew."""
+def test_pages_show_what_their_commands_print_from_published_tables() -> None:
+    """`make figures` updates them."""
     assert [page.name for page in renewed()] == []
 
 
