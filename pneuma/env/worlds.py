@@ -231,7 +231,7 @@ class Worlds:
         start_count = len(self.level.starts)
         if starts.max() >= start_count:
             raise ValueError(f"start {starts.max()} is not one of the level's {start_count}")
-        self._begin(np.where(mask, starts, kernel.GO_ON))
+        self._begin(np.where(mask, np.maximum(starts, -1), kernel.GO_ON))
 
     def step(self, actions: np.ndarray) -> int:
         """Advance all running worlds; return how many episodes ended.

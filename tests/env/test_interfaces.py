@@ -120,6 +120,12 @@ def test_what_cannot_be_done_is_refused(interface: str) -> None:
             step(env, np.array([action, 0, 0]))
 
 
+def test_every_number_below_zero_draws_a_start_place() -> None:
+    env = PneumaEnv()
+    env.reset(seed=0, options={"start": -2})  # -2 is what tells the rules to leave a world as it is
+    assert (env.worlds.monsters["hp"] == 40).all() and env.worlds.worlds["draws"] == 1
+
+
 def play_on(env: Any, seed: int, steps: int) -> list[bytes]:
     """Play drawn actions through all endings and return everything that is returned."""
     returned = []
