@@ -31,7 +31,6 @@ from .trained import SMALL, rollouts_of
 
 CASES: dict[str, dict[str, object]] = {
     "table 6.2": {"betas": (0.9, 0.9)},
-    "usual Adam": {"betas": (0.9, 0.999)},
     "a minibatch of all and more": {"minibatch": 4096},
     "momentum": {"optimizer": "sgd", "momentum": 0.9, "learning_rate": 1e-2},
     "the thesis's momentum": {"optimizer": "sgd", "momentum": 0.9, "dampening": 0.9, "learning_rate": 1e-2},
@@ -45,7 +44,6 @@ CASES: dict[str, dict[str, object]] = {
     "a limit for each": {"clip": "separate", "gradient_limit": 0.05},
     "a tight joint limit": {"gradient_limit": 0.01},
     "a last minibatch that is smaller": {"minibatch": 40},
-    "slots": {"slots": 2, "horizon": 32, "episode_steps": 40},
     "players": {"players": 2, "slots": 2, "horizon": 16, "episode_steps": 20},
     "deep": {"actor": (32, 16), "critic": (24, 24, 24)},
     "too large to be joined": {"critic": (520, 520), "weight_decay": 0.01, "horizon": 32, "epochs": 1},

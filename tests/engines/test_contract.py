@@ -40,10 +40,7 @@ def test_one_update_of_every_network(actor: tuple[int, ...], critic: tuple[int, 
         row["grad_norm_actor"] ** 2 + row["grad_norm_critic"] ** 2, rel=1e-4
     )
     assert row["entropy"] == pytest.approx(math.log(5), abs=0.01)  # the actor's head has gain 0.01
-    assert row["policy_loss"] == pytest.approx(0, abs=1e-5)  # the mean of normalised advantages
-    assert (row["approx_kl"], row["clip_fraction"]) == (pytest.approx(0, abs=1e-6), 0)
     assert sum(row[f"action_{i}"] for i in range(5)) == pytest.approx(1)
-    assert 0 <= row["dead_units"] < 0.9
     assert [(own["step"], own["length"]) for own in result.records.episodes] == [(30, 30), (60, 30)]
     assert set(result.records.episodes[0]) == set(EPISODE_COLUMNS)
     assert [set(own) for own in result.records.evaluations] == [

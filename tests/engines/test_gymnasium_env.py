@@ -72,7 +72,6 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "actions": ({"env_kwargs": {"kind": "tuple"}}, "actions in Tuple"),
     "choices": ({"env_kwargs": {"kind": "pairs"}}, 'several choices, which only engine = "sb3"'),
     "observations": ({"env_kwargs": {"kind": "text"}}, "observations in Text cannot be flattened"),
-    "text": ({"env_kwargs": {"kind": "text"}}, "observations in Text cannot be flattened"),
     "minigrid": ({"env": "MiniGrid-Nowhere-v0", "env_module": "nowhere"}, r"'nowhere'; pip.*\[minigrid\]"),
     "numbers": ({"env": "Pendulum-v1"}, 'only engine = "sb3" trains'),
     "bounds": ({"env_kwargs": {"kind": "unbounded"}, "engine": "sb3"}, "are unbounded"),
