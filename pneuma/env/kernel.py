@@ -52,7 +52,7 @@ def _run_worlds(handle: Any, actions: Any, work: int) -> int:
             at random. Of several levels one is drawn first. All worlds are observed.
         actions: (N, P) int64, not read by a reset. A world whose episode has ended stays as it is, with empty
             events, until it is reset.
-        work: `RESET`; or `STEP`, `RECORD` what the step paid, or both.
+        work: `RESET`; or `STEP`, `RECORD` the step's rewards, or both.
     """
     state = open_state(handle)
     players = state.players.shape[1]
@@ -79,8 +79,8 @@ def _run_worlds(handle: Any, actions: Any, work: int) -> int:
                 event = world.events[player_index]
                 if event.present > 0:
                     write_reward(world.players[player_index], world.player_stats[player_index], event)
+        if work & RECORD:
             if world.settings.shared_reward:
                 share_reward(world.events)
-        if work & RECORD:
             record_step(world, world_actions)
     return ended_count

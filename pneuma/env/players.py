@@ -71,9 +71,8 @@ class Hunter:
             if detour["steps"] > 0:
                 aside = (detour["facing"] + 1) % 4  # round to the right
             detour["facing"] = aside
-            detour["steps"] = self.SIDE_STEPS * (
-                1 + player_index
-            )  # so that two do not block each other for ever
+            # Each player's detours have another length, so that two do not block each other for ever.
+            detour["steps"] = self.SIDE_STEPS * (1 + player_index)
         else:
             detour["steps"] = max(detour["steps"] - 1, 0)
         detour["walks"], detour["x"], detour["y"] = True, player["x"], player["y"]

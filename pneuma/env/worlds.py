@@ -181,7 +181,7 @@ class Worlds:
         settings_row["hit_on_entry"] = config.blow == "entry"
         settings_row["credit_near"] = config.kill_credit == "near"
         settings_row["keep_xp"] = config.xp_scope == "forever"
-        settings_row["shared_reward"] = config.shared_reward and not self._own_rewards
+        settings_row["shared_reward"] = config.shared_reward
         stops = 1 << rules.COAST
         if config.trees == "wall":
             stops |= 1 << rules.SOLID
@@ -257,9 +257,6 @@ class Worlds:
         for own_reward in self._own_rewards:
             is_paid = self._reward_names == own_reward.name
             self.events["reward"][:, is_paid] = own_reward.pay(*self._read_only)[:, is_paid]
-        if self.config.shared_reward:
-            mean_rewards = self.events["reward"].sum(axis=1) / self.players.shape[1]
-            self.events["reward"] = np.where(self.present, mean_rewards[:, None], 0.0)
         kernel.call_rules(self._address, actions, kernel.RECORD)
         return ended
 

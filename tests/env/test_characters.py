@@ -59,20 +59,6 @@ def test_every_number_of_a_monster_reaches_the_rules(zoo: str) -> None:
         assert numbers(stats, "attack_squared notice_squared") == [attack_radius**2, notice_radius**2]
 
 
-def test_base_and_bamboo_are_those_of_the_godot_version(arena: str) -> None:
-    # facts.md section 1: 0.4 s, damage 20, 120 px/s for 0.5 s; 150 px/s, circles of 300 and 40 px, 7 HP
-    # every second, 1 XP and 7 HP for the kill; knocked back as the striker's weapon does.
-    worlds = make_worlds(level=arena)
-    base, bamboo = worlds.player_stats[0], worlds.monster_stats[0, 0]
-    assert numbers(base, "hp speed swing safe half_width half_height") == [100, 5, 24, 0, 23.5, 24]
-    assert numbers(base, "body_x body_y") == [-1.5, 2]
-    assert numbers(base["sword"], "damage knock_speed knock_ticks") == [20, 2, 30]
-    assert numbers(bamboo, "hp speed damage bite_ticks") == [40, 2.5, 7, 60]
-    assert numbers(bamboo, "half_width half_height stand_off") == [12, 25, 30]
-    assert numbers(bamboo, "notice_squared attack_squared") == [300**2, 40**2]
-    assert numbers(bamboo, "xp heal safe knock_ticks") == [1, 7, 0, -1]
-
-
 ROGUE = """
 [players]
 rogue = { hp = 80, energy = 50, attack = 9, magic = 3, speed = 360, body = [40, 44], body_at = [3, -4], \
