@@ -274,12 +274,12 @@ def _find_listed(index: RunIndex, listing: Mapping[str, Any], query: Query) -> S
     runs = listed_runs.merge(index.frame.drop(columns="seed").reset_index(drop=True), on="run_id")
     if query.conditions:
         conditions = [condition for condition in conditions if condition in query.conditions]
-        runs = runs[runs["condition"].isin(conditions)]
+    is_selected = runs["condition"].isin(conditions)
     if query.seeds is not None:
-        runs = runs[runs["seed"].isin(query.seeds)]
+        is_selected &= runs["seed"].isin(query.seeds)
     if query.steps:
-        runs = runs[runs["steps"] == query.steps]
-    runs = runs.sort_values("seed", kind="stable", ignore_index=True)
+        is_selected &= runs["steps"] == query.steps
+    runs = runs[is_selected].sort_values("seed", kind="stable", ignore_index=True)
     fields_by_condition: dict[str, Mapping[str, Any]] = dict.fromkeys(conditions, {})
     finished_runs = finished_rows(index, StudyData(study, {}, runs)).runs
     for condition, row in zip(finished_runs["condition"], finished_runs["row"], strict=True):

@@ -273,18 +273,14 @@ class StudyData:
                 if condition in new_names
             }
 
-        study = self.study
-        study_updates: dict[str, Any] = {}
-        for field_name in ("conditions", "labels", "levels"):
-            study_updates[field_name] = with_new_keys(getattr(study, field_name))
-        names_in_use = set(new_names.values())
-        for condition, label in study.labels.items():
-            if condition in names_in_use:
-                study_updates["labels"][condition] = label
-        study_updates["colors"] = {
-            new_names.get(condition, condition): color for condition, color in study.colors.items()
+        study, first_name = self.study, next(iter(new_names.values()))
+        study_updates = {
+            "conditions": with_new_keys(study.conditions),
+            "levels": with_new_keys(study.levels),
+            "labels": {**with_new_keys(study.labels), **study.labels},
+            "colors": {**study.colors, **with_new_keys(study.colors)},
+            "baseline": new_names.get(study.baseline, first_name),
         }
-        study_updates["baseline"] = new_names.get(study.baseline, next(iter(new_names.values())))
         runs = self.runs[self.runs["condition"].isin(new_names)]
         return replace(
             self,

@@ -220,7 +220,9 @@ def _judge_contrast(claim_runs: ClaimRuns, outcome: str, pair: Pair, alpha: floa
     if value and not isinstance(value, str):
         margin = registered_margin = None  # the constant is itself what counts
     conditions = tuple(dict.fromkeys(a + b))
-    reason = claim.not_tested or claim_runs.why_incomparable(outcome, conditions)
+    run_ids: dict[str, list[str]] = {}
+    for condition in conditions:
+        run_ids[condition] = [row.run_id for row in claim_runs.data.of_condition(condition)]
     claim_contrast = ClaimContrast(
         claim=claim,
         world=world,
@@ -231,14 +233,11 @@ def _judge_contrast(claim_runs: ClaimRuns, outcome: str, pair: Pair, alpha: floa
         alpha=alpha,
         margin=margin,
         registered_margin=registered_margin,
-        runs={
-            condition: [row.run_id for row in claim_runs.data.of_condition(condition)]
-            for condition in conditions
-        },
-        contrast=Contrast(reason=reason),
+        runs=run_ids,
     )
+    reason = claim.not_tested or claim_runs.why_incomparable(outcome, conditions)
     if reason:
-        return claim_contrast
+        return replace(claim_contrast, contrast=Contrast(reason=reason))
     groups = {condition: claim_runs.values(outcome, condition) for condition in conditions}
     groups_a = {condition: groups[condition] for condition in a}
     groups_b = {condition: groups[condition] for condition in b}
@@ -249,22 +248,19 @@ def _judge_contrast(claim_runs: ClaimRuns, outcome: str, pair: Pair, alpha: floa
         groups_a[a[0]] = groups_a[a[0]] - other_values + constant
     contrast = compare(claim.kind, groups_a, groups_b, 1 - alpha, constant)
     none_learned = _have_none_learned(claim_runs, outcome, conditions)
-
-    def verdict_by(margin: float | None) -> tuple[str, str]:
-        reason = _why_untestable(claim_runs, outcome, groups, margin)
-        if reason:
-            return UNTESTABLE, reason
-        return decide(contrast.simultaneous, claim.direction_of(outcome), margin, not none_learned), ""
-
-    verdict, reason = verdict_by(margin)
-    registered_verdict, _ = verdict_by(registered_margin)
-    if reason:
-        contrast, none_learned = Contrast(seeds=contrast.seeds, reason=reason), False
+    verdicts: list[str] = []
+    reasons: list[str] = []
+    for smallest in (margin, registered_margin):
+        reasons.append(_why_untestable(claim_runs, outcome, groups, smallest))
+        verdict = decide(contrast.simultaneous, claim.direction_of(outcome), smallest, not none_learned)
+        verdicts.append(UNTESTABLE if reasons[-1] else verdict)
+    if reasons[0]:
+        contrast, none_learned = Contrast(seeds=contrast.seeds, reason=reasons[0]), False
     return replace(
         claim_contrast,
         contrast=contrast,
-        verdict=verdict,
-        registered_verdict=registered_verdict,
+        verdict=verdicts[0],
+        registered_verdict=verdicts[1],
         none_learned=none_learned,
     )
 
