@@ -14,7 +14,7 @@ from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.store.index import RunIndex
 from pneuma.store.quantities import WINDOWS
-from pneuma.store.series import held_curve, make_grid, peak_curve, update_curve
+from pneuma.store.series import make_grid, peak_curve, update_curve
 from pneuma.store.store import Store
 from pneuma.study.plan import Query
 
@@ -227,11 +227,6 @@ def test_a_huge_value_is_forgotten_with_its_window(huge: float) -> None:
     curve = update_curve(step, values, GRID, 200)
     assert curve[20:].tolist() == [0.5] * 180
     assert abs(curve[5]) > 1e15
-
-
-def test_a_logged_nan_is_a_blank_until_the_next_entry() -> None:
-    curve = held_curve(np.array([10.0, 20.0, 30.0]), np.array([1.0, NAN, 2.0]), GRID, 200)
-    np.testing.assert_equal(_at(curve, 19, 20, 29, 30), [1, NAN, NAN, 2])
 
 
 # --- The random player -----------------------------------------------------------------------------
