@@ -1,4 +1,4 @@
-"""The intervals of `recompute_verdicts.py`, by SciPy, or written from what docs/claims.md says."""
+"""The intervals of `recompute_verdicts.py`, by SciPy, or written from docs/claims.md."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from scipy import stats
 
 Ends = tuple[float, float] | None
-"""Of an interval; None if there is none."""
+"""The ends of an interval; None if there is none."""
 Values = Mapping[str, np.ndarray]
 
 
 def interval(
     kind: str, a: Sequence[str], b: Sequence[str], values: Values, constant: float, alpha: float
 ) -> tuple[float, Ends]:
-    """Return the effect and the ends of its interval; none if an arm shows nothing of how runs differ."""
+    """Return the effect and the ends of its interval; no ends if the runs of a group do not differ."""
     if kind == "hazard":
         return of_hazard(values[a[0]], values[b[0]], alpha)
     if kind == "incidence":
@@ -32,7 +32,8 @@ def interval(
         effect, ends = of_range(a, b, values, constant, alpha)
     elif kind in ("main-effect", "interaction"):
         factors = {"main-effect": [1 / len(a)] * len(a), "interaction": [1.0, -1.0]}[kind]
-        weights = dict(zip(a, factors, strict=True)) | {name: -f for name, f in zip(b, factors, strict=True)}
+        weights = Counter(dict(zip(a, factors, strict=True)))
+        weights.subtract(dict(zip(b, factors, strict=True)))
         effect, error, freedom = of_sum(weights, values)
         half = stats.t.ppf(1 - alpha / 2, freedom) * error
         ends = effect - half, effect + half
@@ -59,15 +60,15 @@ def of_sum(weights: Mapping[str, float], values: Values) -> tuple[float, float, 
 
 
 def of_hazard(first: np.ndarray, second: np.ndarray, alpha: float) -> tuple[float, Ends]:
-    """Return Peto's logarithm of the ratio of two rates: (observed less expected) by the variance."""
+    """Return Peto's logarithm of the ratio of two rates: (observed minus expected) over the variance."""
     surplus, variance = 0.0, 0.0
     for time in sorted({*first[0][first[1] > 0], *second[0][second[1] > 0]}):
-        group = np.array([(arm[0] >= time).sum() for arm in (first, second)])
-        deaths = np.array([sum((arm[0] == time) * arm[1]) for arm in (first, second)])
-        share = group[0] / group.sum()
+        at_risk = np.array([(group[0] >= time).sum() for group in (first, second)])
+        deaths = np.array([sum((group[0] == time) * group[1]) for group in (first, second)])
+        share = at_risk[0] / at_risk.sum()
         surplus += deaths[0] - deaths.sum() * share
-        if group.sum() > 1:
-            left = (group.sum() - deaths.sum()) / (group.sum() - 1)
+        if at_risk.sum() > 1:
+            left = (at_risk.sum() - deaths.sum()) / (at_risk.sum() - 1)
             variance += deaths.sum() * share * (1 - share) * left
     if not variance:
         return float("nan"), None
@@ -75,8 +76,8 @@ def of_hazard(first: np.ndarray, second: np.ndarray, alpha: float) -> tuple[floa
     return surplus / variance, (surplus / variance - half, surplus / variance + half)
 
 
-def of_shares(arms: Sequence[np.ndarray], constant: float, alpha: float) -> tuple[float, Ends]:
-    tests = [stats.binomtest(int(runs.sum()), len(runs)) for runs in arms]
+def of_shares(groups: Sequence[np.ndarray], constant: float, alpha: float) -> tuple[float, Ends]:
+    tests = [stats.binomtest(int(runs.sum()), len(runs)) for runs in groups]
     (p, one), *others = [(test.statistic, test.proportion_ci(1 - alpha, method="exact")) for test in tests]
     if not others:
         return p - constant, (one.low - constant, one.high - constant)
@@ -89,7 +90,7 @@ def of_shares(arms: Sequence[np.ndarray], constant: float, alpha: float) -> tupl
 def of_range(
     a: Sequence[str], b: Sequence[str], values: Values, constant: float, alpha: float
 ) -> tuple[float, Ends]:
-    """Compare each step from arm to arm of a with each of b; arms that both have cancel, or count twice."""
+    """Compare each step from group to group of a with each of b; groups of both cancel, or count twice."""
     steps_a: list[tuple[str, ...]] = [*permutations(a, 2)]
     steps_b: list[tuple[str, ...]] = [*permutations(b, 2)] or [()]
     effects, lows, highs = np.empty((3, len(steps_a), len(steps_b)))

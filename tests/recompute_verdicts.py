@@ -1,7 +1,7 @@
 """Every verdict on the published runs by another hand: `python -m tests.recompute_verdicts`.
 
 What `pneuma study verify --json` prints is computed again from the lists of claims, the files of studies and
-the published tables by NumPy and SciPy: which runs each arm has (`recompute_runs.py`), effects, intervals and
+the published tables by NumPy and SciPy: the runs of each group (`recompute_runs.py`), effects, intervals and
 verdicts. Nothing of Pneuma is imported, and the rules are written from docs/claims.md. Ends with 1 if
 anything differs.
 """
@@ -81,20 +81,22 @@ def compared(
     for (outcome, a, b), row in zip(planned, document["contrasts"], strict=True):
         place = f"{outcome} {', '.join(a)}"
         yield "contrasts", place, (outcome, ", ".join(a)), (row["outcome"], row["a"])
-        arms: dict[str, list[Row]] = {}
+        groups: dict[str, list[Row]] = {}
         is_complete = True
         for name in dict.fromkeys((*a, *b)):
             seeds = seeds_of(claim, name)
-            arms[name] = fixed(runs.of_condition(claim["study"], name, world), seeds, claim["steps"])
-            ids = ["none", *(str(run["run_id"]) for run in arms[name])]
-            yield "arms", f"{place} {name}", tuple(ids), ("none", *row["runs"].get(name, ()))
-            is_complete &= len(arms[name]) == len(seeds)
+            groups[name] = fixed(runs.of_condition(claim["study"], name, world), seeds, claim["steps"])
+            ids = ["none", *(str(run["run_id"]) for run in groups[name])]
+            yield "groups", f"{place} {name}", tuple(ids), ("none", *row["runs"].get(name, ()))
+            is_complete &= len(groups[name]) == len(seeds)
         what = "verdicts" if is_complete else what
         for key, verdicts in by_margin.items():
             verdict = "untestable"
             if is_complete and "not_tested" not in claim:
                 margin = margin_of(claim, outcome, world, key)
-                effect, alone, together, verdict = judged(claim, outcome, world, (a, b), arms, alpha, margin)
+                effect, alone, together, verdict = judged(
+                    claim, outcome, world, (a, b), groups, alpha, margin
+                )
                 if key == "margin":
                     yield "effects", place, effect, row["effect"]
                     yield "intervals", place, alone, (row["low"], row["high"])
@@ -205,19 +207,19 @@ def judged(
     outcome: str,
     world: str,
     pair: tuple[Sequence[str], Sequence[str]],
-    arms: Mapping[str, Sequence[Row]],
+    groups: Mapping[str, Sequence[Row]],
     alpha: float,
     margin: float | None,
 ) -> Judged:
     """Return effect, interval, simultaneous interval and verdict of a contrast that has all its runs."""
     a, b = pair
-    values = {name: np.array([value_of(run, outcome) for run in runs]) for name, runs in arms.items()}
+    values = {name: np.array([value_of(run, outcome) for run in runs]) for name, runs in groups.items()}
     constant = of(claim.get("value"), outcome, world) if not b else 0.0
-    counts, idle = claim["kind"] == "incidence", [not learned(runs) for runs in arms.values()]
+    counts, idle = claim["kind"] == "incidence", [not learned(runs) for runs in groups.values()]
     if any(np.isnan(own).any() for own in values.values()) or (outcome in OF_LEARNERS and any(idle)):
         return NOTHING
     if claim["kind"] == "hazard":
-        ends = {name: [run["evaluations"][-1]["step"] for run in runs] for name, runs in arms.items()}
+        ends = {name: [run["evaluations"][-1]["step"] for run in runs] for name, runs in groups.items()}
         values = {
             name: np.array([np.minimum(own, ends[name]), np.isfinite(own)]) for name, own in values.items()
         }
@@ -227,10 +229,10 @@ def judged(
         shares = [own.mean() for own in values.values()]
         if len(shares) > 1 and (max(shares) <= 0.1 or min(shares) >= 0.9):
             return NOTHING
-    elif len(arms) > 1 and at_an_end(outcome, np.concatenate([*values.values()]), margin or 1e-9):
+    elif len(groups) > 1 and at_an_end(outcome, np.concatenate([*values.values()]), margin or 1e-9):
         return NOTHING
     if isinstance(constant, str):  # another outcome of the same runs
-        for name, runs in arms.items():
+        for name, runs in groups.items():
             values[name] = values[name] - np.array([value_of(run, constant) for run in runs])
         constant = 0.0
     elif not b and constant:
@@ -241,7 +243,7 @@ def judged(
     if way in ("better", "worse"):
         assert outcome in HIGHER | LOWER
         way = "greater" if (outcome in HIGHER) == (way == "better") else "less"
-    nobody = len(arms) > 1 and all(idle) and claim["kind"] != "hazard"
+    nobody = len(groups) > 1 and all(idle) and claim["kind"] != "hazard"
     unlike_only = nobody and ((outcome in HIGHER and not counts) or way in ("equal", "no-less"))
     verdict = rule(way, together, margin, unlike_only)
     return effect, alone or (None, None), together or (None, None), verdict
@@ -256,9 +258,9 @@ def at_an_end(outcome: str, values: np.ndarray, near: float) -> bool:
 
 
 def rule(way: str, ends: Ends, margin: float | None, unlike_only: bool) -> str:
-    """Return what docs/claims.md says of a difference between these ends.
+    """Return the verdict of docs/claims.md on a difference between these ends.
 
-    `unlike_only`: no arm plays better than at random, so that being alike says nothing.
+    `unlike_only`: no group plays better than at random, so that being alike shows nothing.
     """
     if way == "described":
         return "described"

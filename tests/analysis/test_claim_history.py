@@ -40,7 +40,7 @@ def commit(folder: Path, rules: int = RULES) -> str:
         ("[claims.better]", '[claims.better]\nnote = "other words"', ()),
         ('a = "high"', 'a = ["high"]', ()),
         ("seeds = 8", "seeds = { high = 8, low = 8 }", ()),
-        ("margin = 0.04", "margin = 0.4\nregistered_margin = 0.04", ()),  # set anew, and said so
+        ("margin = 0.04", "margin = 0.4\nregistered_margin = 0.04", ()),  # the registered one is kept
         ("margin = 0.04", "margin = 0.4", ("margin",)),
         ("[defaults]", "[margins]\nfinal-share-killed = 0.1\n[defaults]", ()),  # the claim has its own
         ('a = "high"', 'a = "middle"', ("a",)),

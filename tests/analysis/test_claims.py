@@ -1,4 +1,4 @@
-"""The file of claims: what it says, how its mistakes are told, and that every shipped claim can be judged."""
+"""The file of claims: what it means, messages on mistakes, and that every shipped claim can be judged."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def apart(second: int) -> np.ndarray:
 
 
 SEEN: dict[str, tuple[np.ndarray, np.ndarray, dict[str, Any], dict[str, Any]]] = {
-    # name: (updates, evaluations, what else is told of the run, what is found)
+    # name: (updates, evaluations, more about the run, its diagnosis)
     "one action to the end": (
         one_action(61), after(learning(), 13, 0.05), {},
         {

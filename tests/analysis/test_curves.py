@@ -221,7 +221,7 @@ def test_a_peak_is_of_the_updates_since_the_point_before_up_to_its_own_step() ->
 
 @pytest.mark.parametrize("huge", [1e17, -1e30])
 def test_a_huge_value_is_forgotten_with_its_window(huge: float) -> None:
-    """Not kept in a running total, beside which all later values would be nothing."""
+    """It is not kept in a running total, in which all later values would be lost."""
     step = np.arange(1.0, 201.0)
     values = np.where(step == 3, huge, 0.5)
     curve = update_curve(step, values, GRID, 200)

@@ -27,7 +27,7 @@ from .claim_files import (
 )
 
 Shares = Sequence[float | Sequence[float]]
-Arms = dict[str, Shares]
+SharesByCondition = dict[str, Shares]
 Changes = Sequence[tuple[str, str]]
 
 NAN = float("nan")
@@ -61,8 +61,8 @@ def direction(name: str) -> tuple[str, str]:
     return '"greater"', f'"{name}"'
 
 
-CASES: dict[str, tuple[Arms, Changes, str, list[str]]] = {
-    # name: (shares killed of arms, changes of the claim, verdict, those of its contrasts)
+CASES: dict[str, tuple[SharesByCondition, Changes, str, list[str]]] = {
+    # name: (shares killed by condition, changes of the claim, verdict, those of its contrasts)
     "greater, and it is": ({"high": HIGH, "low": LOW}, [], SUPPORTED, [SUPPORTED]),
     "greater, and it is equal": ({"high": NEAR, "low": LOW}, [], REFUTED, [REFUTED]),
     "described": ({"high": HIGH, "low": LOW}, [direction("described")], "described", ["described"]),
@@ -97,8 +97,8 @@ CASES: dict[str, tuple[Arms, Changes, str, list[str]]] = {
 
 @pytest.mark.parametrize("case", CASES)
 def test_every_verdict(case: str, store: Store, tmp_path: Path) -> None:
-    arms, changes, verdict, of_contrasts = CASES[case]
-    ids = save_runs(store, tmp_path, arms)
+    shares, changes, verdict, of_contrasts = CASES[case]
+    ids = save_runs(store, tmp_path, shares)
     one = judge_one(store, tmp_path, changed(*changes))
     assert (one.verdict, [row.verdict for row in one.contrasts]) == (verdict, of_contrasts)
     assert {*one.run_ids} == {*ids} and (one.reason == "") == (verdict != UNTESTABLE)
@@ -134,10 +134,10 @@ def test_seeds_that_the_claim_did_not_fix_are_not_read(store: Store, tmp_path: P
 
 
 def test_the_outcome_that_supports_the_claim_decides(store: Store, tmp_path: Path) -> None:
-    """The return supports it against both arms, the share killed against one: the latter decides nothing."""
+    """The return supports it against both conditions, the share killed against one: that decides nothing."""
     scattered = [0.0, 1.0] * 4
-    for arm, shares, returns in (("high", HIGH, HIGH), ("low", LOW, LOW), ("middle", scattered, LOW)):
-        save_runs(store, tmp_path, {arm: shares}, returns=returns)
+    for condition, shares, returns in (("high", HIGH, HIGH), ("low", LOW, LOW), ("middle", scattered, LOW)):
+        save_runs(store, tmp_path, {condition: shares}, returns=returns)
     verdict = judge_one(store, tmp_path, changed(TWO, CROSSED))
     verdicts = [contrast.verdict for contrast in verdict.contrasts]
     assert verdicts == [SUPPORTED, INCONCLUSIVE, SUPPORTED, SUPPORTED]
@@ -147,14 +147,14 @@ def test_the_outcome_that_supports_the_claim_decides(store: Store, tmp_path: Pat
     ]  # fmt: skip
 
 
-# --- What is said beside -----------------------------------------------------------------------------
+# --- What is also shown -----------------------------------------------------------------------------
 
 
-def test_where_a_margin_was_set_anew_both_verdicts_are_told(store: Store, tmp_path: Path) -> None:
-    """Arms differ by 0.001, give or take 0.026."""
+def test_where_a_margin_was_changed_both_verdicts_are_shown(store: Store, tmp_path: Path) -> None:
+    """Means differ by 0.001, plus or minus 0.026."""
     save_runs(store, tmp_path, {"high": NEAR, "low": LOW})
-    anew = changed(("margin = 0.04", "margin = 0.04\nregistered_margin = 0.01"))
-    verdict = judge_one(store, tmp_path, anew)
+    text = changed(("margin = 0.04", "margin = 0.04\nregistered_margin = 0.01"))
+    verdict = judge_one(store, tmp_path, text)
     assert (verdict.verdict, verdict.registered_verdict) == (REFUTED, INCONCLUSIVE)
     assert "by the registered margins: undecided" in lines(verdict)
     alike = judge_one(store, tmp_path)
@@ -162,7 +162,7 @@ def test_where_a_margin_was_set_anew_both_verdicts_are_told(store: Store, tmp_pa
     assert not any("registered" in line and "margin" in line for line in lines(alike))
 
 
-def test_arms_of_unlike_size_are_told(store: Store, tmp_path: Path) -> None:
+def test_unlike_numbers_of_runs_are_shown(store: Store, tmp_path: Path) -> None:
     save_runs(store, tmp_path, {"high": HIGH[:4], "low": LOW})
     verdict = judge_one(store, tmp_path, changed(("seeds = 8", "seeds = { high = 4, low = 8 }")))
     assert verdict.verdict == SUPPORTED and "4 against 8 runs" in lines(verdict)
@@ -178,7 +178,7 @@ def test_what_is_never_reached_counts_as_the_runs_budget(store: Store, tmp_path:
 
 # --- What cannot be tested: every reason for which there is no verdict ----------------------------
 
-REASONS: dict[str, tuple[Arms, Changes, str]] = {
+REASONS: dict[str, tuple[SharesByCondition, Changes, str]] = {
     # name: (runs, changes of the claim, the reason)
     "A/A": (
         {"low": LOW}, [('a = "high"', 'a = "low-too"')],
@@ -207,7 +207,7 @@ REASONS: dict[str, tuple[Arms, Changes, str]] = {
 
 
 @pytest.mark.parametrize("case", REASONS)
-def test_what_no_run_can_tell(case: str, store: Store, tmp_path: Path) -> None:
+def test_what_no_run_can_test(case: str, store: Store, tmp_path: Path) -> None:
     """It keeps its place in the correction."""
     runs, changes, reason = REASONS[case]
     save_runs(store, tmp_path, runs)
@@ -222,7 +222,7 @@ def test_what_no_run_can_tell(case: str, store: Store, tmp_path: Path) -> None:
 def test_at_the_floor_of_play_only_a_shown_difference_counts(
     way: str, expected: str, store: Store, tmp_path: Path
 ) -> None:
-    """All runs are within the margin, which is 1; where one arm has learned, 0.5 counts as none."""
+    """All runs are within the margin, which is 1; where one condition has learned, 0.5 counts as none."""
     text = changed(direction(way), ("margin = 0.04", "margin = 1"))
     save_runs(store, tmp_path, {"high": AROUND, "low": AROUND[::-1]})
     (row,) = judge_one(store, tmp_path, text).contrasts

@@ -35,7 +35,7 @@ def episode(k: int) -> dict[str, Any]:
 
 
 def update(k: int) -> dict[str, Any]:
-    """Update k of ten: entropy falls and norms rise, but for one peak at the second of them."""
+    """Update k of ten: entropy falls and norms rise, except for one peak at the second."""
     row = {**dict.fromkeys(METRIC_COLUMNS, 1 / 7), "step": 100 * k, "entropy": 1.6 - k / 10}
     actions = {"action_0": 0.25, "action_1": 0.2, "action_2": 0.15, "action_3": 0.05, "action_4": 0.24}
     own = {**actions, "approx_kl": k / 100, "explained_variance": k / 20}
@@ -227,7 +227,7 @@ def test_every_outcome_has_a_value_by_hand() -> None:
 
 def test_outcomes_lie_within_their_bounds(data: StudyData) -> None:
     none_has = {"collapse-step"}  # of healthy runs
-    none_has |= {"low-entropy-share"}  # of runs that do not tell how many steps an update has
+    none_has |= {"low-entropy-share"}  # of runs whose fields do not contain the steps of an update
     for name in (*OUTCOMES, "steps-to:0.5"):
         low, high = find_outcome(name).bounds
         values = [outcome(run, name) for run in data.rows]
@@ -236,7 +236,7 @@ def test_outcomes_lie_within_their_bounds(data: StudyData) -> None:
 
 
 def test_returns_are_the_outcomes_that_have_the_unit_of_the_reward(store: Store) -> None:
-    """Of two runs that are alike but for a reward of twice as much."""
+    """Of two runs that differ only in a reward of twice as much."""
     for run_id, unit in (("a0" * 8, 1), ("a1" * 8, 2)):
         episodes = [{**episode(k), "return": unit * k} for k in range(1, 21)]
         evaluations = [

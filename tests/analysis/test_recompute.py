@@ -13,8 +13,8 @@ from .. import recompute_intervals, recompute_runs, recompute_verdicts
 from ..cli.calls import described
 
 
-def swap_arms(contrast: dict[str, Any]) -> None:
-    """Make a contrast that of the same arms under each other's name."""
+def swap_groups(contrast: dict[str, Any]) -> None:
+    """Swap the groups of a contrast under each other's names."""
     a, b = contrast["a"], contrast["b"]
     contrast["runs"] = {a: contrast["runs"][b], b: contrast["runs"][a]}
     contrast["effect"] *= -1
@@ -28,16 +28,17 @@ def test_another_hand_comes_to_the_same_verdicts_and_sees_every_change(tmp_path:
     runs = recompute_runs.Runs()
     wrong, agreed = recompute_verdicts.check(document, runs)
     assert wrong == []
-    assert min(agreed[what] for what in ("verdicts", "arms", "effects", "intervals")) >= 30
+    assert min(agreed[what] for what in ("verdicts", "groups", "effects", "intervals")) >= 30
     verdicts = {(verdict["claim"], verdict["world"]): verdict for verdict in document["claims"]}
     verdicts["tanh-better", "text"]["verdict"] = "mixed"
     verdicts["tanh-better", "arena"]["contrasts"][0]["effect"] += 1e-4
     verdicts["sigmoid-frenzy", "text"]["contrasts"][0]["simultaneous_low"] -= 1e-4
     assert len(recompute_verdicts.check(document, runs)[0]) == 3
-    swap_arms(verdicts["clip-alike", "arena"]["contrasts"][1])  # its verdict is the same either way
+    swap_groups(verdicts["clip-alike", "arena"]["contrasts"][1])  # its verdict is the same either way
     differences = recompute_verdicts.check(document, runs)[0][2:]
     assert (
-        sum("clip-alike arena late-share-killed" in text and ": arms: " in text for text in differences) == 2
+        sum("clip-alike arena late-share-killed" in text and ": groups: " in text for text in differences)
+        == 2
     )
 
 

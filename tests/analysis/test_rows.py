@@ -46,16 +46,16 @@ def store(tmp_path: Path) -> Store:
 
 
 def test_outcomes_do_not_depend_on_other_runs_budgets(tmp_path: Path) -> None:
-    """Of a run alone, and of the same beside one of five times its budget."""
+    """Of a run alone, and of the same run in a study with one of five times its budget."""
     store = Store(tmp_path / "results")
     save_run(store, RUN, 0)
     alone = hand_made.study_of(store, {("a", 0): RUN})
     outcomes = outcomes_of(alone)
     rows = [{"step": 5000, "return": 1.0}], [{"step": 5000}], [{"step": 5000, "share_killed": 0.5}]
     hand_made.save_run(store, "b0" * 8, *rows, 5000, fields={"steps": 5000})
-    beside = hand_made.study_of(store, {("a", 0): RUN, ("b", 0): "b0" * 8})
-    assert (alone.budget, beside.budget) == (1000, 5000)
-    assert outcomes_of(beside)[: len(outcomes)] == outcomes
+    together = hand_made.study_of(store, {("a", 0): RUN, ("b", 0): "b0" * 8})
+    assert (alone.budget, together.budget) == (1000, 5000)
+    assert outcomes_of(together)[: len(outcomes)] == outcomes
 
 
 # --- A row that is no good --------------------------------------------------------------------------

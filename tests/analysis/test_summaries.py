@@ -1,4 +1,4 @@
-"""Summaries: values by hand, laws, and what is said where there is little to say."""
+"""Summaries: values by hand, laws, and what is shown of few runs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pneuma.store.store import Store
 from ..hand_made import BUDGET, healthy, learning, save_collapse, study_of
 
 FINALS = {"a": (0.2, 0.4, 0.5, 0.9), "b": (0.3, 0.3, 0.3, 0.3)}
-ARMS = {"a": (0.2, 0.4, 0.5, 0.9, 0.5), "b": (0.1, 0.3, 0.3, 0.45, 0.35)}
+GROUPS = {"a": (0.2, 0.4, 0.5, 0.9, 0.5), "b": (0.1, 0.3, 0.3, 0.45, 0.35)}
 
 
 def study(folder: Path, finals: Mapping[str, Sequence[float]]) -> StudyData:
@@ -91,7 +91,7 @@ def test_intervals_of_five_runs_stay_within_what_their_outcome_can_be(tmp_path: 
 
 def test_markdown_and_latex_keep_the_digits_that_the_interval_leaves_certain(store: Store) -> None:
     """The standard error is the root of 0.065 / 5, of which 2.776 are 0.317."""
-    data = study(store.root.parent, {"a": ARMS["a"]})
+    data = study(store.root.parent, {"a": GROUPS["a"]})
     markdown = encode_frame(summary_table(data), "markdown").decode().splitlines()
     assert markdown[:2] == [
         "| condition | outcome | statistic | value | low | high | interval | runs |",
@@ -122,7 +122,7 @@ def test_rounding_by_hand(numbers: tuple[float, float, float], expected: str) ->
 
 
 def test_a_return_of_any_size_is_summarised_without_a_warning(tmp_path: Path) -> None:
-    """Squares of 1e308 are infinite: such a run has no value, which is said."""
+    """Squares of 1e308 are infinite: such a run has no value, and a reason for it."""
     store, cells = Store(tmp_path / "results"), {("a", seed): f"a{seed}" * 8 for seed in range(6)}
     for (_, seed), run_id in cells.items():
         returns = np.full(100, -1e308 if seed == 0 else float(seed))
@@ -140,8 +140,8 @@ def test_a_return_of_any_size_is_summarised_without_a_warning(tmp_path: Path) ->
 
 def test_means_their_difference_and_who_is_better(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pneuma.analysis.summaries.LEAST_FOR_BETTER", 5)
-    (row,) = compare(study(tmp_path, ARMS), "a", "b", ["final-share-killed"]).table.to_dict("records")
-    welch = stats.ttest_ind(ARMS["a"], ARMS["b"], equal_var=False).confidence_interval(0.95)
+    (row,) = compare(study(tmp_path, GROUPS), "a", "b", ["final-share-killed"]).table.to_dict("records")
+    welch = stats.ttest_ind(GROUPS["a"], GROUPS["b"], equal_var=False).confidence_interval(0.95)
     assert (row["mean_a"], row["mean_b"]) == (pytest.approx(0.5), pytest.approx(0.3))
     assert row["difference"] == pytest.approx(0.2)
     assert (row["low"], row["high"]) == (pytest.approx(welch.low), pytest.approx(welch.high))

@@ -78,12 +78,12 @@ def test_outcomes_together(verdicts: tuple[str, ...], one: str, every: str) -> N
 @pytest.mark.parametrize("need", ["one", "all"])
 def test_a_claims_verdict_is_false_only_where_an_outcomes_is(need: str) -> None:
     """Every combination of three outcomes' truths and verdicts."""
-    for truth, told in product(product((True, False), repeat=3), product((S, R, I, U), repeat=3)):
+    for truth, verdicts in product(product((True, False), repeat=3), product((S, R, I, U), repeat=3)):
         holds = all(truth) if need == "all" else any(truth)
-        verdict = combine(told, need)
+        verdict = combine(verdicts, need)
         is_false = (verdict == R and all(truth)) or (verdict == S and not holds)
         wrong = [R if so else S for so in truth]
-        assert not is_false or any(own == other for own, other in zip(told, wrong, strict=True))
+        assert not is_false or any(own == other for own, other in zip(verdicts, wrong, strict=True))
 
 
 # --- How often they are false --------------------------------------------------------------------------

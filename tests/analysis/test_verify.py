@@ -16,7 +16,7 @@ OTHER = BETTER.replace("better", "other").replace('"high"', '"middle"')
 
 
 def test_all_views_have_every_claim_in_its_worlds(tmp_path: Path) -> None:
-    """Of one claim there are runs, and of the other none of one arm."""
+    """One claim has all its runs, and the other none of one condition."""
     path = write_files(tmp_path, CLAIMS + OTHER)
     save_runs(Store(tmp_path / "results"), tmp_path, {"high": HIGH, "low": LOW})
     command = ["study", "verify", "--claims", path, "--results", tmp_path / "results"]
@@ -24,8 +24,8 @@ def test_all_views_have_every_claim_in_its_worlds(tmp_path: Path) -> None:
     (listed,) = document["lists"]
     assert (listed["alpha"], listed["claims_hash"]) == (0.05, load_claims(path).digest)
     first, missing = document["claims"]
-    told = [(one["claim"], one["world"], one["verdict"]) for one in document["claims"]]
-    assert told == [("better", "text", "supported"), ("other", "text", "untestable")]
+    verdicts = [(verdict["claim"], verdict["world"], verdict["verdict"]) for verdict in document["claims"]]
+    assert verdicts == [("better", "text", "supported"), ("other", "text", "untestable")]
     assert first["effect"] == pytest.approx(0.5) and first["low"] < 0.5 < first["high"]
     assert (first["alpha"], first["margin"], first["reason"]) == (0.025, 0.04, "")
     assert (first["seeds_a"], first["seeds_b"], len(first["run_ids"])) == (8, 8, 16)
