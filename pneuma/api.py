@@ -198,7 +198,7 @@ def compare(
         study: opened data, or what `open_data` takes.
         a: a condition.
         b: the condition that it is compared with.
-        outcomes: names from docs/outcomes.md; default: the study's own or usual ones.
+        outcomes: names from docs/outcomes.md; default: the study's, or the default ones.
         results: as of `run_study`.
         other: another study, each of whose conditions is compared with that of the same name, instead of two
             conditions.
@@ -222,7 +222,7 @@ def summarize(study: StudyData | Where, outcomes: Sequence[str] = (), results: W
 
     Args:
         study: opened data, or what `open_data` takes.
-        outcomes: names from docs/outcomes.md; default: the study's own or usual ones.
+        outcomes: names from docs/outcomes.md; default: the study's, or the default ones.
         results: as of `run_study`.
 
     Returns:
@@ -239,7 +239,7 @@ def plot(
     quantity: str = "",
     ax: Axes | None = None,
     results: Where | None = None,
-    **how: Any,
+    **options: Any,
 ) -> Axes:
     """Draw a study's curves of one quantity into axes of your own, in matplotlib's present settings.
 
@@ -248,7 +248,7 @@ def plot(
         quantity: as `pneuma study plot --quantity` takes it; default: the first of the study's figure.
         ax: default: matplotlib's current axes.
         results: as of `run_study`.
-        how: `band`, `window`, `x` and `log`, as the options are called.
+        options: `band`, `window`, `x` and `log`, as the options are called.
 
     Returns:
         The axes, with a legend.
@@ -260,7 +260,7 @@ def plot(
     from pneuma.figures.curves import plot_curves
 
     quantities = [quantity] if quantity else []
-    return plot_curves(find_curves({"": _opened(study, results)}, quantities, **how), ax)
+    return plot_curves(find_curves({"": _opened(study, results)}, quantities, **options), ax)
 
 
 def promote(

@@ -58,8 +58,8 @@ def compare(
         study_data: an opened study.
         a: a condition.
         b: the condition that it is compared with.
-        outcomes: names from docs/outcomes.md; default: the study's own or usual ones, after those of a claim
-            about these conditions.
+        outcomes: names from docs/outcomes.md; default: the study's, or the default ones, after those of a
+            claim about these conditions.
         other_data: another opened study, instead of two conditions.
 
     Returns:

@@ -1,4 +1,4 @@
-"""The curves of a study: means of runs with their bands, and what stands beside them in a figure."""
+"""The curves of a study: means of runs with their bands, and what else is in their figure."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from pneuma.analysis.outcomes import have_one_return, is_foreign
 from pneuma.analysis.quantities import POWERS, QUANTITIES
 from pneuma.analysis.study_data import StudyData
 from pneuma.answers.answer import Answer
-from pneuma.answers.notes import OF_BUDGET, averaging, merge_notes, notes_on_runs
+from pneuma.answers.notes import BUDGET_AVERAGE, averaging, merge_notes, notes_on_runs
 from pneuma.errors import Hint, UserError, counted
 from pneuma.store.quantities import UPDATE_QUANTITIES
 from pneuma.store.series import GRID_POINTS
@@ -74,7 +74,7 @@ class CurveOptions:
 
     @property
     def bands(self) -> list[str]:
-        """What tables have around means: beside the deviation their interval."""
+        """What tables have around means: the deviation comes with their interval."""
         band = checked_band(self.band or DEFAULT_BAND)
         return [band, INTERVAL] if band == DEFAULT_BAND else [band]
 
@@ -91,7 +91,7 @@ Curves = Mapping[str, Sequence[Curve]]
 
 @dataclass(frozen=True)
 class Column:
-    """The curves of a study's runs in one environment, by quantity, and those of a study beside it.
+    """The curves of a study's runs in one environment, by quantity, and those of another study drawn with it.
 
     Attributes:
         reference: of the random player, quantity, condition, x and value; x is NaN for a level.
@@ -138,8 +138,8 @@ def find_curves(
         quantities: of `curve_names`; default: the return, in other environments than Pneuma's that of
             evaluations, and the share killed, as far as recorded. If returns are of different rewards, the
             length of episodes replaces them.
-        beside: another study, whose runs are drawn in the columns of their environment: of the conditions
-            that were asked for, if it has some of these.
+        beside: another study, whose runs are drawn in the columns of their environment: those of the selected
+            conditions, if it has some of these.
         options: those of `CurveOptions`.
 
     Returns:
@@ -147,7 +147,7 @@ def find_curves(
         player.
 
     Raises:
-        UserError: for a quantity that no study has, or runs beside that are all of other environments.
+        UserError: for a quantity that no study has, or another study whose runs are all in other environments.
     """
     curve_options = CurveOptions(**options)
     first_data = next(iter(studies.values()))
@@ -195,7 +195,7 @@ def find_curves(
 
 
 def default_quantities(study_data: StudyData, beside: StudyData | None = None) -> list[str]:
-    """Return the quantities of a study's default figure, or of that with another study beside.
+    """Return the quantities of a study's default figure, which may have another study in it.
 
     The return is that of evaluations, where both have it at three steps or more, in environments that are not
     Pneuma's, and where episodes are so long for the budget that a training curve has gaps.
@@ -316,7 +316,7 @@ def _notes(column: Column, options: CurveOptions) -> list[str]:
         if quantity in EPISODE_WORDS:
             averaged.setdefault(averaging(study_data, options.window), []).append(EPISODE_WORDS[quantity])
         elif quantity in UPDATE_QUANTITIES:
-            averaged.setdefault(OF_BUDGET, []).append("values of updates")
+            averaged.setdefault(BUDGET_AVERAGE, []).append("values of updates")
     for average, averaged_words in averaged.items():
         averaged_text = " and ".join(dict.fromkeys(averaged_words))
         notes.append(f"{averaged_text[0].upper()}{averaged_text[1:]}: {average}.")

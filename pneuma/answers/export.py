@@ -69,7 +69,7 @@ def _curves(study_data: StudyData, window: str | None, band: str) -> pd.DataFram
 
 
 def _records(study_data: StudyData, table_name: str, store: Store) -> pd.DataFrame:
-    """Return the records of all runs, which are stored here alone."""
+    """Return the records of all runs, which published tables do not have."""
     if table_name == "evaluations" or (study_data.averaged_over and table_name != "metrics"):
         other_tables = ", ".join(other_table for other_table in EXPORT_TABLES if other_table != table_name)
         raise UserError(

@@ -13,7 +13,7 @@ from pneuma.store.series import SLACK
 from pneuma.values import format_settings
 
 TRAILING_WINDOW = WINDOWS[1]
-OF_BUDGET = "mean of the last 5 % of the budget at each point"
+BUDGET_AVERAGE = "mean of the last 5 % of the budget at each point"
 FEW_EPISODES = 10
 """With fewer, the last point of a return is noted to average few."""
 MOST_NAMED = 3
@@ -93,7 +93,7 @@ def averaging(study_data: StudyData, window: str | None = None) -> str:
         return "as logged"
     if study_data.averaged_over or (window or study_data.windows[0]) == TRAILING_WINDOW:
         return f"mean of the last {study_data.averaged_over or 100} episodes"
-    return OF_BUDGET
+    return BUDGET_AVERAGE
 
 
 def _named(conditions: Sequence[str]) -> str:

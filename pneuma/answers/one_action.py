@@ -1,4 +1,4 @@
-"""Runs in one action: when they come to stay in it, and how much of training they are in it."""
+"""Runs in one action: when they enter it for good, and the share of training that they are in it."""
 
 from __future__ import annotations
 

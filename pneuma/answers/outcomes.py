@@ -53,7 +53,7 @@ def show_outcomes(studies: Mapping[str, StudyData]) -> OutcomesAnswer:
     """Return the outcomes of the runs of a study, all that its file names or the default one.
 
     Args:
-        studies: its runs in each environment, by title, of which one outcome is shown; "" for a single one.
+        studies: its runs in each environment, by title; "" for a single one. Several show one outcome each.
 
     Returns:
         The table `runs` has the known value of each run, `summary` means and interquartile means.
@@ -123,7 +123,7 @@ def _column(study_data: StudyData, outcome: str) -> OutcomeColumn:
 
 
 def _random_levels(study_data: StudyData, outcome: str) -> dict[str, float]:
-    """Return what the random player comes to for each condition, where it was measured."""
+    """Return the random player's outcome for each condition, where it was measured."""
     if outcome.endswith("share-killed"):
         return random_levels(study_data, "share_killed")
     if outcome == "evaluated-return":

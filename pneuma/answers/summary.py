@@ -37,8 +37,8 @@ def summarize(
 
     Args:
         study_data: an opened study.
-        outcomes: names from docs/outcomes.md, of which all statistics are shown; default: the means of the
-            first usual ones.
+        outcomes: names from docs/outcomes.md, whose statistics are all shown; default: the means of the first
+            default ones.
         for_paper: whether the cells are a paper's table: a column for each outcome.
         cell_form: one of `CELL_FORMS`, for a paper; default: `sd`, or `interval` with scores over
             environments, which have no standard deviation.
@@ -172,7 +172,7 @@ def _failed_shares(summary: pd.DataFrame, outcome: str) -> pd.Series:
 
 
 def _missing_values(study_data: StudyData, summary: pd.DataFrame, outcomes: Sequence[str]) -> list[str]:
-    """Return which conditions have no value of an outcome that was asked for, and why."""
+    """Return which conditions have no value of a named outcome, and why."""
     pairs_with_values = set(zip(summary["outcome"], summary["condition"], strict=True))
     notes = []
     untrained = [condition for condition in study_data.conditions if not study_data.of_condition(condition)]

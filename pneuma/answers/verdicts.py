@@ -22,8 +22,8 @@ LEGEND = (
     "Kills are the mean of the last five evaluations, returns of the last 5 % of training.",
     f"Rules of the judge: version {RULES}. The intervals of a family hold jointly:",
 )
-OF_CLAIM = ("row", "section", "quote", "context", "study", "kind", "direction", "need", "seen")
-"""What a document has of a claim beside its name."""
+CLAIM_FIELDS = ("row", "section", "quote", "context", "study", "kind", "direction", "need", "seen")
+"""The fields of a claim in a document, apart from its name."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def _verdict_row(verdict: Verdict) -> dict[str, Any]:
         "changed": verdict.changed,
         "reason": verdict.reason,
         "run_ids": verdict.run_ids,
-        **{field_name: getattr(verdict.claim, field_name) for field_name in OF_CLAIM},
+        **{field_name: getattr(verdict.claim, field_name) for field_name in CLAIM_FIELDS},
         "outcomes": verdict.claim.outcome,
         "contrasts": [
             {**_contrast_row(claim_contrast), "runs": claim_contrast.runs}

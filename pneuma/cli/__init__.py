@@ -1,6 +1,6 @@
 """The command line: each command parses its options, makes one call and prints the result.
 
-Exit codes: 0 done; 1 a run crashed; 2 the command or a file it read was wrong, said in one line;
+Exit codes: 0 done; 1 a run crashed; 2 the command or a file it read was wrong, printed in one line;
 130 after Ctrl-C.
 """
 
@@ -37,7 +37,7 @@ COMMANDS = {
 
 
 class _Commands(Mapping[str, Any]):
-    """The commands by name, each imported when it is asked for."""
+    """The commands by name, each imported when it is needed."""
 
     def __getitem__(self, command_name: str) -> Any:
         group = get_command(import_module(f"pneuma.cli.{COMMANDS[command_name][0]}").app)

@@ -131,9 +131,11 @@ Settings = Annotated[SeveralRead, option("KEY=VALUE", _CHANGE, _read_setting, "-
 World = Annotated[str | None, choice(WORLDS, "Rule set: arena (default), text or godot.")]
 _PLANS = "A preset of the study, such as quick or paper; or write NAME@PRESET."
 Preset = Annotated[str | None, option("PRESET", _PLANS)]
-_OF_FIGURES = "File format of figures (repeatable; default: png and svg)."
-Formats = Annotated[SeveralRead, choice(FIGURE_FORMATS, _OF_FIGURES, name="--format")]
-PlotFolder = Annotated[Path | None, option("DIR", "Where to write (default: RESULTS/figures).", name="--out")]
+_FIGURE_FORMATS = "File format of figures (repeatable; default: png and svg)."
+Formats = Annotated[SeveralRead, choice(FIGURE_FORMATS, _FIGURE_FORMATS, name="--format")]
+PlotFolder = Annotated[
+    Path | None, option("FILE|DIR", "File or folder to write (default: RESULTS/figures).", name="--out")
+]
 _OUTCOMES = "Outcome to report instead of the defaults (repeatable; see docs/outcomes.md)."
 Outcomes = Annotated[Several, option("NAME", _OUTCOMES)]
 Workers = Annotated[Any, count("Parallel workers (default: one per core).")]
@@ -192,7 +194,7 @@ class RunFilter:
 
 
 @dataclass(frozen=True)
-class Place:
+class Resources:
     """Where runs train, and how many at once."""
 
     workers: Workers = None

@@ -89,7 +89,7 @@ class Result:
 
     Attributes:
         document: for programs.
-        shown: lines and tables for people; computed only for them if it is a generator.
+        lines: lines and tables for people; computed only for them if it is a generator.
         title: the line above all that, for people.
         notes: what must be known to read the rest: for people below the title, else on standard error.
         table: for pages and papers, with cells as text; or rows with equal keys.
@@ -99,7 +99,7 @@ class Result:
     """
 
     document: Mapping[str, Any]
-    shown: Iterable[str | Table] = ()
+    lines: Iterable[str | Table] = ()
     title: str = ""
     notes: Sequence[str] = ()
     table: pd.DataFrame | Sequence[Mapping[str, Any]] | None = None
@@ -110,14 +110,14 @@ class Result:
 
 def answer_result(answer: Answer) -> Result:
     """Return an answer as a command prints it."""
-    shown_parts: list[str | Table] = []
+    lines: list[str | Table] = []
     for cells in answer.cells:
-        if shown_parts or answer.title:
-            shown_parts.append("")
-        shown_parts.append(frame_table(cells))
+        if lines or answer.title:
+            lines.append("")
+        lines.append(frame_table(cells))
     if answer.legend:
-        shown_parts += [""] + list(answer.legend)
-    return Result(answer.document, shown_parts, answer.title, answer.notes, answer.cells[0], answer.table)
+        lines += [""] + list(answer.legend)
+    return Result(answer.document, lines, answer.title, answer.notes, answer.cells[0], answer.table)
 
 
 def rows_result(document_key: str, rows: Sequence[Mapping[str, Any]]) -> Result:
@@ -148,11 +148,11 @@ def print_result(result: Result, output_format: str) -> None:
             print(printable(result.title))
         for note in result.notes:
             print(printable(write_hints(note, write_hint)))
-        for shown_item in result.shown:
-            if isinstance(shown_item, Table):
-                _print_table(shown_item)
+        for line in result.lines:
+            if isinstance(line, Table):
+                _print_table(line)
             else:
-                print(printable(shown_item))
+                print(printable(line))
         return
     for note in result.notes:
         say(note)

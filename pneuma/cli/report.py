@@ -24,14 +24,14 @@ def report(
 ) -> Result:
     """Write verdicts, figures, numbers, settings and runs as one HTML page for offline reading."""
     check_file(out, (".html", ".htm"), force)
-    store, aside = Store(results), partial(say, quiet=quiet)
+    store, say_unless_quiet = Store(results), partial(say, quiet=quiet)
     nothing = nothing_yet(store)
     if nothing:
-        aside(f"Note: {nothing}.")
+        say_unless_quiet(f"Note: {nothing}.")
     from pneuma.figures.report import gather_report, report_page
     from pneuma.store.index import RunIndex
 
-    contents = gather_report(RunIndex(store), names or [], aside)
+    contents = gather_report(RunIndex(store), names or [], say_unless_quiet)
     html_page = report_page(**contents, write=write_hint)
     write_file(out, html_page)
     studies, claims = len(contents["studies"]), len(contents["claims"])

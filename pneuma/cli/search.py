@@ -94,7 +94,7 @@ def status(name: SearchName, location: Location) -> Result:
     next_commands = [f"Look closer with: {location.command('plot', name)}"]
     if isinstance(search_record.best, int):
         next_commands.append(f"Confirm the best one with: {location.command('promote', name)}")
-    return replace(result, shown=[*result.shown, *next_commands])
+    return replace(result, lines=[*result.lines, *next_commands])
 
 
 @app.command(short_help="Draw a search.")
@@ -119,7 +119,7 @@ def plot(
 def run(
     name: SearchName,
     location: Location,
-    place: opt.Place,
+    resources: opt.Resources,
     preset: Annotated[str, opt.option("|".join(spec.PRESETS), "Size of the search.")] = "quick",
     trials: Annotated[Any, opt.count("Number of trials, including those already stored.")] = None,
     seeds: Annotated[Any, opt.seeds("Seeds per trial: a count (from 1000 on) or a list.", FIRST_SEED)] = None,
@@ -139,7 +139,7 @@ def run(
     set_options = {"trials": trials, "seeds": seeds, "steps": steps}
     overrides = {option_name: value for option_name, value in set_options.items() if value is not None}
     search_budget = search.presets[preset].model_copy(update=overrides)
-    executor_config = place.config()
+    executor_config = resources.config()
     say_unless_quiet = partial(say, quiet=quiet)
     say_once = cache(say_unless_quiet)  # notes of a generation are those of the others
 
@@ -216,7 +216,7 @@ def promote(
     study_path = write_study(store, search_record, study_text)
     say(f"wrote {study_path}", quiet=quiet)
     planned = api.plan_study(Query(str(study_path)), store, say)
-    trained = train_study(planned, store, opt.Place(workers).config(), retry_failed=True, quiet=quiet)
+    trained = train_study(planned, store, opt.Resources(workers).config(), retry_failed=True, quiet=quiet)
     notes = list(trained.notes)
     if not trained.code:
         notes.append(f"Compare them with: {command('study', 'compare', study_path, TUNED, BASE, *results)}")

@@ -58,7 +58,7 @@ def new(
     toml = re.sub(r'^about = """(?s:.*?)"""\n|^(section|figure) = .*\n|\A(#.*\n)+', "", toml, flags=re.M)
     toml = re.sub(r"^title = .*$", f'title = "{name}"', toml, flags=re.M)
     write_file(path, f"# From the study {source}. docs/studies.md lists what can be set.\n{toml}".encode())
-    for module in re.findall(r'"(\w+):\w+"', toml):  # a study's own files are beside it
+    for module in re.findall(r'"(\w+):\w+"', toml):  # its files are in its folder
         source_file = folder / f"{module}.py"
         if source_file.is_file():
             create_whole(path.with_name(source_file.name), source_file.read_bytes())

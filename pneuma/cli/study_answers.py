@@ -1,4 +1,4 @@
-"""`pneuma study summary`, `compare` and `collapse`: what the runs of a study come to."""
+"""`pneuma study summary`, `compare` and `collapse`: the results of a study's runs."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ PUBLISHED_CURVES = (
     *ACTION_QUANTITIES,
 )  # fmt: skip
 """The quantities whose curves a published table keeps by default."""
-OF_CURVES = ("band", "window", "x", "log")
+CURVE_OPTIONS = ("band", "window", "x", "log")
 """Options that only figures of curves have, beside --quantity and --beside."""
 
 
@@ -70,7 +70,7 @@ class Drawing:
     band: Annotated[
         str | None,
         opt.choice(
-            BAND_NAMES, "What the band shows (default: sd; in it, from 7 runs on, the mean's interval)."
+            BAND_NAMES, "What the band shows (default: sd, and from 7 runs on the mean's interval in it)."
         ),
     ] = None
     window: Annotated[str | None, opt.choice(WINDOWS, "Episodes averaged at each point.")] = None
@@ -91,8 +91,8 @@ class Drawing:
 
     @property
     def curve_options(self) -> dict[str, Any]:
-        """Those of `OF_CURVES` that are given."""
-        return {name: getattr(self, name) for name in OF_CURVES if getattr(self, name)}
+        """Those of `CURVE_OPTIONS` that are given."""
+        return {name: getattr(self, name) for name in CURVE_OPTIONS if getattr(self, name)}
 
     @property
     def is_of_curves(self) -> bool:

@@ -53,13 +53,13 @@ def plan_(
     if outcome or sd:
         raise UserError(f"{'--outcome' if outcome else '--sd'} requires --detect")
     planned_runs = _plan(selection, name, unpublished)
-    return planned.plan_answer(selection.index, planned_runs, opt.Place().config().workers)
+    return planned.plan_answer(selection.index, planned_runs, opt.Resources().config().workers)
 
 
 def run(
     name: opt.Study,
     selection: opt.RunFilter,
-    place: opt.Place,
+    resources: opt.Resources,
     checkpoint_seconds: Annotated[
         float, opt.option("S", "Seconds between a run's checkpoints.", min=0.01)
     ] = 15.0,
@@ -83,7 +83,7 @@ def run(
         refuse_changed(selection.index, spec.load_study(name, selection.world))
     planned = _plan(selection, name, unpublished)
     log_folders = _log_folders(planned, tensorboard) if tensorboard else {}
-    executor_config = replace(place.config(), checkpoint_seconds=checkpoint_seconds, logs=log_folders)
+    executor_config = replace(resources.config(), checkpoint_seconds=checkpoint_seconds, logs=log_folders)
     return train(planned, selection.store, executor_config, retry_failed, quiet)
 
 
@@ -99,9 +99,11 @@ def train(
             unfinished.add(cell.run_id)
     _check_logs(folder for run_id, folder in config.logs.items() if run_id in unfinished)
     notes: list[str] = []
-    aside = partial(say, quiet=quiet)
+    say_unless_quiet = partial(say, quiet=quiet)
     try:
-        results = api.train_plan(planned, store, config, retry_failed=retry_failed, quiet=quiet, say=aside)
+        results = api.train_plan(
+            planned, store, config, retry_failed=retry_failed, quiet=quiet, say=say_unless_quiet
+        )
         exit_code = int(not all(cell_result.status.finished for cell_result in results))
         notes += _failures(results, store)
         if not quiet:

@@ -84,7 +84,7 @@ steps = 1_000
 """
 
 
-def test_an_outcome_that_runs_cannot_have_is_told_with_its_line(here: Path) -> None:
+def test_an_outcome_that_runs_cannot_have_is_refused_with_its_line(here: Path) -> None:
     outcomes = 'outcomes = ["final-share-killed"]'
     (here / "cartpole.toml").write_text(CARTPOLE.format(above=outcomes, below=""))
     message = refused("study", "run", "cartpole.toml")
@@ -105,7 +105,7 @@ def test_a_study_is_found_by_its_figure_and_a_folder_without_results_is_noted(he
     assert called.out.startswith("Optimizer") and "Note: nowhere has no results." in called.err
 
 
-def test_a_file_in_the_place_of_a_folder_is_told(here: Path) -> None:
+def test_a_file_in_place_of_a_folder_is_refused(here: Path) -> None:
     (here / "afile").touch()
     for out in ("afile/a.csv", "afile/b/a.csv"):
         table = ("--table", "summary", "--world", "godot", "--out", out)

@@ -148,7 +148,7 @@ def _panels(page: Page) -> list[Panel]:
     return [panel for row in page.grid for panel in row if panel]
 
 
-def test_what_logs_beside_a_study_average_is_told(study: Path) -> None:
+def test_a_figure_notes_what_logs_in_it_average(study: Path) -> None:
     """They have no evaluations, and their environment is not recorded: they are in both panels."""
     write_table(Path("logs.csv"), {("tanh", 0): {10: 1.0, 20: 2.0}})
     words = ("import", "csv", "logs.csv", "--step", "step", "--value", "return")

@@ -36,7 +36,7 @@ def test_an_import_is_drawn_and_published_and_drawn_again(
     folders = [logs / name for name in ("relu_1", "tanh_1", "tanh_2")]
     again = call("import", "tensorboard", *folders, "--results", results)
     assert "3 runs, 63 points; 0 imported now, 3 were stored." in again.out
-    monkeypatch.chdir(results.parent)  # a figure tells the folder that it was drawn from
+    monkeypatch.chdir(results.parent)  # a figure contains the folder that it was drawn from
     assert call("study", "plot", "old", "--results", "results")[0] == 0
     assert call("study", "publish", "old", "--results", results)[0] == 0
     clone = tmp_path / "clone" / "results"
@@ -55,7 +55,7 @@ def test_two_conditions_of_logs_are_compared_in_what_they_have_and_not_trained(r
 
 
 @pytest.mark.usefixtures("unshipped")
-def test_logs_are_compared_and_drawn_beside_a_study_in_what_both_have(
+def test_logs_are_compared_and_drawn_with_a_study_in_what_both_have(
     trained: Path, logs: Path, tmp_path: Path
 ) -> None:
     """The conditions of both; the reward behind a log is not known, and its return is compared."""

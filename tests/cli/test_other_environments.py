@@ -31,7 +31,7 @@ steps = 128
 """
 
 
-def test_a_study_beside_its_environment_is_trained_and_told(tmp_path: Path) -> None:
+def test_a_study_in_the_folder_of_its_environment_is_trained(tmp_path: Path) -> None:
     source = Path(own_envs.__file__).read_text().replace("tests.engines.own_envs", "corridors")
     (tmp_path / "corridors.py").write_text(source.replace("Corridor-v0", "Tunnel-v0"))
     mine, at = tmp_path / "mine.toml", ("--results", tmp_path / "results")

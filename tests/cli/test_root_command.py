@@ -108,8 +108,8 @@ def test_json_is_one_document_whatever_an_environment_prints(tmp_path: Path) -> 
     options = {"cwd": tmp_path, "env": worker_environment()}
     done = subprocess.run(command, **options, capture_output=True, text=True, check=True)  # type: ignore[call-overload]
     assert json.loads(done.stdout)["study"]
-    for told in ("imported", "made", "by C", "by another way", "past Python"):
-        assert told in done.stderr
+    for printed_text in ("imported", "made", "by C", "by another way", "past Python"):
+        assert printed_text in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ def alone(store: Store) -> str:
     return save_finished(store, run, **MACHINE)
 
 
-def test_list_tells_every_run_once_with_the_studies_that_ask_for_it(
+def test_list_has_every_run_once_with_its_studies(
     store: Store, alone: str, plan: Plan, tmp_path: Path
 ) -> None:
     relu, leaky = (cell.run_id for cell in plan.cells)
@@ -66,7 +66,7 @@ def test_list_tells_every_run_once_with_the_studies_that_ask_for_it(
     assert "study activation, condition relu with gamma = 0.5, seed 7\n" in printed("run", "show", run_id)
 
 
-def test_show_says_what_produced_a_run(store: Store, plan: Plan) -> None:
+def test_show_prints_what_produced_a_run(store: Store, plan: Plan) -> None:
     cell = plan.cells[0]
     every = printed("run", "show", cell.run_id, "--all")
     fields = [line.partition(" = ")[0].strip() for line in every.splitlines() if " = " in line]
@@ -78,7 +78,7 @@ def test_show_says_what_produced_a_run(store: Store, plan: Plan) -> None:
     assert {file["state"] for file in document["files"]} == {"sound"}
 
 
-def test_show_says_which_file_is_not_what_was_written(store: Store, alone: str) -> None:
+def test_show_lists_files_that_are_not_as_written(store: Store, alone: str) -> None:
     folder = store.run_folder(alone)
     data = bytearray((folder / "run.json").read_bytes())
     data[len(data) // 2] ^= 1

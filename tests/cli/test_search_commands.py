@@ -57,7 +57,7 @@ def searched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return path, folder / "results"
 
 
-def test_a_search_is_told_as_json_and_trains_nothing_twice(
+def test_a_search_is_printed_as_json_and_trains_nothing_twice(
     searched: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, results = searched
@@ -79,7 +79,7 @@ def test_a_search_is_told_as_json_and_trains_nothing_twice(
 
 
 @pytest.mark.parametrize("stop", [Unfinished("trial-002 seed 1000 crashed"), KeyboardInterrupt()])
-def test_a_search_that_is_stopped_tells_the_trials_that_had_ended(
+def test_a_search_that_is_stopped_prints_the_trials_that_had_ended(
     stop: BaseException, searched: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, results = searched[0], tmp_path / "results"

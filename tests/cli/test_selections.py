@@ -130,7 +130,7 @@ def test_own_runs_of_the_published_cells_count_first(store: Store) -> None:
     assert text.endswith("90 of 90 runs (1 trained here, 89 published).")
 
 
-def test_a_published_table_that_lacks_cells_is_told_with_the_command_that_trains_them(store: Store) -> None:
+def test_cells_that_a_published_table_lacks_have_the_command_that_trains_them(store: Store) -> None:
     text = show(store, "activation@paper", "godot", conditions=("tanh",), seeds=(100, 7000))[1]
     assert "seeds 100,7000: 1 of 2 runs (published). The others are trained by" in text
     assert "`pneuma study run activation --world godot --preset paper --condition tanh " in text
@@ -175,7 +175,7 @@ def test_a_figure_names_what_it_shows_and_its_runs(
 
 
 @pytest.mark.parametrize(
-    ("said", "values"),
+    ("typed", "values"),
     [
         ("actor=64", [(64,)]),
         ("learning_rate=1e-4,3e-4", [1e-4, 3e-4]),
@@ -190,8 +190,8 @@ def test_a_figure_names_what_it_shows_and_its_runs(
         ("reward=[kills]", [("kills",)]),
     ],
 )
-def test_a_value_is_read_as_it_is_typed_alone_and_in_a_sweep(said: str, values: list[object]) -> None:
-    key, _, text = said.partition("=")
+def test_a_value_is_read_as_it_is_typed_alone_and_in_a_sweep(typed: str, values: list[object]) -> None:
+    key, _, text = typed.partition("=")
     study, settings = load_study("activation"), {key: read_value(text)}
     plan = make_plan(study, Query(seeds=(0,), conditions=("tanh",), settings=settings))
     assert [getattr(cell.run, key) for cell in plan.cells] == values
@@ -308,8 +308,8 @@ def test_a_run_whose_status_is_damaged_is_not_passed_over_in_silence(store: Stor
     lost, *_ = finish_study(store, seeds=(0, 1), steps=1024)
     (store.run_folder(lost) / "status.json").write_text("{")
     for verb in ("status", "summary"):
-        said = call("study", verb, "activation", "--results", store.root).err
-        assert f"{lost}: its status.json is damaged" in said, verb
+        errors = call("study", verb, "activation", "--results", store.root).err
+        assert f"{lost}: its status.json is damaged" in errors, verb
 
 
 @pytest.mark.parametrize("value", [3, 1e-4, True, "kills", [0.9, 0.999], {"length": 5, "name": "a b"}])

@@ -35,7 +35,7 @@ def results(trained: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.usefixtures("trains_here")
-def test_only_what_is_missing_is_trained_and_told_as_one_document(results: Path) -> None:
+def test_only_what_is_missing_is_trained_and_printed_as_one_document(results: Path) -> None:
     first = sorted((results / "runs").iterdir())[0]
     shutil.rmtree(first)
     run = ("study", "run", "activation", *TINY, "--seeds", "2", "--results", results)
@@ -102,7 +102,7 @@ def test_a_table_keeps_the_curves_that_are_named(table: Path, kept: str, columns
     assert curves & {*TRAINING_QUANTITIES} == columns
 
 
-def test_a_damaged_table_is_told_and_published_anew(table: Path) -> None:
+def test_a_damaged_table_is_reported_and_published_again(table: Path) -> None:
     whole = table.read_bytes()
     table.write_bytes(whole[:-9])
     called = _publish(table)
@@ -140,7 +140,7 @@ def test_runs_that_another_version_published_are_not_trained_again(tmp_path: Pat
     assert {run["state"] for run in described(*plan)["runs"]} == {"published"}
 
 
-def test_a_crash_is_exit_code_1_and_says_where_to_look(
+def test_a_crash_is_exit_code_1_with_the_file_of_its_traceback(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     script = tmp_path / "python"
