@@ -147,7 +147,7 @@ def find_curves(
         player.
 
     Raises:
-        UserError: for a quantity that no study has, or another study whose runs are all in other environments.
+        UserError: for a quantity that no study has, or another study with runs in other environments only.
     """
     curve_options = CurveOptions(**options)
     first_data = next(iter(studies.values()))
