@@ -63,13 +63,12 @@ class Interface:
         self.worlds = self.slots.worlds
         self.render_mode, self._camera, self._env_id = render_mode, camera, env_id
 
-    def _begin(self, seeds: Sequence[int | None], start: Any, mask: np.ndarray | bool = True) -> None:
-        """Start an episode in all worlds, or in those of `mask`.
+    def _begin(self, seeds: Sequence[int | None], start: Any) -> None:
+        """Start an episode in all worlds.
 
         Args:
             seeds: of each world's random stream, None where it goes on.
             start: the index of a start place, None for the default one, or one of these for each world.
-            mask: (N,) booleans; True for all.
         """
         starts = self.worlds.default_starts.copy()
         try:
@@ -80,7 +79,7 @@ class Interface:
             allowed = f"the index of a start place, or one for each of {len(starts)} worlds"
             raise ValueError(f"start = {start!r}: must be {allowed}") from None
         self.worlds.seed(seeds)
-        self.worlds.reset(mask, starts)
+        self.worlds.reset(starts=starts)
         self.slots.has_begun = True
 
     @property
