@@ -40,7 +40,7 @@ from pneuma.sb3_names import fields_and_keys
 from pneuma.schema import Table, TomlFile, Where, all_wrong, read_model, read_toml, wrong
 from pneuma.seeds import SEEDS_ALLOWED, read_seeds
 from pneuma.study.identity import with_file_paths
-from pneuma.study.shipped import find_file, studies_by_figure, studies_folder
+from pneuma.study.shipped import find_file, studies_folder
 from pneuma.values import format_json, format_short
 
 PRESETS = ("quick", "standard", "paper")
@@ -309,7 +309,7 @@ def _read_study(study_path: Path) -> Study:
     changes = {
         "name": study_path.stem,
         "path": study_path,
-        "figure": _figure(study_path, study.figure),
+        "figure": study.figure or f"study-{study_path.stem}",
         "baseline": study.baseline or next(iter(conditions)),
         "run": with_file_paths(study_path, study.run),
         "conditions": {name: with_file_paths(study_path, fields) for name, fields in conditions.items()},
@@ -350,14 +350,6 @@ def _mentioned_conditions(table_path: Where, amounts: Amounts) -> list[tuple[Whe
     """Return table, key and name of the conditions that a preset mentions."""
     listed = [(table_path, "only", condition) for condition in amounts.only]
     return listed + [(table_path + ("conditions",), condition, condition) for condition in amounts.conditions]
-
-
-def _figure(study_path: Path, figure_name: str) -> str:
-    """Return a figure's name, which in a copy of a shipped study is not the shipped one's."""
-    is_shipped = study_path.resolve().parent == studies_folder().resolve()
-    if not figure_name or not is_shipped and figure_name in studies_by_figure():
-        return f"study-{study_path.stem}"
-    return figure_name
 
 
 def _worlds(study: Study) -> tuple[str, ...]:

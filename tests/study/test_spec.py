@@ -9,7 +9,6 @@ import pytest
 from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.study.plan import Query, differing_fields, make_plan
-from pneuma.study.shipped import studies_folder
 from pneuma.study.spec import Study, load_study
 
 STUDY = """\
@@ -157,12 +156,6 @@ def test_what_a_study_varies_or_sets_itself_stays_in_godots_world(tmp_path: Path
     runs = [make_run(study.fields(name)) for name in study.conditions]
     assert [run.actor for run in runs] == [(64,), (128,)]  # the second as in Table 6.2, not [256]
     assert [run.clip_range for run in runs] == [0.3, 0.3]
-
-
-def test_a_copy_of_a_shipped_study_does_not_take_its_figure(tmp_path: Path) -> None:
-    (copy := tmp_path / "mine.toml").write_bytes((studies_folder() / "activation.toml").read_bytes())
-    assert load_study(str(copy)).figure == "study-mine"
-    assert load_study("activation").figure == "fig-6-5"
 
 
 def test_a_name_finds_a_file_in_examples_and_before_it_one_here(
