@@ -34,8 +34,8 @@ from pneuma.field_types import (
     OneOf,
     Reads,
     Share,
-    about_fields,
     declare,
+    field_declarations,
     matching,
 )
 from pneuma.schema import normalize
@@ -47,7 +47,7 @@ ENGINE_VERSIONS = {"batched": 3, "sb3": 2}
 """Raised by hand when an engine trains the same run to different numbers; part of every run id."""
 
 ENGINES = tuple(ENGINE_VERSIONS)
-"""The usual one first."""
+"""The default comes first."""
 
 ACTIVATIONS = {"tanh": "Tanh", "relu": "ReLU", "leaky-relu": "LeakyReLU"}
 """Activation functions of hidden layers, and torch's classes of them; torch's slope of LeakyReLU is 0.01."""
@@ -163,7 +163,7 @@ class Run(EnvConfig):
     normalize_observations: bool = declare(False, read_by=GYMNASIUM)
     """By their running mean and variance in training, as Stable-Baselines3's VecNormalize does."""
     normalize_rewards: bool = declare(False, read_by=GYMNASIUM)
-    """By the running deviation of the discounted return, for the learner only; likewise."""
+    """By the running deviation of the discounted return, for the learner only, as VecNormalize does."""
     engine: Annotated[str, OneOf(ENGINES)] = declare(ENGINES[0], paces=True)
     algorithm: Annotated[str, _ALGORITHM] = declare("ppo", paces=True)
     policy: Annotated[str, matching(r"|\w+Policy", "a policy of the learner, as CnnPolicy")] = declare(
@@ -179,7 +179,7 @@ class Run(EnvConfig):
     slots: Annotated[int, Interval(ge=1, le=1024)] = declare(1, arguments="n_envs", paces=True)
     """Worlds that collect a rollout in parallel."""
     learners: Literal["shared", "independent"] = declare("shared", read_by="ppo")
-    """Whether all players of a world learn one policy, or each a policy of its own (independent PPO)."""
+    """Whether all players of a world learn one policy, or each its own (independent PPO)."""
 
     actor: Layers = declare((128,), read_by=_WITH_FIELDS, paces=True)
     critic: Layers = declare((256,), read_by=_ACTOR_CRITIC, paces=True)
@@ -280,15 +280,15 @@ class Run(EnvConfig):
         return self.steps // self.steps_per_update
 
 
-FIELDS = about_fields(Run)
-"""What is known of each field of a run."""
-WORLD_FIELDS = tuple(about_fields(EnvConfig))
+FIELDS = field_declarations(Run)
+"""The declaration of each field of a run."""
+WORLD_FIELDS = tuple(field_declarations(EnvConfig))
 GYMNASIUM_FIELDS = tuple(
     field_name for field_name, declaration in FIELDS.items() if declaration.read_by == (GYMNASIUM,)
 )
 """Fields of environments other than Pneuma's, in place of those of `EnvConfig`."""
 ANNEALED = tuple(field_name for field_name in FIELDS if f"{field_name}_schedule" in FIELDS)
-"""Fields that may fall over a run, each by a schedule of its own, as rl-baselines3-zoo's settings need."""
+"""Fields that may fall over a run, each by its own schedule, as rl-baselines3-zoo's settings need."""
 
 
 def make_run(settings: Mapping[str, object]) -> Run:

@@ -18,7 +18,7 @@ NEAR = 0.6
 """Least similarity of a name that is suggested."""
 MOST_LISTED = 10
 """Most names in an error message; the most similar ones are listed."""
-MEANT = {
+SYNONYMS = {
     "lr": "learning_rate", "reward": "return", "rewards": "return", "ep_rew_mean": "return",
     "n_steps": "horizon", "num_steps": "horizon", "batch_size": "minibatch", "minibatch_size": "minibatch",
     "n_epochs": "epochs", "update_epochs": "epochs", "clip_coef": "clip_range", "activation_fn": "activation",
@@ -131,12 +131,12 @@ def tallied(words: Iterable[str]) -> str:
 def nearest_name(word: str, known_names: Iterable[str]) -> str:
     """Return ' (did you mean X?)' for the most similar of `known_names`; empty if none is similar.
 
-    A name that others give the same thing is near as well, or a first word: `lr` of `learning_rate`, `reward`
+    Another common name of the same thing is near, too, or a first word: `lr` of `learning_rate`, `reward`
     of `final-return`, `entropy` of `entropy_coefficient`.
     """
     candidates, typed_word = list(known_names), str(word).lower()
-    usual_name = MEANT.get(typed_word, typed_word)
-    similar = [name for name in (usual_name, f"final-{usual_name}".replace("_", "-")) if name in candidates]
+    pneuma_name = SYNONYMS.get(typed_word, typed_word)
+    similar = [name for name in (pneuma_name, f"final-{pneuma_name}".replace("_", "-")) if name in candidates]
     beginnings = [name for name in candidates if name.startswith(f"{typed_word}_")]
     similar = similar or beginnings[:1] or difflib.get_close_matches(typed_word, candidates, 1, NEAR)
     return f" (did you mean {similar[0]}?)" if similar else ""

@@ -56,14 +56,14 @@ OPTIMIZER, GYMNASIUM, OPEN_LEARNER = "optimizer", "gymnasium", "open learner"
 
 
 @dataclass(frozen=True)
-class About:
-    """What is known of a field of a run beside its type and default.
+class Declaration:
+    """What is known of a field of a run, apart from its type and default.
 
     Attributes:
         read_by: the algorithms that read it. Or `OPTIMIZER`, if the optimizer decides that;
             `GYMNASIUM`, for environments other than Pneuma's; `OPEN_LEARNER`, for learners of
             Stable-Baselines3 as a script would set them up. Empty if every run reads it.
-        arguments: what Stable-Baselines3's learners or torch's optimizers call it, if otherwise; PPO first.
+        arguments: its other names in Stable-Baselines3's learners or torch's optimizers, PPO's first.
         paces: whether it affects how long a step takes.
     """
 
@@ -79,19 +79,19 @@ def declare(
     arguments: str = "",
     paces: bool = False,
 ) -> Any:
-    """Return the default of a dataclass's field with its `About`; several names are separated by commas."""
-    declaration = About(_names(read_by), _names(arguments), paces)
-    return field(default=default, metadata={"about": declaration})
+    """Return a dataclass's field with its default and `Declaration`; commas separate several names."""
+    declaration = Declaration(_names(read_by), _names(arguments), paces)
+    return field(default=default, metadata={"declaration": declaration})
 
 
 def _names(names_text: str) -> tuple[str, ...]:
     return tuple(names_text.split(", ")) if names_text else ()
 
 
-def about_fields(dataclass_type: type) -> dict[str, About]:
-    """Return what is known of each field of a dataclass."""
+def field_declarations(dataclass_type: type) -> dict[str, Declaration]:
+    """Return the declaration of each field of a dataclass."""
     return {
-        dataclass_field.name: dataclass_field.metadata.get("about", About())
+        dataclass_field.name: dataclass_field.metadata.get("declaration", Declaration())
         for dataclass_field in fields(dataclass_type)
     }
 
@@ -112,13 +112,12 @@ def names_like(pattern: str, allowed: str, known_names: tuple[str, ...] = ()) ->
 
     In text form the names are separated by commas, which no name contains.
     """
+    read_name = matching(pattern, allowed).read
 
     def read(field_value: Any) -> tuple[str, ...]:
-        names_given = tuple(field_value.split(",") if isinstance(field_value, str) else field_value)
+        names_given = field_value.split(",") if isinstance(field_value, str) else field_value
         if not 1 <= len(names_given) <= MOST_NAMES:
             raise ValueError
-        if not all(isinstance(name, str) and re.fullmatch(pattern, name) for name in names_given):
-            raise ValueError
-        return names_given
+        return tuple(map(read_name, names_given))
 
     return Reads(read, allowed, known_names)

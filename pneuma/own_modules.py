@@ -1,4 +1,4 @@
-"""A user's own modules: imported when a run needs them, and found without that when it is identified."""
+"""A user's own modules: imported when a run needs them, and located without import for its id."""
 
 from __future__ import annotations
 

@@ -22,9 +22,9 @@ BASES: dict[str, dict[str, Any]] = {
         "betas": (0.9, 0.9), "activation": "tanh", "gradient_limit": 0.5,
     },
 }  # fmt: skip
-"""Thesis Tables 6.1 and 6.2, completed with what the text says elsewhere (sections 6.1 and 6.2)."""
+"""Thesis Tables 6.1 and 6.2, completed from the text (sections 6.1 and 6.2)."""
 NO_BASE = ""
-"""Of a file without a base: its algorithm's own defaults hold."""
+"""The base of a file that names none: runs have their algorithm's defaults."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,7 @@ class World:
 
 
 TEXT, ARENA = "text", "arena"
-"""The thesis's reward as printed, which is a study's file unchanged, whichever environment it sets; and the
-world that is meant where none is named."""
+"""The world that changes nothing in a study, with the thesis's reward as printed; and the default world."""
 
 WORLDS = {
     TEXT: World("pneuma/Pneuma-v0", "the text's world"),
@@ -66,5 +65,5 @@ def checked_world(world: str | None) -> str | None:
 
 
 def default_world(worlds: Collection[str]) -> str:
-    """Return the world that is meant where none is named: the arena, or else the first."""
+    """Return the default of some worlds: the arena, or else the first."""
     return ARENA if ARENA in worlds else next(iter(worlds))

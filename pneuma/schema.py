@@ -91,7 +91,7 @@ def passes(check: Callable[[Any], object]) -> AfterValidator:
 
 
 KEPT_AS_WRITTEN = ("env_kwargs", "algorithm_kwargs")
-"""Tables whose numbers keep their types, as they are handed to code that is not Pneuma's."""
+"""Tables whose numbers keep their types, because they are arguments of code that is not Pneuma's."""
 
 
 def normalize(value: Any, levels: int = DEEPEST, floats_to_integers: bool = True) -> Any:
@@ -222,9 +222,9 @@ PLAINER = {
 
 
 def mistakes_in(table: Mapping[str, Any], error: ValidationError, table_path: Where = ()) -> list[Mistake]:
-    """Return the mistakes in a table, or at a path in it: of each of its keys one.
+    """Return the mistakes in a table, or at a path in it: one for each key.
 
-    Where a key has several, as where it could be a number or a table, the one that lies deepest says most.
+    Where a key has several errors, because it may be a number or a table, the deepest one is the most exact.
     """
     deepest: dict[Any, Any] = {}
     for details in error.errors(include_url=False, include_input=False):
@@ -239,7 +239,7 @@ def mistakes_in(table: Mapping[str, Any], error: ValidationError, table_path: Wh
 
 
 def _mistakes(details: Mapping[str, Any], table: Mapping[str, Any]) -> list[Mistake]:
-    """Return an error of pydantic as mistakes, of which `wrong` may have several."""
+    """Return an error of pydantic as mistakes. An error made by `all_wrong` has several."""
     error_type, context = details["type"], details.get("ctx", {})
     if error_type == "missing":
         (*table_path, key) = map(str, details["loc"])
@@ -278,7 +278,7 @@ def _find(location: Iterable[Any], table: Mapping[str, Any]) -> tuple[Where, Any
 
 
 def _hint(wrong_value: object, allowed_names: Iterable[str]) -> str:
-    """Return a hint at the name that was meant by a word, or by the first one of a list that has a hint."""
+    """Return a hint at the name that a word, or a word of a list, resembles."""
     words = wrong_value if isinstance(wrong_value, list | tuple) else [wrong_value]
     for word in words:
         if isinstance(word, str) and word not in allowed_names:

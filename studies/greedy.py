@@ -1,9 +1,9 @@
-"""Print where agents are stuck, by their likeliest actions and by drawn ones, for the study `greedy-gap`.
+"""Print how often agents are stuck, in greedy play and with sampled actions, for the study `greedy-gap`.
 
     python studies/greedy.py RESULTS [STUDY] > stuck.csv
 
 Each row is one condition played in one way: the mean over its runs, which need their policies. Play is cut
-into windows of 50 steps. An agent is stuck in a window in which it lands no blow and stays within one tile.
+into windows of 50 steps. An agent is stuck in a window in which it hits nothing and stays within one tile.
 """
 
 from __future__ import annotations
@@ -46,19 +46,21 @@ class Played(NamedTuple):
     running: np.ndarray
 
 
-def play(policy: Policy, env: str, settings: dict[str, object], likeliest: bool) -> tuple[float, Played]:
+def play(policy: Policy, env: str, settings: dict[str, object], greedy: bool) -> tuple[float, Played]:
     """Return the share of monsters killed, and the play."""
     worlds, generator = Worlds(EPISODES, make_env_config(settings, env)), np.random.default_rng(0)
     worlds.seed(range(EPISODES))
     worlds.reset()
     steps = []
-    while (running := worlds.worlds["ending"] == RUNNING).any():
-        seen = worlds.observations[:, 0]
-        actions = policy.best(seen) if likeliest else policy.sample(seen, generator)
+    running = worlds.worlds["ending"] == RUNNING
+    while running.any():
+        observations = worlds.observations[:, 0]
+        actions = policy.best(observations) if greedy else policy.sample(observations, generator)
         worlds.step(actions[:, None].astype(np.int64))
         player, events = worlds.players[:, 0], worlds.events[:, 0]
-        now = player["x"], player["y"], actions, events["hits"], events["distance"], running
-        steps.append([np.array(each) for each in now])
+        columns = (player["x"], player["y"], actions, events["hits"], events["distance"], running)
+        steps.append([np.array(column) for column in columns])
+        running = worlds.worlds["ending"] == RUNNING
     killed = worlds.players["kills"].sum(axis=1).mean() / worlds.monsters.shape[1]
     return float(killed), Played(*map(np.array, zip(*steps, strict=True)))
 
@@ -68,10 +70,10 @@ def stuck(played: Played) -> dict[str, float]:
     shares = dict.fromkeys(("stuck", "against terrain", "against a monster", "striking", "to and fro"), 0)
     windows = 0
     for begin in range(0, len(played.x) - WINDOW + 1, WINDOW):
-        part = slice(begin, begin + WINDOW)
-        for world in np.flatnonzero(played.running[part].all(axis=0)):
+        window = slice(begin, begin + WINDOW)
+        for world in np.flatnonzero(played.running[window].all(axis=0)):
             windows += 1
-            reason = why_stuck(Played(*(each[part, world] for each in played)))
+            reason = why_stuck(Played(*(column[window, world] for column in played)))
             shares["stuck"] += bool(reason)
             if reason:
                 shares[reason] += 1
@@ -97,15 +99,19 @@ def rows(results: str, study: str) -> Iterator[dict[str, object]]:
         if not data.of_condition(condition):
             continue
         policies = [load_policy(run.run_id, results) for run in data.of_condition(condition)]
-        for how in ("drawn", "likeliest"):
-            games = [play(*one, likeliest=how == "likeliest") for one in policies]
-            told = [{"killed": killed, **stuck(played)} for killed, played in games]
-            means = {name: f"{np.mean([one[name] for one in told]):.3f}" for name in told[0]}
-            yield {"condition": condition, "actions": how, "runs": len(policies), **means}
+        for actions in ("drawn", "likeliest"):
+            shares_by_run = []
+            for policy, env, settings in policies:
+                killed, played = play(policy, env, settings, greedy=actions == "likeliest")
+                shares_by_run.append({"killed": killed, **stuck(played)})
+            means = {}
+            for name in shares_by_run[0]:
+                means[name] = f"{np.mean([shares[name] for shares in shares_by_run]):.3f}"
+            yield {"condition": condition, "actions": actions, "runs": len(policies), **means}
 
 
 if __name__ == "__main__":
-    told = list(rows(*(sys.argv[1:] + ["greedy-gap"])[:2]))
-    writer = csv.DictWriter(sys.stdout, told[0], lineterminator="\n")
+    table_rows = list(rows(*(sys.argv[1:] + ["greedy-gap"])[:2]))
+    writer = csv.DictWriter(sys.stdout, table_rows[0], lineterminator="\n")
     writer.writeheader()
-    writer.writerows(told)
+    writer.writerows(table_rows)

@@ -2,9 +2,9 @@
 
     python studies/ladder.py studies/changes.toml RESULTS > ladder.txt
 
-Each condition of the study but its baseline is a change. At every rung each change that is left trains on top
-of those already taken, on seeds that no study has, and the one with the most kills is taken, helpful or not.
-What is printed goes into a study, whose fresh seeds tell how much each rung is worth.
+Each condition of the study except its baseline is a change. At every rung each change that is left is trained
+on top of those already taken, on seeds that no study has, and the one with the most kills is taken, helpful
+or not. The output goes into a study, whose fresh seeds show how much each rung is worth.
 """
 
 from __future__ import annotations
@@ -62,10 +62,10 @@ if __name__ == "__main__":
     parser.add_argument("results", help="the results folder")
     parser.add_argument("--seeds", type=int, default=2, help="seeds of each change tried (default: 2)")
     parser.add_argument("--steps", type=int, default=294_912, help="steps of each run")
-    asked = parser.parse_args()
-    study = tomllib.loads(asked.study.read_text())
-    fresh = list(range(1000, 1000 + asked.seeds))
-    for name, fields, means in rungs(study, asked.results, fresh, asked.steps):
+    arguments = parser.parse_args()
+    study = tomllib.loads(arguments.study.read_text())
+    fresh = list(range(1000, 1000 + arguments.seeds))
+    for name, fields, means in rungs(study, arguments.results, fresh, arguments.steps):
         tried = ", ".join(
             f"{other} {mean:.3f}" for other, mean in sorted(means.items(), key=lambda pair: -pair[1])
         )

@@ -1,4 +1,4 @@
-"""What a random player kills and earns in each world, measured as a run of chapter 6 is.
+"""A random player's kills and returns in each world, measured as those of chapter 6's runs.
 
     python studies/random_returns.py > results/published/random-returns.json
 
@@ -59,7 +59,7 @@ def play(run: Run) -> np.ndarray:
 
 
 def measure(world: str) -> dict[str, Any]:
-    """Return what a random player kills and earns in a world, and the settings on which each depends."""
+    """Return a random player's kills and returns in a world, and the settings on which they depend."""
     curves = np.array([play(random_run(world, seed)) for seed in range(SEEDS)])
     evaluated = replace(random_run(world, 0), evaluation_episodes=EPISODES)
     run = as_fields(evaluated)

@@ -33,9 +33,9 @@ def record(run_id: str, results: str) -> dict[str, Any]:
     worlds.reset()
     act, actions = action_sampler(policy, worlds, np.random.default_rng(SEED)), ""
     while worlds.worlds["ending"][0] == 0:
-        chosen = act(worlds)
-        actions += str(chosen[0, 0])
-        worlds.step(chosen)
+        action = act(worlds)
+        actions += str(action[0, 0])
+        worlds.step(action)
     store = Store(results)
     steps = stored_settings(store, find_run(store, run_id))["steps"]
     return {"run": run_id, "steps": steps, "env": env, "seed": SEED, "actions": actions}

@@ -1,4 +1,4 @@
-"""Train the studies of one part of the thesis, each in all its worlds; or plan, publish or draw them alike.
+"""Train the studies of one part of the thesis, each in all its worlds; or plan, publish or draw them.
 
     python studies/reproduce.py small-networks            # as `make reproduction`
     python studies/reproduce.py small-networks plan       # as `make reproduction DO=plan`
@@ -43,7 +43,7 @@ PARTS = {
 """The most important first. Of networks, only worlds in which claims fix runs."""
 WORLDS = ("arena", "text", "godot")
 CURVES = {"collapse": "return,entropy,dead_units,actions", "robustness": "none"}
-"""The curves that a published table keeps, where they are not the usual ones."""
+"""The curves that a published table keeps, where they are not the default ones."""
 
 
 def commands(
@@ -55,11 +55,11 @@ def commands(
     options: Sequence[str] = (),
 ) -> Iterator[list[str]]:
     """Yield the command lines of a part, without the name of the program."""
-    of_claims = part.endswith("-networks")
+    is_of_claims = part.endswith("-networks")
     for name in studies or PARTS[part]:
         study = load_study(name)
         for world in (world for world in worlds if world in study.worlds):
-            if of_claims and not fixed_amounts(study.in_world(world)):
+            if is_of_claims and not fixed_amounts(study.in_world(world)):
                 continue  # no claim is about the study there
             words = ["study", command, name, "--world", world]
             words += ["--steps", str(steps)] if steps else []
@@ -79,27 +79,29 @@ def main() -> None:
     parser.add_argument("command", nargs="?", default="run", help="of `pneuma study` (default: run)")
     parser.add_argument("--studies", nargs="+", default=[], help="only these of the part")
     parser.add_argument("--world", choices=WORLDS, help="only this world")
-    parser.add_argument("--steps", type=int, help="in place of the steps of claims and presets")
-    asked, options = parser.parse_known_args()
-    if unknown := {*asked.studies} - {*PARTS[asked.part]}:
-        parser.error(f"{', '.join(sorted(unknown))}: {asked.part} has {', '.join(PARTS[asked.part])}")
-    worlds = [asked.world] if asked.world else WORLDS
-    goes_on = 1 if asked.command in ("run", "plan") else 2  # after a crash, or where nothing is stored
+    parser.add_argument("--steps", type=int, help="instead of the steps of claims and presets")
+    arguments, options = parser.parse_known_args()
+    unknown = set(arguments.studies) - set(PARTS[arguments.part])
+    if unknown:
+        parser.error(f"{', '.join(sorted(unknown))}: {arguments.part} has {', '.join(PARTS[arguments.part])}")
+    part, command = arguments.part, arguments.command
+    worlds = [arguments.world] if arguments.world else WORLDS
+    tolerated_code = 1 if command in ("run", "plan") else 2  # after a crash, or where nothing is stored
 
     begun, failed, stopped = time.monotonic(), [], []
     signal.signal(signal.SIGINT, lambda *_: stopped.append(True))  # Ctrl-C ends the command, then this
-    for words in commands(asked.part, asked.command, asked.studies, worlds, asked.steps, options):
+    for words in commands(part, command, arguments.studies, worlds, arguments.steps, options):
         code = subprocess.run([sys.executable, "-P", "-m", "pneuma", *words]).returncode
         if stopped:
             sys.exit(130)
-        if code == goes_on:
+        if code == tolerated_code:
             failed.append(" ".join(words))
         elif code:
             sys.exit(code)
     minutes, seconds = divmod(round(time.monotonic() - begun), 60)
-    print(f"{asked.part}: {minutes // 60} h {minutes % 60} min {seconds} s.")
+    print(f"{part}: {minutes // 60} h {minutes % 60} min {seconds} s.")
     if failed:
-        sys.exit("\n".join(["Failed, as said above:", *failed]))
+        sys.exit("\n".join(["Failed (see above):", *failed]))
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@
 
 "For deterministic environments, the ideal value is alpha = 1" (section 3.1): three learning rates on a day of
 which route and values are known. "The problem actually occurred due to the imprecision of the action-values,
-regardless of the source" (section 3.3): under noise on the rewards, double Q-learning beside Q-learning. From
+regardless of the source" (section 3.3): under noise on the rewards, Q-learning and double Q-learning. From
 the letters both actions pay the same, so that the greater of two imprecise values is too great.
 """
 

@@ -109,7 +109,7 @@ def user_files(fields: Mapping[str, Any]) -> list[Path]:
 
 
 def _files_of(field_name: str, own_name: str) -> list[Path]:
-    """Return the files that a user's own name stands for in a field."""
+    """Return the files to which a user's own name refers in a field."""
     if field_name == "level":
         from pneuma.env.load_level import level_files  # numpy: not for `import pneuma`
 

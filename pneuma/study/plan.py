@@ -1,4 +1,4 @@
-"""Plan a study: from a query to the cells that it means.
+"""Plan a study: from a query to its cells.
 
     Study and Query → Plan of cells, each a condition, a seed and its Run
 
@@ -44,12 +44,12 @@ from pneuma.values import format_short, read_value, split_list
 
 MOST_RUNS = 50_000
 Swept = Mapping[str, Mapping[str, Any]]
-"""The values of each field to sweep, by what the user wrote."""
+"""The values of each field to sweep, by their texts."""
 
 
 @dataclass(frozen=True)
 class Query:
-    """Which cells of which study are meant. None, or empty, leaves a choice to the preset.
+    """A selection of a study's cells. None, or empty, leaves a choice to the preset.
 
     Attributes:
         study: a study's name, or the path of its file.
@@ -98,7 +98,7 @@ class Plan:
     Attributes:
         study: in its world, with the query's settings.
         preset: the name of the preset that fills in what the query leaves open.
-        query: what was asked for.
+        query: the query that selected the cells.
         notes: sentences for the user, for example that the budget was rounded up.
         published: ids of runs that need no training because a published table has them.
     """
@@ -116,7 +116,7 @@ class Plan:
 
     @cached_property
     def configurations(self) -> dict[str, Run]:
-        """The run of each condition's first cell; its seed and steps mean nothing."""
+        """The run of each condition's first cell; its seed and steps have no meaning."""
         configurations: dict[str, Run] = {}
         for cell in self.cells:
             configurations.setdefault(cell.condition, cell.run)
@@ -174,7 +174,7 @@ class Configurations:
 
     Attributes:
         study: the study, whose conditions are crossed with the values of swept fields.
-        runs: by condition; their seed and steps mean nothing.
+        runs: by condition; their seed and steps have no meaning.
         origins: the condition of the study's file that each one comes from.
     """
 
@@ -197,8 +197,7 @@ def configure(
         study: in its world.
         settings: fields that override those of every condition; of several values, a sweep.
         selection: names of conditions; all if empty.
-        engine: chooses the engine where it is left open and the run's fields alone do not decide: in
-            environments of others.
+        engine: chooses the engine in other environments than Pneuma's, if no field decides it.
     """
     settings = own_fields(settings)
     for key in settings:

@@ -24,12 +24,12 @@ def shipped_tables() -> Path:
 
 
 def random_returns_file() -> Path:
-    """Return what `studies/random_returns.py` printed: what a random player earns in each world."""
+    """Return the output of `studies/random_returns.py`: a random player's returns in each world."""
     return shipped_tables() / "random-returns.json"
 
 
 def claims_history_file() -> Path:
-    """Return what `python -m tools.claims_history` wrote: what changed of claims since their first runs."""
+    """Return the output of `python -m tools.claims_history`: changes of claims since their first runs."""
     return shipped_tables() / "claims-history.json"
 
 

@@ -44,7 +44,7 @@ from pneuma.study.shipped import find_file, studies_folder
 from pneuma.values import format_json, format_short
 
 PRESETS = ("quick", "standard", "paper")
-"""The presets of searches, and the usual ones of studies."""
+"""The presets of searches, and of most studies."""
 QUICK, PAPER = "quick", "paper"
 """The presets that are planned, and read, where none is named."""
 LAST = "last"
@@ -62,7 +62,7 @@ MISPLACED = {
 """Keys that are not for a table of a run's fields, and what to do instead."""
 
 
-# --- What the file may hold ------------------------------------------------------------------------
+# --- The file ----------------------------------------------------------------------------------
 
 
 def _named_values(factors: Any) -> Any:
@@ -72,7 +72,7 @@ def _named_values(factors: Any) -> Any:
     values_by_factor = {}
     for factor, factor_values in factors.items():
         if factor == CONDITION:
-            raise wrong(f"{factor} is what [conditions] are; name it otherwise", factor)
+            raise wrong(f"{factor} is the name of [conditions]; choose another", factor)
         refusal = f"{factor} = {format_json(factor_values)} is not allowed: a list of"
         if not isinstance(factor_values, tuple | Mapping) or not 2 <= len(factor_values) <= MOST_CONDITIONS:
             raise wrong(f"{refusal} 2 to {MOST_CONDITIONS:,} values, or a table of named ones", factor)
@@ -114,7 +114,7 @@ def _read_fields(run_table: Any) -> Any:
     return read_values
 
 
-Name = Annotated[str, matching(r"(?!_)(?s:.*\S.*)", "a name that can be read and begins otherwise than _")]
+Name = Annotated[str, matching(r"(?!_)(?s:.*\S.*)", "a name that is not blank and does not begin with _")]
 """The name of a condition or a value. Names that begin with _ have a meaning to matplotlib."""
 PresetName = Annotated[
     str,
@@ -134,7 +134,7 @@ class Amount(Table):
 
 
 class Amounts(Amount):
-    """[presets.NAME.WORLD]: what a preset has otherwise in one world."""
+    """[presets.NAME.WORLD]: a preset's exceptions in one world."""
 
     only: tuple[str, ...] = ()
     conditions: dict[str, Amount] = {}
@@ -146,7 +146,7 @@ class Preset(Amounts):
     Attributes:
         only: the conditions that it has; empty for all.
         conditions: amounts of single conditions.
-        arena: what differs in the arena; likewise `text` and `godot`.
+        arena: exceptions in the arena; `text` and `godot` are alike.
     """
 
     seeds: Seeds
@@ -186,10 +186,10 @@ class Scale(Table):
 
 
 class Study(Table):
-    """Named conditions that differ in what they set; docs/studies.md tells the keys of its file.
+    """Named conditions that differ in what they set; docs/studies.md explains the keys of its file.
 
     Attributes:
-        conditions: what each condition sets on top; once it is read, crossed with the factors.
+        conditions: the fields that each condition sets; once read, crossed with the factors.
         path: the file; None for a study without a file, such as imported logs.
         levels: for each condition of a crossed study, its value of each factor.
         settings: fields that `--set` changed in every condition.
@@ -211,7 +211,7 @@ class Study(Table):
     scores: dict[str, Scale] = {}
     presets: Annotated[dict[PresetName, Preset], MinLen(1)]
 
-    # what its file has no key for
+    # without a key in the file
     name: str = Field("", exclude=True)
     path: Path | None = Field(None, exclude=True)
     levels: Mapping[str, Mapping[str, str]] = Field({}, exclude=True)
@@ -246,7 +246,7 @@ class Study(Table):
         return cls.model_construct(name=name, title=title, conditions=empty_conditions, **fields)
 
     def fields(self, condition: str, overrides: Mapping[str, Any] = MappingProxyType({})) -> dict[str, Any]:
-        """Return all fields that a condition sets, including base and shared ones, with others on top."""
+        """Return a condition's fields, base and shared ones included, with some overridden."""
         set_names = set(self.run)
         for condition_fields in self.conditions.values():
             set_names.update(condition_fields)
@@ -353,7 +353,7 @@ def _mentioned_conditions(table_path: Where, amounts: Amounts) -> list[tuple[Whe
 
 
 def _worlds(study: Study) -> tuple[str, ...]:
-    """Return all worlds, or where a study sets its environment itself, the ones that are alike."""
+    """Return all worlds, or those with the environment that the study sets itself."""
     env_id = study.run.get("env", ENVIRONMENTS[0])
     is_set_by_condition = any("env" in fields for fields in study.conditions.values())
     if env_id == ENVIRONMENTS[0] and not is_set_by_condition:
@@ -380,7 +380,7 @@ def _crossed(study_file: TomlFile, study: Study) -> Study:
     for value_names in product(*factors.values()):
         condition = ", ".join(value_names)
         if condition in conditions:
-            message = f"two combinations are both called {condition}; name their values otherwise"
+            message = f"two combinations are both called {condition}; give their values other names"
             raise study_file.mistake(("factors",), message)
         fields = conditions[condition] = {}
         levels[condition] = {}

@@ -120,7 +120,7 @@ def test_every_field_that_an_algorithm_reads_reaches_its_learner(algorithm: str)
     """As an argument, unless it stands `ELSEWHERE`: in networks, the optimizer or Pneuma's own classes."""
     run = make_run({"algorithm": algorithm, "engine": "sb3"})
     reached = {name for _, name in field_arguments(run)}
-    read = {name for name, about in FIELDS.items() if algorithm in about.read_by}
+    read = {name for name, declaration in FIELDS.items() if algorithm in declaration.read_by}
     assert read <= reached | ELSEWHERE
     assert ("horizon" in reached) == (algorithm not in VALUE_BASED)
 
