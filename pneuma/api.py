@@ -213,8 +213,7 @@ def compare(
     from pneuma.answers.comparison import compare
 
     second_data = None if other is None else _opened(other, results)
-    outcome_names = (outcomes,) if isinstance(outcomes, str) else tuple(outcomes)
-    return compare(_opened(study, results), a, b, outcome_names, second_data)
+    return compare(_opened(study, results), a, b, _names(outcomes), second_data)
 
 
 def summarize(study: StudyData | Where, outcomes: Sequence[str] = (), results: Where | None = None) -> Answer:
@@ -230,8 +229,7 @@ def summarize(study: StudyData | Where, outcomes: Sequence[str] = (), results: W
     """
     from pneuma.answers.summary import summarize
 
-    outcome_names = (outcomes,) if isinstance(outcomes, str) else tuple(outcomes)
-    return summarize(_opened(study, results), outcome_names)
+    return summarize(_opened(study, results), _names(outcomes))
 
 
 def plot(
@@ -413,16 +411,19 @@ def _query(
     conditions: Sequence[str],
     settings: Mapping[str, Any] | None,
 ) -> plan.Query:
-    condition_names = (conditions,) if isinstance(conditions, str) else tuple(conditions)
     query = plan.Query(
         world=world,
         preset=preset,
         seeds=_seeds(seeds),
         steps=_count("steps", steps),
-        conditions=condition_names,
+        conditions=_names(conditions),
         settings=normalize(dict(settings or {})),
     )
     return query.named(os.fspath(study))
+
+
+def _names(names: str | Sequence[str]) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else tuple(names)
 
 
 def _seeds(seeds: int | Sequence[int] | None) -> tuple[int, ...] | None:

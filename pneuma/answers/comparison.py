@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import pandas as pd
@@ -73,32 +73,38 @@ def compare(
         return _compare_studies(study_data, other_data, outcomes)
     if a == b:
         raise UserError(f"{a} and {b} are the same condition; name two of {', '.join(study_data.conditions)}")
-    title = f"{study_data.full_title}: {a} against {b}"
     data_by_env = by_environment(study_data)
     if a not in study_data.fields and len(data_by_env) > 1:
-        pairs = {env: (_group(env_data, a), _group(env_data, b)) for env, env_data in data_by_env.items()}
-        outcomes = outcomes or [OUTCOME]
-        answer = _compare_pairs(study_data, pairs, [a, b], title, outcomes, shared_column="environment")
-        score_table = improvements(data_by_env, a, b, outcomes[0])
-        score_cells = with_cells(score_table)[["statistic", "cell"]]
-        score_cells.columns = pd.Index(["scores over all", f"{a} against {b}"])
-        return replace(
-            answer,
-            tables={**answer.tables, "scores": score_table},
-            cells=[*answer.cells, score_cells],
-            notes=list(answer.notes) + notes_on_few_runs(data_by_env),
-            legend=list(answer.legend) + list(SCALE),
-        )
+        return _compare_in_environments(study_data, data_by_env, a, b, outcomes or [OUTCOME])
     claims = [] if outcomes else _claims_about(study_data, a, b)
-    claimed_outcomes = [outcome for claim in claims for outcome in claim.outcome]
-    pairs = {"": (_group(study_data, a), _group(study_data, b))}
-    answer = _compare_pairs(study_data, pairs, [a, b], title, outcomes, claimed_outcomes)
-    notes = list(answer.notes)
+    claimed_outcomes: list[str] = []
+    claim_notes = []
     for claim in claims:
-        notes.append(
+        claimed_outcomes += claim.outcome
+        claim_notes.append(
             f"The claim {claim.name} compares these conditions; its outcomes come first (see study verify)."
         )
-    return replace(answer, notes=notes)
+    pairs = {"": (_group(study_data, a), _group(study_data, b))}
+    answer = _compare_pairs(study_data, pairs, [a, b], outcomes, claimed_outcomes)
+    return replace(answer, notes=list(answer.notes) + claim_notes)
+
+
+def _compare_in_environments(
+    study_data: StudyData, data_by_env: Mapping[str, StudyData], a: str, b: str, outcomes: Sequence[str]
+) -> Answer:
+    """Compare two conditions in each environment, and their scores over all."""
+    pairs = {env: (_group(env_data, a), _group(env_data, b)) for env, env_data in data_by_env.items()}
+    answer = _compare_pairs(study_data, pairs, [a, b], outcomes, shared_column="environment")
+    score_table = improvements(data_by_env, a, b, outcomes[0])
+    score_cells = with_cells(score_table)[["statistic", "cell"]]
+    score_cells.columns = pd.Index(["scores over all", f"{a} against {b}"])
+    return replace(
+        answer,
+        tables={**answer.tables, "scores": score_table},
+        cells=list(answer.cells) + [score_cells],
+        notes=list(answer.notes) + notes_on_few_runs(data_by_env),
+        legend=LEGEND + SCALE,
+    )
 
 
 def _compare_studies(study_data: StudyData, other_data: StudyData, outcomes: Sequence[str]) -> Answer:
@@ -115,7 +121,7 @@ def _compare_studies(study_data: StudyData, other_data: StudyData, outcomes: Seq
             f"{names[0]} and {names[1]} have no condition with the same name: name two conditions instead"
         )
     title = f"{study_data.full_title}, and {other_data.full_title}: {names[0]} against {names[1]}"
-    return _compare_pairs(study_data, pairs, names, title, outcomes)
+    return replace(_compare_pairs(study_data, pairs, names, outcomes), title=title)
 
 
 def _group(study_data: StudyData, condition: str) -> Group:
@@ -129,8 +135,7 @@ def _compare_pairs(
     study_data: StudyData,
     pairs: Pairs,
     headings: Sequence[str],
-    title: str,
-    outcomes: Sequence[str] = (),
+    outcomes: Sequence[str],
     first_outcomes: Sequence[str] = (),
     shared_column: str = "",
 ) -> Answer:
@@ -139,8 +144,7 @@ def _compare_pairs(
     Args:
         study_data: the study of the first group of each pair.
         pairs: what is compared.
-        headings: what stands over the means.
-        title: of the answer.
+        headings: of the columns of means.
         outcomes: default: those of `outcomes_to_compare`.
         first_outcomes: outcomes that come before the default ones.
         shared_column: the name of the column with the keys of `pairs` in the numbers; left out if empty.
@@ -170,14 +174,11 @@ def _compare_pairs(
     if not shared_column:
         comparison_table = comparison_table.drop(columns="shared")
     comparison_table = comparison_table.rename(columns={"shared": shared_column})
-    return Answer(
-        title,
-        study_data.about,
+    title, tables = (
+        f"{study_data.full_title}: {' against '.join(headings)}",
         {"comparisons": comparison_table},
-        [cells],
-        list(dict.fromkeys(notes)),
-        LEGEND,
     )
+    return Answer(title, study_data.about, tables, [cells], list(dict.fromkeys(notes)), LEGEND)
 
 
 def _notes_on_pair(a: Group, b: Group) -> list[str]:
