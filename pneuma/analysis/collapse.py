@@ -74,11 +74,10 @@ def diagnose(run: Row) -> Diagnosis:
         is_known = NO_ENTROPY in signs or loss_periods is not None or is_evaluated
         return Diagnosis(False if is_known else None)
     onset, last_step = spells[0]
-    present_signs = [
-        sign
-        for sign in SIGNS
-        if share_with_sign(signs.get(sign, []), spells[0], update_steps or 1) > LEAST_SHARE
-    ]
+    present_signs = []
+    for sign in SIGNS:
+        if share_with_sign(signs.get(sign, []), spells[0], update_steps or 1) > LEAST_SHARE:
+            present_signs.append(sign)
     for sign, periods in ((FALL, fall_periods), (LOSS, lasting_losses)):
         if any(onset <= first_step <= last_step for first_step, _ in periods):
             present_signs.append(sign)

@@ -8,8 +8,6 @@ from importlib.resources import files
 
 import numpy as np
 
-from pneuma.env.fields import ACTION_NAMES
-
 VALUES, SHARES, POWERS = "values", "shares", "powers"
 """What an axis has: numbers, shares in per cent, or numbers on a logarithmic scale."""
 
@@ -30,16 +28,6 @@ class Quantity:
         return self.title + bracket + unit
 
 
-def _read_quantities() -> dict[str, Quantity]:
-    declarations = tomllib.loads(files(__package__).joinpath("quantities.toml").read_text(encoding="utf-8"))
-    action_declaration = declarations.pop("action")
-    for number, name in enumerate(ACTION_NAMES):
-        declarations[f"action_{number}"] = {
-            **action_declaration,
-            "title": action_declaration["title"].format(action=name),
-        }
-    return {name: Quantity(**declaration) for name, declaration in declarations.items()}
-
-
-QUANTITIES = _read_quantities()
+_DECLARATIONS = tomllib.loads(files(__package__).joinpath("quantities.toml").read_text(encoding="utf-8"))
+QUANTITIES = {name: Quantity(**declaration) for name, declaration in _DECLARATIONS.items()}
 """By name."""

@@ -232,13 +232,15 @@ class StudyData:
             name_words += ["seeds", *map(str, sorted(query.seeds))]
         if query.steps:
             name_words += ["steps", str(query.steps)]
-        name_words += [suffix for suffix in suffixes if suffix]
-        return _joined(self.study.figure, self.world, settings_name(self.study.settings, *name_words))
+        name_words += filter(None, suffixes)
+        settings_text = settings_name(self.study.settings, *name_words)
+        return "-".join(filter(None, [self.study.figure, self.world, settings_text]))
 
     @property
     def table_name(self) -> str:
         """The name of its published table."""
-        return _joined(self.study.name, self.world, settings_name(self.study.settings))
+        name_parts = [self.study.name, self.world, settings_name(self.study.settings)]
+        return "-".join(filter(None, name_parts))
 
     @property
     def origin(self) -> str:
@@ -350,17 +352,11 @@ class StudyData:
         If some runs come from published tables, these are only the quantities in the tables, because a line
         over some runs of a condition would mislead.
         """
-        quantity_names: dict[str, None] = {}
-        published_quantities = []
+        quantity_names = list(dict.fromkeys(quantity for run in self.rows for quantity in run.quantities))
         for run in self.rows:
-            quantity_names |= dict.fromkeys(run.quantities)
             if run.published:
-                published_quantities.append(run.quantities)
-        return [
-            quantity
-            for quantity in quantity_names
-            if all(quantity in quantities for quantities in published_quantities)
-        ]
+                quantity_names = [quantity for quantity in quantity_names if quantity in run.quantities]
+        return quantity_names
 
     def curve(self, run: Row, quantity: str, window: str | None = None) -> np.ndarray:
         """Return a run's training curve on the study's grid, (points,); NaN where it has no value.
@@ -387,7 +383,3 @@ class StudyData:
 def _has_own_world(run: Row) -> bool:
     level, characters = run.fields.get("level", ""), run.fields.get("characters", "")
     return is_own_level(str(level)) or are_own_characters(str(characters))
-
-
-def _joined(*name_parts: str) -> str:
-    return "-".join(name_part for name_part in name_parts if name_part)

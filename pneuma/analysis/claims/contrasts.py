@@ -68,7 +68,6 @@ def compare(
         level: of the simultaneous interval.
         constant: in the unit of a, or a share of runs.
     """
-    sizes_of_a, sizes_of_b = [[runs.shape[-1] for runs in groups.values()] for groups in (a, b)]
     means, interval = KINDS[contrast_kind](a, b, constant, LEVEL)
     _, simultaneous = KINDS[contrast_kind](a, b, constant, level)
     effect = means[0] - means[1]
@@ -78,10 +77,15 @@ def compare(
         effect=effect,
         interval=interval,
         simultaneous=simultaneous,
-        seeds=(sizes_of_a[0], (sizes_of_b or [0])[0]),
+        seeds=(_count_runs(a), _count_runs(b)),
         means=means,
         reason=interval.reason,
     )
+
+
+def _count_runs(groups: Groups) -> int:
+    """Return the number of runs of the first group; 0 without groups."""
+    return next(iter(groups.values())).shape[-1] if groups else 0
 
 
 # --- Kinds -----------------------------------------------------------------------------------------
