@@ -17,7 +17,6 @@ from pneuma.api import evaluate, load_policy
 from pneuma.config import make_run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, VALUE_COLUMNS
-from pneuma.errors import UserError
 from pneuma.store.store import Store
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
@@ -112,29 +111,6 @@ def test_a_users_script_passes_strict_types(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "mypy", *options, str(script), str(page)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
-
-
-@pytest.mark.parametrize(
-    ("settings", "named", "env_id"),
-    [
-        ({"level": "somebodys/isle"}, "would read the level somebodys/isle: if you", "pneuma/Pneuma-v0"),
-        (
-            {"env": "CartPole-v1", "env_kwargs": {"sutton_barto_reward": True}},
-            "would make CartPole-v1 with .*sutton", "CartPole-v1",
-        ),
-    ],
-)  # fmt: skip
-def test_a_run_of_a_strangers_is_taken_up_with_trust_alone(
-    tmp_path: Path, settings: dict[str, Any], named: str, env_id: str
-) -> None:
-    """With the settings of its environment, which are another environment's own arguments."""
-    stored = policy_of()
-    save_policy(Store(tmp_path), make_run(settings), stored, "0123456789abcdef")
-    with pytest.raises(UserError, match=named):
-        load_policy("0123", tmp_path)
-    policy, env, env_settings = load_policy("0123", tmp_path, trust=True)
-    assert isinstance(policy, Policy) and policy.to_bytes() == stored.to_bytes()
-    assert env == env_id and env_settings.items() >= settings.get("env_kwargs", settings).items()
 
 
 def test_an_empty_variable_names_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

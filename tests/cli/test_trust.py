@@ -10,7 +10,9 @@ import gymnasium
 import pytest
 from gymnasium.envs.classic_control import CartPoleEnv
 
+from pneuma.cli.output import check_file
 from pneuma.config import make_run
+from pneuma.errors import UserError
 from pneuma.store.store import Store
 
 from .calls import call, policy_of, printed, refused, save_policy
@@ -69,38 +71,22 @@ def test_untrusted_what_a_record_names_is_used_with_trust_alone(
 
 def test_a_record_that_is_trusted_is_used(mark: Path) -> None:
     save_run(RECORDS["arguments"])
-    assert call("run", "export", RUN, "--out", "x.zip", "--trust", "--results", "results").code == 0
+    for _ in range(2):  # its own file is replaced without --force
+        printed("run", "export", RUN, "--out", "x.zip", "--trust", "--results", "results")
     assert mark.exists() and Path("x.zip").exists()
 
 
-OUTPUTS = {"export": (("run", "export", RUN), "out.zip"), "report": (("report", "own.toml"), "out.html")}
-
-
-@pytest.mark.parametrize("link", ["itself", "theirs", "nothing"])
-@pytest.mark.parametrize("output", OUTPUTS)
-def test_untrusted_nothing_is_written_through_a_link(mark: Path, output: str, link: str) -> None:
-    save_run({"env": "CartPole-v1"})
-    words, name = OUTPUTS[output]
-    Path("theirs").write_text("precious")
-    Path(name).symlink_to(name if link == "itself" else link)
-    for force in ((), ("--force",)):
-        message = refused(*words, "--out", name, *force, "--results", "results")
-        assert message == f"--out {name}: is a link; name the file itself"
-    assert Path("theirs").read_text() == "precious" and not Path("nothing").exists()
-
-
-@pytest.mark.parametrize("output", OUTPUTS)
-def test_untrusted_a_file_of_anothers_is_replaced_by_force_alone(mark: Path, output: str) -> None:
-    save_run({"env": "CartPole-v1"})
-    words, name = OUTPUTS[output]
-    out = Path(name)
+def test_untrusted_an_output_is_no_link_and_replaces_only_its_like(tmp_path: Path) -> None:
+    out = tmp_path / "out.zip"
+    for target in (out, tmp_path / "theirs"):
+        out.symlink_to(target)
+        with pytest.raises(UserError, match="is a link; name the file itself"):
+            check_file(out, (".zip",))
+        out.unlink()
     out.write_text("precious")
-    at = (*words, "--out", out, "--results", "results")
-    assert "--force replaces it" in call(*at).err and out.read_text() == "precious"
-    printed(*at, "--force")
-    whole = out.read_bytes()
-    printed(*at)
-    assert out.read_bytes()[:8] == whole[:8] != b"precious"
+    check_file(out, (".zip",))
+    with pytest.raises(UserError, match="--force replaces it"):
+        check_file(out, (".zip",), force=False)
 
 
 def test_untrusted_a_folder_that_is_a_link_to_itself_is_one_line(mark: Path) -> None:
