@@ -18,7 +18,6 @@ from pneuma.answers.cells import comparison_cells, with_cells
 from pneuma.answers.notes import averaging, notes_on_ends, notes_on_few_episodes, notes_on_few_runs
 from pneuma.answers.summary import SCALE
 from pneuma.errors import UserError, counted
-from pneuma.presets import WORLDS
 from pneuma.study.plan import Query
 from pneuma.study.spec import load_study
 
@@ -204,15 +203,11 @@ def _notes_on_averages(a: Group, b: Group) -> list[str]:
 
 def _claims_about(study_data: StudyData, a: str, b: str) -> list[Claim]:
     """Return the shipped claims that compare the means of two conditions of a study in its world."""
-    world_names = [world_name for world_name, world in WORLDS.items() if world.env in study_data.environments]
-    if study_data.world:
-        world_names = [study_data.world]
-    claims = []
+    study, claims = study_data.study, []
     for claim_list in shipped_claims():
         for claim in claim_list.claims.values():
-            if (claim.study, claim.kind) != (study_data.study.name, "mean") or world_names[:1] == []:
-                continue
-            pairs = [pair for outcome in claim.outcome for pair in claim.pairs(outcome)]
-            if world_names[0] in claim.worlds and any(set(pair) == {(a,), (b,)} for pair in pairs):
-                claims.append(claim)
+            if (claim.study, claim.kind) == (study.name, "mean") and study.world in claim.worlds:
+                pairs = [pair for outcome in claim.outcome for pair in claim.pairs(outcome)]
+                if any(set(pair) == {(a,), (b,)} for pair in pairs):
+                    claims.append(claim)
     return claims
