@@ -113,7 +113,7 @@ class PneumaEnv(Interface, gymnasium.Env[np.ndarray, np.int64]):
     | `observe_facing` | false, false, true | whether a player observes its facing: four numbers |
     | `start` | random, first, random | a random start place of the level, or always the first |
     | `trees` | wall, pass, wall | whether trees and other obstacles stop bodies |
-    | `terrain_stops` | all, players, all | whom trees and coast stop |
+    | `terrain_stops` | all, players, all | which bodies trees and coast stop: all, or players only |
     | `attack_ticks` | 0 | length of every attack; 0: the weapon's, 24 for `blade` |
     | `blow` | attack | a sword hits a monster once per attack, or on each `entry` into its box |
     | `kill_credit` | striker, near, striker | who gains: the striker, or all within the attack circle |

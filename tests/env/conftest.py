@@ -28,7 +28,7 @@ def pit(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Return a level in which five monsters bite at once at one of two starts: episodes are short.
 
     A player who stays and faces down loses 35 HP in ticks 1 and 61 and the rest in tick 121, in the 16th
-    step: three stand against its head, and two beside those, where its sword does not reach.
+    step: three stand against its head, and two next to them, where its sword does not reach.
     """
     around = [(-25.0, -50.0), (0.0, -50.0), (25.0, -50.0), (-50.0, -30.0), (50.0, -30.0)]
     monsters = tuple(("bamboo", x, y) for x, y in around)

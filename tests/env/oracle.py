@@ -111,7 +111,7 @@ def move(
 
 
 def _stops_at_bodies(body: Box, axis: int, step: float, obstacles: Sequence[Box]) -> list[float]:
-    """Return where a body's centre touches each body that is ahead, not beside it or around it."""
+    """Return where a body's centre touches each body ahead, not one that it passes or is inside."""
     across, direction = 1 - axis, math.copysign(1.0, step)
     stops = []
     for obstacle in obstacles:

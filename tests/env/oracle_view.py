@@ -139,8 +139,8 @@ def _ends_at_bodies(world: Oracle, player: Player, ray: Pair) -> list[tuple[floa
     for (centre, half), kind in boxes:
         low = centre[0] - half[0], centre[1] - half[1]
         high = centre[0] + half[0], centre[1] + half[1]
-        start, end, beside = _inside(low, high, (player.x, player.y), ray)
-        if start < end and end > 0.0 and not beside:
+        start, end, passes_by = _inside(low, high, (player.x, player.y), ray)
+        if start < end and end > 0.0 and not passes_by:
             ends.append((max(start, 0.0), kind))
     return ends
 
@@ -170,12 +170,12 @@ def _tile_corner(ground: Ground, column: int, row: int) -> Pair:
 
 
 def _inside(low: Pair, high: Pair, origin: Pair, ray: Pair) -> tuple[float, float, bool]:
-    """Return from when to when a ray is in a box, and whether it goes straight along, beside it."""
-    start, end, beside = -math.inf, math.inf, False
+    """Return from when to when a ray is in a box, and whether it passes by, parallel to a side."""
+    start, end, passes_by = -math.inf, math.inf, False
     for axis in (0, 1):
         if ray[axis] == 0.0:
-            beside |= not low[axis] < origin[axis] < high[axis]
+            passes_by |= not low[axis] < origin[axis] < high[axis]
             continue
         crossings = sorted([(low[axis] - origin[axis]) / ray[axis], (high[axis] - origin[axis]) / ray[axis]])
         start, end = max(start, crossings[0]), min(end, crossings[1])
-    return start, end, beside
+    return start, end, passes_by

@@ -1,4 +1,4 @@
-"""Functions that are compiled, kept where there is a folder for them, and compiled anew after a change."""
+"""Functions that are compiled, kept where there is a folder for them, and compiled again after a change."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def copy(tmp_path: Path) -> Path:
 
 
 def output_of(code: str, copy: Path) -> str:
-    """Return what code prints that imports the copy; it keeps its programs beside it."""
+    """Return what code prints that imports the copy; it keeps its programs next to the copy."""
     env = {**os.environ, "NUMBA_CACHE_DIR": str(copy / "numba")}
     return subprocess.check_output([sys.executable, "-c", code], cwd=copy, env=env, text=True).strip()
 
@@ -68,7 +68,7 @@ def test_a_change_is_compiled_and_programs_kept_from_before_stop_nobody(copy: Pa
 
 @pytest.mark.slow
 def test_a_change_of_any_file_with_kernels_is_a_change_of_the_handle(copy: Path) -> None:
-    """Also of how the state is laid out, which is told in state.py alone."""
+    """Also of the layout of the state, which is defined in state.py alone."""
     names = [output_of(HANDLE, copy)]
     for source in KERNEL_SOURCES:
         with (copy / "pneuma" / source).open("a", encoding="utf-8") as file:

@@ -122,7 +122,7 @@ def test_what_cannot_be_done_is_refused(interface: str) -> None:
 
 def test_every_number_below_zero_draws_a_start_place() -> None:
     env = PneumaEnv()
-    env.reset(seed=0, options={"start": -2})  # -2 is what tells the rules to leave a world as it is
+    env.reset(seed=0, options={"start": -2})  # to the rules -2 means: leave the world as it is
     assert (env.worlds.monsters["hp"] == 40).all() and env.worlds.worlds["draws"] == 1
 
 
@@ -304,7 +304,7 @@ def test_the_checkers_of_three_libraries_find_nothing(env_id: str, monkeypatch: 
     parallel_seed_test(lambda: PneumaParallelEnv(env_id, players=3), num_cycles=100)
 
 
-# --- What their docstring tells --------------------------------------------------------------------
+# --- What their docstring contains --------------------------------------------------------------------
 
 
 def docstring_part(start: str, end: str) -> str:

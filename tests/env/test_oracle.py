@@ -1,6 +1,6 @@
 """The kernel against the oracle: whatever is played, both agree, bit for bit, and some laws hold.
 
-`Pair` plays the oracle beside the kernel and compares all state, events, observations and masks after each
+`Pair` plays the oracle with the kernel and compares all state, events, observations and masks after each
 step and reset. Levels, characters, configurations and ways to play are Hypothesis's (`oracle_cases.py`). What
 both could have wrong is worked out by hand in `test_rules.py`.
 """
@@ -103,7 +103,7 @@ def shrunk(body: Body, hair: float) -> Box:
 
 
 def masked_players(pair: Pair, actions: np.ndarray) -> list[tuple[Player, tuple[float, float, int]]]:
-    """Return whose action its mask forbids, and its place and facing, which then stay."""
+    """Return the players whose action their mask forbids, and their place and facing, which then stay."""
     masked = []
     for world, views, world_actions in zip(pair.oracles, pair.views, actions, strict=True):
         for player, (_, mask), action in zip(world.players, views, world_actions, strict=True):
