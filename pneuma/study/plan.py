@@ -270,7 +270,7 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
         try:
             single_values[key] = read(key, setting)
         except UserError:
-            if not is_list or key not in Run.__dataclass_fields__:
+            if not is_list:
                 raise
         if is_list and (key not in single_values or (key in PLAYER_FIELDS and has_one_player)):
             swept[key] = {format_short(swept_value): read(key, swept_value) for swept_value in setting_values}

@@ -76,13 +76,12 @@ def _named_values(factors: Any) -> Any:
         refusal = f"{factor} = {format_json(factor_values)} is not allowed: a list of"
         if not isinstance(factor_values, tuple | Mapping) or not 2 <= len(factor_values) <= MOST_CONDITIONS:
             raise wrong(f"{refusal} 2 to {MOST_CONDITIONS:,} values, or a table of named ones", factor)
-        values_by_factor[factor] = factor_values
         if not isinstance(factor_values, Mapping):
-            values_by_factor[factor] = {
-                f"{factor}={format_short(value)}": {factor: value} for value in factor_values
-            }
-            if len(values_by_factor[factor]) < len(factor_values):
+            named_values = {f"{factor}={format_short(value)}": {factor: value} for value in factor_values}
+            if len(named_values) < len(factor_values):
                 raise wrong(f"{refusal} different values", factor)
+            factor_values = named_values
+        values_by_factor[factor] = factor_values
     return values_by_factor
 
 
@@ -159,8 +158,6 @@ class Preset(Amounts):
         """Return the seeds and steps of each condition that the preset has in a world."""
         in_world: Amounts = getattr(self, world) or Amounts()
         condition_names = in_world.only or self.only
-        if not self.seeds:  # the preset of claims has the conditions that it lists
-            condition_names = tuple(self.conditions)
         amounts: dict[str, Amount] = {}
         for condition in conditions:
             if condition_names and condition not in condition_names:

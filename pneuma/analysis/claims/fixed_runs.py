@@ -177,7 +177,8 @@ def with_claims(study: Study, steps: int | None = None) -> Study:
     conditions: dict[str, Amount] = {}
     for by_condition in amounts.values():
         conditions |= by_condition
-    preset = Preset.model_construct(seeds=(), steps=steps, conditions=amounts.get(steps, conditions))
+    fixed = amounts.get(steps, conditions)
+    preset = Preset.model_construct(seeds=(), steps=steps, only=tuple(fixed), conditions=fixed)
     return study.model_copy(update={"presets": {**study.presets, CLAIMS: preset}})
 
 
