@@ -202,6 +202,9 @@ REASONS: dict[str, tuple[SharesByCondition, Changes, str]] = {
         "the agents learned nothing there: high is not shown",
     ),
     "no value": ({"high": [*HIGH[:7], NAN], "low": LOW}, [], "a run has no value: high seed 7: "),
+    "no value of the other outcome": (
+        {"high": HIGH}, [value('"collapse-step"')], "a run has no value: high seed 0: no sign of collapse",
+    ),
     "declared": ({"high": HIGH, "low": LOW}, [("margin", 'not_tested = "too short"\nmargin')], "too short"),
 }  # fmt: skip
 

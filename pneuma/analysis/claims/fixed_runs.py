@@ -79,8 +79,8 @@ class ClaimRuns:
                 learned[condition] = bool(interval.low > 0 or not interval.exists and mean_scores[0] > 0)
         return learned
 
-    def why_incomparable(self, outcome_name: str, conditions: Sequence[str]) -> str:
-        """Return why conditions cannot be compared by an outcome; empty if they can."""
+    def why_incomparable(self, outcome_names: Sequence[str], conditions: Sequence[str]) -> str:
+        """Return why conditions cannot be compared by some outcomes; empty if they can."""
         claim = self.claim
         runs = {condition: self.data.configurations[condition] for condition in conditions}
         if len(set(map(config_id, runs.values()))) < len(runs):
@@ -100,13 +100,14 @@ class ClaimRuns:
                 )
         if missing_runs:
             return f"{'; '.join(missing_runs)}; {TRAIN_WITH} {self.training_command}"
-        if find_outcome(outcome_name).is_return and len(set(map(unit_of_return, rows))) > 1:
-            return "returns of unlike rewards"
-        for condition in conditions:
-            for row in self.data.of_condition(condition):
-                if np.isnan(outcome(row, outcome_name)):
-                    run_name = f"{condition} seed {row.seed}"
-                    return f"a run has no value: {run_name}: {reason(row, outcome_name)}"
+        for outcome_name in outcome_names:
+            if find_outcome(outcome_name).is_return and len(set(map(unit_of_return, rows))) > 1:
+                return "returns of unlike rewards"
+            for condition in conditions:
+                for row in self.data.of_condition(condition):
+                    if np.isnan(outcome(row, outcome_name)):
+                        run_name = f"{condition} seed {row.seed}"
+                        return f"a run has no value: {run_name}: {reason(row, outcome_name)}"
         return ""
 
     @property

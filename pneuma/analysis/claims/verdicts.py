@@ -235,7 +235,8 @@ def _judge_contrast(claim_runs: ClaimRuns, outcome: str, pair: Pair, alpha: floa
         registered_margin=registered_margin,
         runs=run_ids,
     )
-    reason = claim.not_tested or claim_runs.why_incomparable(outcome, conditions)
+    compared_outcomes = [outcome, value] if isinstance(value, str) else [outcome]
+    reason = claim.not_tested or claim_runs.why_incomparable(compared_outcomes, conditions)
     if reason:
         return replace(claim_contrast, contrast=Contrast(reason=reason))
     groups = {condition: claim_runs.values(outcome, condition) for condition in conditions}
