@@ -84,6 +84,10 @@ VALUE, TWO = ('b = "low"', "value = 1"), ('"final-share-killed"', '["final-share
         ),
         ("two conditions or more", [('"mean"', '"range"')]),
         ("with other conditions", [VALUE, ('"mean"', '"spread"')]),
+        (
+            "not with best-score",
+            [('b = "low"', 'value = "best-score"'), ('"mean"', '"incidence"\nabove = 0.5')],
+        ),
         ("as many conditions in b", [('b = "low"', 'b = ["low", "middle"]\npaired = true')]),
         ("as many conditions in b", [('"mean"', '"main-effect"'), ('"low"', '["low", "middle"]')]),
         ("two conditions in a and two in b", [('"mean"', '"interaction"')]),

@@ -258,6 +258,8 @@ class Claim(Table):
         for field_name, number in numbers.items():
             if isinstance(number, str):
                 find_outcome(number)
+                if self.kind != "mean":
+                    raise wrong(f"kind = {self.kind} compares a with a number, not with {number}", "value")
             elif self.is_incidence and not 0 <= (number or 0) < 1:
                 raise wrong(f"{field_name} = {number:g} is not allowed: a share of runs, 0 to 1", field_name)
 
