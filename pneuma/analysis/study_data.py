@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from pneuma.config import Run
 from pneuma.env.fields import are_own_characters, is_own_level
-from pneuma.errors import Hint, Message, counted, unknown_name
+from pneuma.errors import Hint, Message, UserError, counted, unknown_name
 from pneuma.presets import WORLDS
 from pneuma.seeds import format_seeds
 from pneuma.store.quantities import WINDOWS
@@ -362,11 +362,17 @@ class StudyData:
         """Return a run's training curve on the study's grid, (points,); NaN where it has no value.
 
         Args:
-            run: a finished run; its curve is blank if it lacks the quantity, or has it in no such window.
+            run: a finished run; its curve is blank if it lacks the quantity.
             quantity: one of `quantities`.
             window: one of `windows`; default: the first. Quantities of updates have only one.
         """
-        curve_values = run.curve(quantity, self.checked_window(window))
+        window = self.checked_window(window)
+        if quantity in run.quantities and window not in run.windows_of(quantity):
+            raise UserError(
+                f"study {self.study.name}: {self.origin} holds no {quantity} in the window {window}; "
+                f"its curves are: {', '.join(self.quantities)}"
+            )
+        curve_values = run.curve(quantity, window)
         if run.budget == self.budget:
             return curve_values
         return held_curve(run.grid, curve_values, self.grid, run.end)

@@ -12,6 +12,7 @@ import pytest
 from pneuma.analysis.curves import Curve, random_levels, random_returns, study_curves
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
+from pneuma.errors import UserError
 from pneuma.store.index import RunIndex
 from pneuma.store.quantities import WINDOWS
 from pneuma.store.series import make_grid, peak_curve, update_curve
@@ -92,6 +93,14 @@ def test_trailing_100_is_the_mean_of_the_last_hundred_episodes_once_there_are_as
     assert curve[101] == 51.5  # 2 … 101
     assert curve[150] == 100.5  # 51 … 150
     assert curve[200] == 100.5  # still the last hundred
+
+
+def test_a_quantity_without_a_curve_in_a_window_is_refused() -> None:
+    study_data = open_study(RunIndex(Store("none")), Query("activation", "arena", conditions=("tanh",)))
+    with pytest.raises(
+        UserError, match="table holds no hp in the window trailing-100; its curves are: return"
+    ):
+        study_curves(study_data, ["hp"], TRAILING)
 
 
 # --- Several runs --------------------------------------------------------------------------------
