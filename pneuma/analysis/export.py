@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -124,7 +125,8 @@ def _latex(cells: pd.DataFrame, is_numeric: Sequence[bool]) -> str:
             column_format += "r" if is_number else "l"
     is_long = len(cells) > LINES_OF_A_PAGE
     latex = cells.to_latex(index=False, escape=True, column_format=column_format, longtable=is_long)
-    return latex.translate(_LATEX)
+    with_signs = re.sub(r"(?<![\w-])-(?=\d)", "$-$", latex)  # no hyphens before numbers
+    return with_signs.translate(_LATEX)
 
 
 def _markdown(cells: pd.DataFrame, is_numeric: Sequence[bool]) -> str:
