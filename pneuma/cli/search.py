@@ -122,7 +122,9 @@ def run(
     resources: opt.Resources,
     preset: Annotated[str, opt.option("|".join(spec.PRESETS), "Size of the search.")] = "quick",
     trials: Annotated[Any, opt.count("Number of trials, including those already stored.")] = None,
-    seeds: Annotated[Any, opt.seeds("Seeds per trial: a count (from 1000 on) or a list.", FIRST_SEED)] = None,
+    seeds: Annotated[
+        Any, opt.seeds("Seeds per trial: a count (starting at 1000) or a list.", FIRST_SEED)
+    ] = None,
     steps: opt.Steps = None,
     retry_failed: opt.RetryFailed = False,
     quiet: opt.Quiet = False,
