@@ -14,7 +14,7 @@ from pneuma.config import ENGINES, Run, env_config, is_gymnasium_id, is_resumabl
 
 
 def check_environment(run: Run) -> None:
-    """Make a run's environment once, to find mistakes; its engine must be able to train in it."""
+    """Make a run's environment once, and refuse it if it is wrong or the run's engine cannot train in it."""
     if not is_resumable(run):
         from pneuma.engines.sb3_open import check_learner
 
@@ -30,7 +30,7 @@ def check_environment(run: Run) -> None:
 
 
 def first_capable_engine(run: Run) -> str:
-    """Return the first engine that can train in a run's environment, which is made to find out."""
+    """Return the first engine that can train in a run's environment. The environment is made for that."""
     from gymnasium.spaces import Discrete
 
     from pneuma.engines.gymnasium_env import make_env

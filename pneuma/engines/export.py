@@ -50,7 +50,7 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     if not OPTIMIZERS[run.optimizer].torch_class:
         fields |= {"optimizer": "adam", "weight_decay": 0.0}
     run = make_run(fields)
-    spaces_only: gymnasium.Env[np.ndarray, np.int64] = gymnasium.Env()  # for a learner that never trains
+    spaces_only: gymnasium.Env[np.ndarray, np.int64] = gymnasium.Env()  # the learner is never trained
     spaces_only.observation_space, spaces_only.action_space = space, _action_space(policy)
     model = make_model(run, DummyVecEnv([lambda: spaces_only]), _extractor(policy.scaling))
     model.num_timesteps = run.steps

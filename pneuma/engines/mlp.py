@@ -18,9 +18,9 @@ from pneuma.env.compiling import cached, inlined, typed_arrays, typed_codegen, t
 
 TANH, RELU, LEAKY_RELU = range(3)
 ACTIVATION_CODES = {"tanh": TANH, "relu": RELU, "leaky-relu": LEAKY_RELU}
-"""By which `activate` chooses its branch."""
+"""Codes by which `activate` chooses its branch."""
 ROWS, COLUMNS, LANES = 4, 16, 8
-"""Outputs of a tile, whose sums fit into the registers of a processor with vectors of `LANES` numbers."""
+"""The outputs of a tile. Its sums fit into the registers of a processor with vectors of `LANES` numbers."""
 
 Network = tuple[np.ndarray, np.ndarray, int]
 """Weights of `flat`, widths, and the code of the hidden layers' activation."""
@@ -144,7 +144,7 @@ def _numbers(*numbers: float) -> tuple[np.float32, ...]:
     return tuple(np.float32(number) for number in numbers)
 
 
-# Coefficients and the way of reducing arguments are those of Moshier's Cephes library (tanhf.c, expf.c).
+# Coefficients and range reduction are those of Moshier's Cephes library (tanhf.c, expf.c).
 _LOG2_E, _LN2_HIGH, _LN2_LOW = _numbers(1.44269504, 0.693359375, -2.12194440e-4)
 _E5, _E4, _E3, _E2, _E1, _E0 = _numbers(
     1.9875691500e-4, 1.3981999507e-3, 8.3334519073e-3, 4.1665795894e-2, 1.6666665459e-1, 5.0000001201e-1
@@ -153,8 +153,8 @@ _T4, _T3, _T2, _T1, _T0 = _numbers(
     -5.70498872745e-3, 2.06390887954e-2, -5.37397155531e-2, 1.33314422036e-1, -3.33332819422e-1
 )
 _ZERO, _ONE, _TWO, _SMALL, _LARGE, _LEAK = _numbers(0, 1, 2, 0.625, 9.5, LEAKY_SLOPE)
-_LEAST = np.float32(-87.33)  # beyond which an exponential is no normal number
-_ROUND = np.float32(1.5 * 2**23)  # to which a number is added to round it to a whole one
+_LEAST = np.float32(-87.33)  # below which an exponential is not a normal number
+_ROUND = np.float32(1.5 * 2**23)  # added to a number to round it to a whole one
 
 
 @kernel

@@ -24,12 +24,15 @@ POLICY_FILE = "policy.safetensors"
 LEARNER_FILE = "policy.zip"
 """The policy of a learner of `sb3_open`, as Stable-Baselines3 saves it."""
 
+ACTION_ARRAYS = ("deviation", "bounds", "choices")
+"""Attributes of a `Policy` that are stored as arrays."""
+
 LEAKY_SLOPE = 0.01
 """Slope of LeakyReLU below zero (thesis section 6.2)."""
 
 
 class Activation(NamedTuple):
-    """An activation function by NumPy, and whether outputs, of NumPy or JAX, are those of a dead unit.
+    """An activation function in NumPy, and a test whether outputs, of NumPy or JAX, are those of a dead unit.
 
     A unit is dead over a rollout if all its outputs are: never above zero (ReLU and LeakyReLU), or always
     beyond 0.99 in size (tanh: it is saturated, though its sign may change).
@@ -62,7 +65,7 @@ Where each player of a world has a policy of its own, (players, inputs, outputs)
 
 
 class SavedPolicy(Protocol):
-    """What an engine leaves of a run: a file of the run's folder, and its contents."""
+    """The policy at the end of a run: its file in the run's folder, and the contents."""
 
     @property
     def file(self) -> str: ...
@@ -105,14 +108,14 @@ class Policy:
 
     @property
     def actions(self) -> int:
-        """How many actions there are to choose from, or numbers in one."""
+        """The number of actions, or of numbers in an action, or of logits of all its choices."""
         return int(self.actor[-1][1].shape[-1])
 
     @property
     def players(self) -> int:
-        """How many players have a policy of their own; 1 if all share one.
+        """The number of players with policies of their own; 1 if all share one.
 
-        Then row i of observations is player i % players of world i // players.
+        Row i of observations belongs to player i % players of world i // players.
         """
         return _players(self.actor)
 
@@ -198,7 +201,7 @@ class Policy:
             for i, (weight, bias) in enumerate(layers):
                 arrays[f"{network}.{i}.weight"] = np.ascontiguousarray(weight)
                 arrays[f"{network}.{i}.bias"] = np.ascontiguousarray(bias)
-        for array_name in ("deviation", "bounds", "choices"):
+        for array_name in ACTION_ARRAYS:
             array = getattr(self, array_name)
             if array is not None:
                 arrays[array_name] = np.ascontiguousarray(array)
@@ -254,10 +257,8 @@ def _read_policy(encoded_policy: bytes) -> Policy:
         actor=_layers_in(arrays, "actor"),
         critic=_layers_in(arrays, "critic"),
         exploration=metadata.get("exploration"),
-        deviation=arrays.get("deviation"),
-        bounds=arrays.get("bounds"),
-        choices=arrays.get("choices"),
         scaling=scaling,
+        **{array_name: arrays.get(array_name) for array_name in ACTION_ARRAYS},
     )
 
 
@@ -270,7 +271,7 @@ def _layers_in(arrays: Mapping[str, np.ndarray], network: str) -> Layers:
 
 
 def _is_sound(policy: Policy) -> bool:
-    """Return whether a policy's parts fit each other, so that it plays, compiled or not: it is tried once."""
+    """Return whether a policy's parts match, so that it can play, compiled or not: it is tried once."""
     for weight, bias in policy.actor + policy.critic:
         if weight.ndim > 3 or bias.shape != (*weight.shape[:-2], weight.shape[-1]):
             return False
@@ -339,7 +340,7 @@ def forward(layers: Layers, activation: str, observations: np.ndarray) -> list[n
 
 
 def _players(layers: Layers) -> int:
-    """Return how many players' networks these layers are; 1 if all share one, or there are no layers."""
+    """Return the number of players with networks of their own; 1 if all share one, or there are no layers."""
     return len(layers[0][0]) if layers and layers[0][0].ndim == 3 else 1
 
 

@@ -190,7 +190,7 @@ class OpenTrainer(Trainer):
         self._model = _make_learner(run, self._env)
         prepare(self._model, run)
         self._episodes = Episodes(run)
-        self._about = self._evaluation  # whose random player goes first
+        self._random_row = self._evaluation.random  # played before the learner trains
         self._seed = stream_seed(run.seed, "evaluation")
 
     def update(self, before: int, after: int, records: Records) -> bool:
@@ -204,11 +204,10 @@ class OpenTrainer(Trainer):
         return has_finite_weights(model)
 
     def evaluate(self, step: int) -> Row:
-        """Return one row of `EVALUATION_COLUMNS`, of the same seeds each time."""
-        evaluation = self._about
-        returns, lengths = self._play(evaluation.episodes, deterministic=False)
-        best_returns, _ = self._play(evaluation.best_episodes, deterministic=True)
-        return evaluation_row(step, returns, lengths, best_returns, evaluation.random)
+        """Return one row of `EVALUATION_COLUMNS`, always of episodes of the same seeds."""
+        returns, lengths = self._play(self._evaluation.episodes, deterministic=False)
+        best_returns, _ = self._play(self._evaluation.best_episodes, deterministic=True)
+        return evaluation_row(step, returns, lengths, best_returns, self._random_row)
 
     def _play(self, episodes: int, deterministic: bool) -> tuple[list[float], list[int]]:
         generator_state = np.random.get_state()
@@ -236,7 +235,7 @@ class OpenTrainer(Trainer):
 
 
 class LearnedPolicy:
-    """A learner to play with, and the statistics by which its observations are normalised.
+    """A learner, and the statistics by which its observations are normalised.
 
     Attributes:
         learner: the learner itself, of Stable-Baselines3's kind.

@@ -30,16 +30,16 @@ class BatchedTrainer(ResumableTrainer):
         rollout = self.collector.collect(self._joint_policy().actor)
         records.episodes.extend(self.collector.episode_rows(rollout, before))
         budget_left = 1 - after / self.run.steps
-        metrics_of_learners = []
-        is_finite = True
+        all_metrics = []
         for player, learner in enumerate(self.learners):
-            metrics = learner.learn_from(rollout.of_player(player, len(self.learners)), budget_left)
-            metrics_of_learners.append(metrics)
-            is_finite = is_finite and learner.is_finite(metrics)
-        records.metrics.append({"step": after, **_means(metrics_of_learners)})
-        if not is_finite:
-            return False
-        is_last = after == self.run.updates * self.run.steps_per_update  # else the next update shows it
+            player_rollout = rollout.of_player(player, len(self.learners))
+            all_metrics.append(learner.learn_from(player_rollout, budget_left))
+        records.metrics.append({"step": after, **_means(all_metrics)})
+        for learner, metrics in zip(self.learners, all_metrics, strict=True):
+            if not learner.is_finite(metrics):
+                return False
+        # earlier, the next update's losses show that logits overflow
+        is_last = after == self.run.updates * self.run.steps_per_update
         return not (is_last and overflows(self._joint_policy(), self.collector.slots.observations))
 
     def policy(self) -> Policy:
@@ -77,15 +77,13 @@ class BatchedTrainer(ResumableTrainer):
             learner.generator.bit_generator.state = numbers["minibatches"][player]
 
 
-def _means(metrics_of_learners: Sequence[Mapping[str, float]]) -> dict[str, float]:
+def _means(all_metrics: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Return the mean of each metric, without `sum`, which rounds differently from Python 3.12 on."""
-    metric_means = {}
-    for metric in metrics_of_learners[0]:
-        total = metrics_of_learners[0][metric]
-        for metrics in metrics_of_learners[1:]:
-            total += metrics[metric]
-        metric_means[metric] = total / len(metrics_of_learners)
-    return metric_means
+    totals = dict(all_metrics[0])
+    for metrics in all_metrics[1:]:
+        for metric, number in metrics.items():
+            totals[metric] += number
+    return {metric: total / len(all_metrics) for metric, total in totals.items()}
 
 
 def _stack(networks: Sequence[Layers]) -> Layers:
