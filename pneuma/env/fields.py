@@ -24,11 +24,11 @@ ORDERS = ("nearest", "fixed")
 SCALES = ("unit", "map", "raw")
 ACTION_NAMES = ("down", "left", "up", "right", "attack")
 SPELL_NAMES = ("flame", "heal")
-KINDS_OF_MONSTERS = ("bamboo", "mixed")
+POPULATION_NAMES = ("bamboo", "mixed")
 MAX_PLAYERS = MOST_NAMES
 MAX_STEPS = 1_000_000
 """Most agent steps of an episode."""
-PERCEIVE = "all, nearest:K for the K nearest, or rays:N, 1 to 64"
+PERCEIVE_FORMS = "all, nearest:K for the K nearest, or rays:N, 1 to 64"
 
 
 _PERCEIVE = r"|all|nearest:[1-9]\d*|rays:([1-9]|[1-5]\d|6[0-4])"
@@ -48,7 +48,7 @@ class EnvConfig:
 
     level: Annotated[str, MinLen(1)] = declare("thesis", paces=True)
     random_levels: Annotated[int, Interval(ge=1, le=10_000)] = declare(1, paces=True)
-    monsters: Annotated[str, OneOf(KINDS_OF_MONSTERS)] = "bamboo"
+    monsters: Annotated[str, OneOf(POPULATION_NAMES)] = "bamboo"
     characters: str = ""
     players: Annotated[int, Interval(ge=1, le=MAX_PLAYERS)] = declare(1, paces=True)
     classes: Annotated[tuple[str, ...], names_like(r"[\w-]+", "a class, or a list of one a player")] = (
@@ -60,7 +60,7 @@ class EnvConfig:
     )
     shared_reward: bool = False
     observation: Annotated[str, OneOf(OBSERVATIONS)] = declare("thesis", paces=True)
-    perceive: Annotated[str, matching(_PERCEIVE, PERCEIVE)] = ""
+    perceive: Annotated[str, matching(_PERCEIVE, PERCEIVE_FORMS)] = ""
     order: Annotated[str, OneOf(("", *ORDERS))] = ""
     scale: Annotated[str, OneOf(("", *SCALES))] = ""
     observe_facing: bool = False

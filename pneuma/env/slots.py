@@ -36,7 +36,6 @@ class Slots:
         self.players = worlds.players.shape[1]
         self.count = worlds.players.size
         self.action_space = worlds.action_space
-        self._truncates = worlds.config.time_limit == "truncate"
         self.has_begun = False
         self.terminated = self.truncated = np.zeros(self.count, np.bool_)
 
@@ -51,7 +50,7 @@ class Slots:
             raise ResetNeeded("no episode has begun: call reset first")
         self.worlds.step(actions)
         ending = self.episode_stats["ending"]
-        self.truncated = (ending == rules.TIME_LIMIT) & self._truncates
+        self.truncated = (ending == rules.TIME_LIMIT) & self.worlds.truncates
         self.terminated = (ending != rules.RUNNING) & ~self.truncated
         return self.terminated | self.truncated
 

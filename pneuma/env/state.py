@@ -354,22 +354,15 @@ HANDLE = np.dtype([(_CODE, "i8", (4,))])
 """Address and shape of an array of a `State`; the name is the sources' digest: an edit recompiles."""
 
 
-def allocate(constants: Mapping[str, np.ndarray], **sizes: int) -> State:
+def allocate(constants: Mapping[str, np.ndarray], sizes: Mapping[str, int]) -> State:
     """Return a state of constant arrays, and of zeros for the others, by the sizes of their axes."""
     arrays = {}
     for array_name, (dtype, axes) in ARRAYS.items():
         if array_name in constants:
             arrays[array_name] = np.ascontiguousarray(constants[array_name], dtype)
         else:
-            arrays[array_name] = np.zeros([_length(axis, sizes) for axis in axes], dtype)
+            arrays[array_name] = np.zeros([sizes[axis] for axis in axes], dtype)
     return State(**arrays)
-
-
-def _length(axis: str, sizes: Mapping[str, int]) -> int:
-    """Return the length of an axis, which is a letter or a number."""
-    if axis in sizes:
-        return sizes[axis]
-    return int(axis)
 
 
 def make_handle(state: State) -> np.ndarray:

@@ -47,6 +47,7 @@ class Worlds:
         slots, tallies, action_counts: statistics of the episodes in progress: (N, P) `state.SLOT`, (N,)
             `TALLY`, and how often each action was chosen, (N, actions).
         levels: the levels played; one, unless random ones are drawn.
+        truncates: whether the time limit truncates episodes, or terminates them.
         default_starts: (N,) the default start places; negative ones are drawn at random.
         player_stats, monster_stats: (P,) and (L, M), the numbers that the rules read.
         handle: the argument of the compiled rules; see `state.make_handle`.
@@ -104,16 +105,16 @@ class Worlds:
             "first_monsters": first_monsters,
             "no_events": no_events,
         }
-        arrays = state.allocate(
-            constants,
-            N=count,
-            P=players,
-            M=monsters,
-            B=players + monsters,
-            A=self._actions,
-            F=self.space.shape[0],
-        )
-        self._arrays = arrays
+        sizes = {
+            "N": count,
+            "P": players,
+            "M": monsters,
+            "B": players + monsters,
+            "A": self._actions,
+            "F": self.space.shape[0],
+            "1": 1,
+        }
+        arrays = self._arrays = state.allocate(constants, sizes)
         self.worlds, self.players, self.monsters = arrays.worlds, arrays.players, arrays.monsters
         self.events, self.observations, self.masks = arrays.events, arrays.observations, arrays.masks
         self.slots, self.tallies, self.action_counts = arrays.slots, arrays.tallies, arrays.action_counts
@@ -123,6 +124,7 @@ class Worlds:
         self.players["x"], self.players["y"] = self.level.starts[0]  # on the grid, also before a reset
         self.events[:] = no_events
         self.slots["begins"] = 1.0
+        self.truncates = self.config.time_limit == "truncate"
         self._no_actions = np.zeros((count, players), np.int64)  # which a reset does not read
         self._take_addresses()
         self.default_starts = np.zeros(count, np.int64)
@@ -280,8 +282,7 @@ class Worlds:
     @property
     def truncated(self) -> np.ndarray:
         """Which worlds ended by a time limit that truncates, (N,)."""
-        truncates = self.config.time_limit == "truncate"
-        return np.asarray((self.worlds["ending"] == rules.TIME_LIMIT) & truncates)
+        return np.asarray((self.worlds["ending"] == rules.TIME_LIMIT) & self.truncates)
 
     def ending(self, world: int) -> str:
         """Return how a world's episode ended, or 'running'."""
