@@ -44,22 +44,21 @@ def import_tensorboard(folders: Sequence[Path], store: Store, study_name: str | 
 
 
 def find_logs(folders: Sequence[Path]) -> dict[tuple[str, ...], list[Path]]:
-    """Return event files by the path of their folder below what all share; the oldest first."""
-    paths_by_folder: dict[Path, list[Path]] = {}
+    """Return event files by the names of their folders below the one that all share; the oldest first."""
+    event_files: set[Path] = set()  # folders may be given twice
     for folder in folders:
         if not folder.is_dir():
             raise UserError(f"{folder}: is not a folder; name the folder that holds NAME_1/, NAME_2/, …")
-        paths = sorted(path for path in folder.resolve().rglob("*tfevents*") if path.is_file())
+        paths = [path for path in folder.resolve().rglob("*tfevents*") if path.is_file()]
         if not paths:
             raise UserError(f"{folder}: contains no TensorBoard event files (events.out.tfevents…)")
-        for path in paths:
-            folder_paths = paths_by_folder.setdefault(path.parent, [])
-            if path not in folder_paths:  # folders may be given twice
-                folder_paths.append(path)
-    shared_folder = os.path.commonpath([folder.parent for folder in paths_by_folder])
-    return {
-        folder.relative_to(shared_folder).parts: paths_by_folder[folder] for folder in sorted(paths_by_folder)
-    }
+        event_files.update(paths)
+    shared_folder = os.path.commonpath([path.parents[1] for path in event_files])
+    files_by_folder: dict[tuple[str, ...], list[Path]] = {}
+    for path in sorted(event_files):
+        folder_names = path.parent.relative_to(shared_folder).parts
+        files_by_folder.setdefault(folder_names, []).append(path)
+    return files_by_folder
 
 
 def _read_log(folder_names: tuple[str, ...], paths: Sequence[Path]) -> Log:

@@ -109,11 +109,9 @@ class Store:
         self.root = Path(root)
 
     def check_writable(self) -> None:
-        """Create the folder if needed; check that it can be written, and that no link leads out of it."""
+        """Create the folder if needed, and check that it can be written."""
         try:
             self.root.mkdir(parents=True, exist_ok=True)
-            for folder_name in ("runs", "studies", "searches"):
-                self._check_within(self.root / folder_name)
             with tempfile.TemporaryFile(dir=self.root):
                 pass
         except OSError as error:
