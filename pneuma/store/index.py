@@ -8,7 +8,6 @@ from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 
@@ -54,13 +53,9 @@ class RunIndex:
             stored_frame = pd.DataFrame(self._stored_runs(), columns=COLUMNS)
         frames = [stored_frame]
         if self.tables:
-            indexes = pa.concat_tables([table.index for table in self.tables.values()])
-            table_paths = [str(table.path) for table in self.tables.values()]
-            run_counts = [len(table.index) for table in self.tables.values()]
-            published_frame = indexes.to_pandas(use_threads=False).assign(
-                where=np.repeat(table_paths, run_counts)
-            )
-            frames += [published_frame, stored_frame[stored_frame["status"].isin(FINISHED)]]
+            published_index = pa.concat_tables([table.index for table in self.tables.values()])
+            finished_frame = stored_frame[stored_frame["status"].isin(FINISHED)]
+            frames += [published_index.to_pandas(use_threads=False), finished_frame]
         run_frame = pd.concat(frames).drop_duplicates("run_id", keep="last")
         return run_frame.set_index("run_id", drop=False).astype({"seed": int, "steps": int, "end": int})
 

@@ -88,7 +88,7 @@ class Published:
 
     Attributes:
         about: what `encode_published` was given.
-        index: `INDEX_COLUMNS` of each run.
+        index: `INDEX_COLUMNS` of each run, and `where`, the table's path.
         row_numbers: the number of each run's row, by id.
 
     Raises:
@@ -105,12 +105,13 @@ class Published:
             without_checksum = encoded_table.replace(b"sha256:" + digests[0], _NO_CHECKSUM)
             if digests[0] != checksum(without_checksum).encode():
                 raise ValueError("damaged")
-            index = from_parquet(encoded_table, INDEX_COLUMNS).select(INDEX_COLUMNS)
+            index = from_parquet(encoded_table, INDEX_COLUMNS)
             self.about = parse_json(index.schema.metadata[b"pneuma"])
             if self.about.get("schema") != SCHEMA:
                 raise ValueError("of another version of Pneuma")
-            self.index = index.cast(_INDEX_SCHEMA).replace_schema_metadata()
-        self.row_numbers = {run_id: index for index, run_id in enumerate(self.index["run_id"].to_pylist())}
+            where = pa.array([str(table_path)] * len(index))
+            self.index = index.cast(_INDEX_SCHEMA).append_column("where", where)
+        self.row_numbers = {run_id: number for number, run_id in enumerate(self.index["run_id"].to_pylist())}
 
     def document(self, column: str, run_id: str) -> dict[str, Any]:
         """Return the fields or the provenance of one of its runs."""
