@@ -50,7 +50,7 @@ def test_every_point_is_what_the_csv_logger_wrote_beside(tmp_path: Path) -> None
     from stable_baselines3.common.logger import configure
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # theirs
+        warnings.simplefilter("ignore")  # Stable-Baselines3's own
         for name in ("fast_1", "slow_2"):
             model = PPO("MlpPolicy", "CartPole-v1", n_steps=64, n_epochs=1, seed=len(name) + int(name[-1]))
             logger = configure(str(tmp_path / "logs" / name), ["tensorboard", "csv"])
@@ -147,7 +147,7 @@ def test_tags_of_evaluations_are_evaluations_the_last_written_of_a_step(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("folders", "wanted"),
+    ("folders", "expected"),
     [
         (["PPO_2", "PPO_10", "A2C_1"], [("A2C", 1), ("PPO", 2), ("PPO", 10)]),
         (["maze/PPO_1", "cave/PPO_1"], [("cave/PPO", 1), ("maze/PPO", 1)]),
@@ -158,14 +158,14 @@ def test_tags_of_evaluations_are_evaluations_the_last_written_of_a_step(tmp_path
         (["a__ppo__1__1700000000", "a__ppo__2__1700000001"], [("a__ppo", 1), ("a__ppo", 2)]),
     ],
 )
-def test_folders_names_hold_condition_and_seed(
-    folders: list[str], wanted: list[tuple[str, int]], tmp_path: Path
+def test_names_of_folders_contain_condition_and_seed(
+    folders: list[str], expected: list[tuple[str, int]], tmp_path: Path
 ) -> None:
     for folder in folders:
         (tmp_path / "logs" / folder).mkdir(parents=True, exist_ok=True)
         (tmp_path / "logs" / folder / FILE).touch()
     for given in ([tmp_path / "logs"], [tmp_path / "logs" / folder for folder in folders]):
-        assert sorted(map(condition_and_seed, find_logs(given))) == wanted
+        assert sorted(map(condition_and_seed, find_logs(given))) == expected
 
 
 def test_two_runs_of_one_name_and_two_copies_of_one_run_are_refused(tmp_path: Path) -> None:
@@ -196,7 +196,7 @@ def test_of_a_log_with_means_and_single_episodes_the_return_is_the_means(tmp_pat
     ("files", "gone"),
     [
         ([[(RETURN, 1), (RETURN, 2), (RETURN, 3)]], [0, 0, 0]),
-        # written anew from step 2 on, in the same file or another
+        # written again from step 2 on, in the same file or another
         ([[(RETURN, 1), (RETURN, 2), (RETURN, 3), (RETURN, 2), (RETURN, 3)]], [0, 1, 1, 0, 0]),
         ([[(RETURN, 1), (RETURN, 2), (RETURN, 3)], [(RETURN, 2), (RETURN, 3)]], [0, 1, 1, 0, 0]),
         # two episodes may end at one step; another file's same step takes its place
@@ -212,10 +212,12 @@ def test_of_a_log_with_means_and_single_episodes_the_return_is_the_means(tmp_pat
         ([[]], []),
     ],
 )
-def test_what_was_written_anew_counts(files: Sequence[Sequence[tuple[str, int]]], gone: list[int]) -> None:
+def test_later_points_replace_earlier_ones(
+    files: Sequence[Sequence[tuple[str, int]]], gone: list[int]
+) -> None:
     rows = [(place, *point, float(place)) for place, points in enumerate(files) for point in points]
     superseded = find_superseded(pd.DataFrame(rows, columns=["file", "tag", "step", "second"]))
-    assert superseded.tolist() == [bool(each) for each in gone]
+    assert superseded.tolist() == [bool(flag) for flag in gone]
 
 
 def test_a_second_writer_takes_nothing_from_the_first(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ NAME = "0123456789abcdef"
 
 
 class _Clock:
-    """Time that passes only when told to."""
+    """Time that a test sets."""
 
     now = 1000.0
 
@@ -37,7 +37,7 @@ def begin(store: Store, notes: list[str] | None = None) -> RunCheckpoints:
     return RunCheckpoints(store, NAME, 15.0, notes.append)
 
 
-def tell(run_checkpoints: RunCheckpoints, step: int, at_once: bool = False) -> None:
+def update(run_checkpoints: RunCheckpoints, step: int, at_once: bool = False) -> None:
     run_checkpoints.update(Progress(step, Records(), lambda: Checkpoint(step, {})), Attempt(), at_once)
 
 
@@ -47,12 +47,12 @@ def steps(store: Store) -> list[int]:
 
 def test_a_checkpoint_is_taken_when_it_is_time_and_two_are_kept(store: Store, clock: _Clock) -> None:
     run_checkpoints = begin(store)
-    tell(run_checkpoints, 256)
+    update(run_checkpoints, 256)
     assert steps(store) == []
-    tell(run_checkpoints, 256, at_once=True)
+    update(run_checkpoints, 256, at_once=True)
     for step in (512, 768, 1024):
         clock.now += 15.0
-        tell(run_checkpoints, step)
+        update(run_checkpoints, step)
     assert steps(store) == [1024, 768]
     run_checkpoints.finish()
     assert not (store.run_folder(NAME) / "checkpoints").exists()
@@ -71,13 +71,13 @@ def test_what_takes_long_to_write_is_written_less_often(
     run_checkpoints = begin(store)
     for seconds, step in ((15.0, 256), (79.0, 512), (1.0, 768)):
         clock.now += seconds
-        tell(run_checkpoints, step)
+        update(run_checkpoints, step)
     assert steps(store) == [768, 256]
 
 
-def test_a_damaged_checkpoint_is_said_and_the_one_before_is_taken(store: Store) -> None:
+def test_a_damaged_checkpoint_is_reported_and_the_one_before_is_used(store: Store) -> None:
     for step in (256, 512):
-        tell(begin(store), step, at_once=True)
+        update(begin(store), step, at_once=True)
     path = checkpoint_files(store.run_folder(NAME))[0].path
     path.write_bytes(path.read_bytes()[:-1])
     notes: list[str] = []
@@ -85,7 +85,7 @@ def test_a_damaged_checkpoint_is_said_and_the_one_before_is_taken(store: Store) 
     assert checkpoint is not None and checkpoint.step == 256
     assert notes == ["the checkpoint at step 512 is damaged: going on from the one before"]
     checkpoint_files(store.run_folder(NAME))[0].path.write_bytes(b"")
-    assert begin(store).latest() is None  # it starts anew
+    assert begin(store).latest() is None
     assert steps(store) == []
 
 
@@ -93,7 +93,7 @@ def test_attempts_before_a_kill_come_with_the_checkpoint(store: Store) -> None:
     for step in (256, 512):
         run_checkpoints = begin(store)
         run_checkpoints.latest()
-        tell(run_checkpoints, step, at_once=True)
+        update(run_checkpoints, step, at_once=True)
     run_checkpoints = begin(store)
     run_checkpoints.latest()
     assert [attempt["step"] for attempt in run_checkpoints.attempts] == [256, 512]

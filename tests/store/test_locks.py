@@ -23,11 +23,11 @@ def test_one_holder_at_a_time(tmp_path: Path) -> None:
         assert again
 
 
-def test_who_only_looks_keeps_nobody_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_only_looks_excludes_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As `study status` does, again and again, while a run's end is to be stored."""
     (tmp_path / ".lock").touch()
     looking = os.open(tmp_path / ".lock", os.O_RDONLY)
     fcntl.flock(looking, fcntl.LOCK_SH)
-    monkeypatch.setattr(time, "sleep", lambda seconds: os.close(looking))  # it has seen what it wanted
+    monkeypatch.setattr(time, "sleep", lambda seconds: os.close(looking))
     with run_lock(tmp_path) as mine:
         assert mine

@@ -40,8 +40,8 @@ def test_a_file_is_written_whole_with_the_usual_permissions(tmp_path: Path) -> N
     write_whole(path, to_json({"a": [1, None]}))
     assert path.read_bytes() == b'{\n  "a": [\n    1,\n    null\n  ]\n}\n'
     assert os.listdir(tmp_path) == ["file"]
-    (tmp_path / "beside").touch()
-    assert path.stat().st_mode == (tmp_path / "beside").stat().st_mode
+    (tmp_path / "other").touch()
+    assert path.stat().st_mode == (tmp_path / "other").stat().st_mode
 
 
 @pytest.mark.parametrize("step", ["fsync", "replace"])

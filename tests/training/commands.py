@@ -1,4 +1,4 @@
-"""Commands that people type, as processes of their own on a study in trouble; none outlives its test."""
+"""Commands that people type, as processes of their own; none outlives its test."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def write_study(folder: Path, steps: int = 256, seeds: int = 1, settings: str = 
 
 
 def begin(folder: Path, study: Path, *options: str) -> subprocess.Popen[str]:
-    """Start `study run` in `folder`, with its results beside the study."""
+    """Start `study run` in `folder`, with its results there."""
     command = [sys.executable, "-m", "pneuma", "study", "run", str(study), "--results", "results", "--json"]
     process = subprocess.Popen(
         [*command, "--checkpoint-seconds", "0.1", *options],
@@ -53,7 +53,7 @@ def hold(folder: Path) -> str:
 
 
 def end_commands() -> None:
-    """End what a failed test began: it would train for ever."""
+    """End the commands that a failed test left."""
     while RUNNING:
         process = RUNNING.pop()
         process.kill()
@@ -68,15 +68,12 @@ def wait_until(true: Callable[[], object], seconds: float = 60.0) -> None:
 
 
 def outcome(results: Path) -> dict[str, bytes]:
-    """Return every file of all runs but what tells of machines and time; of a row, its numbers."""
-    told = ("provenance.json", "status.json")
-    files = {str(path.relative_to(results)): path for path in (results / "runs").rglob("*") if path.is_file()}
-    return {name: same_bytes(path) for name, path in files.items() if path.name not in told}
-
-
-def same_bytes(path: Path) -> bytes:
-    """Return what a run's file holds; of a row without its provenance, which tells of machines and time."""
-    data = path.read_bytes()
-    if path.name != ROW_FILE:
-        return data
-    return repr(decode_row(data).table.drop_columns(["provenance"]).to_pydict()).encode()
+    """Return the contents of every file of all runs, without provenance, which differs between machines."""
+    contents_by_file = {}
+    for path in (results / "runs").rglob("*"):
+        if path.is_file() and path.name not in ("provenance.json", "status.json"):
+            contents = path.read_bytes()
+            if path.name == ROW_FILE:
+                contents = repr(decode_row(contents).table.drop_columns(["provenance"]).to_pydict()).encode()
+            contents_by_file[str(path.relative_to(results))] = contents
+    return contents_by_file

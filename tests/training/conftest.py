@@ -1,4 +1,4 @@
-"""What all tests of studies share."""
+"""What tests of training share."""
 
 from __future__ import annotations
 
@@ -11,6 +11,6 @@ from .commands import end_commands
 
 @pytest.fixture(autouse=True)
 def no_command_is_left() -> Iterator[None]:
-    """End what a failed test began."""
+    """End the commands that a failed test left."""
     yield
     end_commands()

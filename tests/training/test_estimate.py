@@ -29,13 +29,13 @@ XEON = {"cpu": "Intel Xeon", "device": "cpu"}
 
 def save(store: Store, run: Run, step: int, seconds: float, *machines: dict[str, Any]) -> None:
     """Store a run that took so long for its steps, on the last of some machines."""
-    attempts = [{"machine": each, "step": step} for each in machines]
+    attempts = [{"machine": run_machine, "step": step} for run_machine in machines]
     about = {"wall_seconds": seconds + 9, "training_seconds": seconds, **machines[-1], "attempts": attempts}
     save_run(store, run_id(run), [], [], [], step, fields=as_fields(run), **about)
 
 
 def test_a_run_like_those_that_ended_takes_as_long_on_such_a_processor(tmp_path: Path) -> None:
-    """Runs of another processor, or of two, tell nothing. A pace is of the steps that were trained."""
+    """Runs of another processor, or of two, do not count. A pace is of the steps that were trained."""
     store = Store(tmp_path)
     save(store, replace(RUN, seed=1), 2560, 2560 * 0.004, XEON)
     save(store, replace(RUN, seed=2), 2560, 2560 * 0.9, HERE, XEON)
@@ -48,7 +48,9 @@ def test_a_run_like_those_that_ended_takes_as_long_on_such_a_processor(tmp_path:
 # --- What produced a run ---------------------------------------------------------------------------
 
 
-def test_a_study_is_told_with_its_commit_and_a_run_with_the_packages_of_its_modules(tmp_path: Path) -> None:
+def test_a_study_has_its_commit_and_a_run_the_packages_of_its_modules(
+    tmp_path: Path,
+) -> None:
     study = tmp_path / "within" / "mine.toml"
     study.parent.mkdir()
     study.touch()
@@ -73,7 +75,7 @@ def test_a_study_is_told_with_its_commit_and_a_run_with_the_packages_of_its_modu
 # --- Every attempt keeps its machine -----------------------------------------
 
 
-def test_every_attempt_keeps_its_machine_and_the_last_ones_is_told_first() -> None:
+def test_every_attempt_keeps_its_machine_and_the_last_one_stands_first() -> None:
     elsewhere = {**machine(), "cpu": "abacus", "commit": "0" * 40}
     began = "2026-01-01T00:00:00+00:00"
     last = Attempt(512).so_far(1024)
@@ -93,7 +95,7 @@ def test_training_is_timed_at_the_pace_after_the_first_update(monkeypatch: pytes
     attempt = Attempt(600)
     clock[0] += 22
     attempt.update(700)
-    assert attempt.so_far(700)["training_seconds"] == 22  # nothing tells them apart yet
+    assert attempt.so_far(700)["training_seconds"] == 22  # compiling and training are not separable yet
     clock[0] += 6
     attempt.update(1000)
     so_far = attempt.so_far(1000)

@@ -59,7 +59,7 @@ def test_a_log_has_the_tags_of_sb3_and_cleanrl_and_the_runs_the_same_bits(tmp_pa
     assert again.conditions == ["relu", "tanh"]
 
 
-def test_a_log_that_cannot_be_written_is_told_before_training(tmp_path: Path) -> None:
+def test_a_log_that_cannot_be_written_is_reported_before_training(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     study, at = tmp_path / "mine.toml", ("--results", tmp_path / "results", "--tensorboard")
     for condition, logs in (("c" * 256, "logs"), ("c", "file")):
@@ -72,7 +72,7 @@ def test_a_log_that_cannot_be_written_is_told_before_training(tmp_path: Path) ->
 
 def _activation(store: Store, name: str) -> object:
     fields = store.read_document(name, "run.json").get("run", {})
-    return fields.get("activation") if "seed" in fields else None  # imported logs tell neither
+    return fields.get("activation") if "seed" in fields else None  # imported logs have neither
 
 
 def test_a_log_that_goes_on_after_a_kill_has_every_point_once(tmp_path: Path) -> None:

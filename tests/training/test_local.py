@@ -1,4 +1,4 @@
-"""Supervision of workers, some of which are no workers at all, and how signals are counted."""
+"""Supervision of workers, which a shell's script replaces in some tests, and how signals are counted."""
 
 from __future__ import annotations
 
@@ -45,19 +45,19 @@ def test_what_a_users_own_code_raised_is_not_trained_again(
 ) -> None:
     about = {"event": "end", "run_id": run_id(RUN), "status": "crashed", "step": 0, "trained": True}
     line = json.dumps({**about, "reason": "by the corridor", "final": final})
-    no_worker(tmp_path, monkeypatch, f"echo x >> {tmp_path}/begun\necho '{line}'\nexit 1")
+    no_worker(tmp_path, monkeypatch, f"echo x >> {tmp_path}/started\necho '{line}'\nexit 1")
     *notes, end = train({run_id(RUN): RUN}, tmp_path)
     assert end["reason"] == "by the corridor" and len(notes) == (0 if final else 1)
-    assert len((tmp_path / "begun").read_text().splitlines()) == len(notes) + 1
+    assert len((tmp_path / "started").read_text().splitlines()) == len(notes) + 1
 
 
 def test_after_a_full_disk_no_further_run_begins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     about = {"event": "end", "run_id": run_id(RUN), "status": "stopped", "step": 0, "trained": True}
     line = json.dumps({**about, "reason": "row.arrow: cannot be written (No space left)", "storage": True})
-    no_worker(tmp_path, monkeypatch, f"echo x >> {tmp_path}/begun\necho '{line}'\nexit 1")
+    no_worker(tmp_path, monkeypatch, f"echo x >> {tmp_path}/started\necho '{line}'\nexit 1")
     with pytest.raises(StorageError, match="row.arrow: cannot be written"):
         train(TWO, tmp_path)
-    assert (tmp_path / "begun").read_text() == "x\n"
+    assert (tmp_path / "started").read_text() == "x\n"
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_xla_reads_every_one_of_its_flags(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize(("nohup", "counted"), [(False, 1), (True, 0)])
-def test_a_closed_terminal_is_one_interrupt_however_often_it_is_told(nohup: bool, counted: int) -> None:
+def test_a_closed_terminal_is_one_interrupt_however_often_its_signal_comes(nohup: bool, counted: int) -> None:
     handler = signal.SIG_IGN if nohup else signal.SIG_DFL
     before = signal.signal(signal.SIGHUP, handler)
     try:

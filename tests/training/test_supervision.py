@@ -33,16 +33,16 @@ def test_after_ctrl_c_every_run_comes_to_a_checkpoint(tmp_path: Path) -> None:
     for worker in children(process.pid):
         os.kill(worker, signal.SIGTERM)  # as a shutdown or a queue does; only the parent decides
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=240)  # of which a busy machine compiles most
+    out, err = process.communicate(timeout=240)  # a busy machine compiles for minutes
     assert process.returncode == 130
     assert (
         err.count("Stopping after this step. Press Ctrl-C again to stop at once.") == 1
         and "The same command goes on where every run was stopped" in err
     )
-    begun = len(checkpoints(tmp_path))  # on a busy machine one may not have come to its first update
+    count = len(checkpoints(tmp_path))  # on a busy machine one run may not have reached its first update
     store = Store(tmp_path / "results")
     states = sorted(store.status(name).name for name in store.runs())
-    assert begun >= 1 and states == ["partial"] * begun + ["planned"] * (2 - begun)
+    assert count >= 1 and states == ["partial"] * count + ["planned"] * (2 - count)
     rows = json.loads(out)["runs"]
     assert sorted(row["status"] for row in rows) == states and not any(row["trained"] for row in rows)
 
@@ -55,10 +55,10 @@ def test_ctrl_c_twice_ends_all_at_once(tmp_path: Path) -> None:
     process.send_signal(signal.SIGINT)
     time.sleep(0.2)
     process.send_signal(signal.SIGINT)
-    begun = time.monotonic()
+    start = time.monotonic()
     process.communicate(timeout=60)
     assert process.returncode == 130
-    assert time.monotonic() - begun < 10  # the update alone takes longer
+    assert time.monotonic() - start < 10  # the update alone takes longer
     assert wait_for_end(workers) < 10
 
 

@@ -103,7 +103,7 @@ def test_an_engine_that_breaks_is_a_crash_of_the_run_that_it_was_training(
 def test_a_full_disk_stops_the_run_and_those_after_it_and_makes_none_a_crash(
     breaks: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At its last write, or where the engine's crash is to be stored, which leaves room for no more."""
+    """At its last write, or when the engine's crash is stored."""
 
     def fail(descriptor: int) -> NoReturn:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -127,7 +127,7 @@ def test_a_machine_without_tensorboard_trains_all_the_same(
     assert is_sound and store.status(FIRST) == Status("done", 512)
 
 
-def test_a_worker_leaves_within_seconds_when_its_parent_does(tmp_path: Path) -> None:
+def test_a_worker_ends_within_seconds_after_its_parent(tmp_path: Path) -> None:
     run = make_run({"steps": 10**9})
     job = Job({run_id(run): run}, Store(tmp_path), HERE)
     process = subprocess.Popen(
