@@ -57,7 +57,7 @@ CONDITION = "condition"
 MISPLACED = {
     "seed": "use a preset (seeds)",
     "steps": "use a preset (steps)",
-    "outcomes": "it stands above [run], at the top of the file",
+    "outcomes": "it belongs above [run], at the top of the file",
 }
 """Keys that are not for a table of a run's fields, and what to do instead."""
 
@@ -85,10 +85,8 @@ def _named_values(factors: Any) -> Any:
     return values_by_factor
 
 
-def _read_fields(run_table: Any) -> Any:
+def _read_fields(run_table: dict[str, Any]) -> dict[str, Any]:
     """Read a table of a run's fields, by the names of Stable-Baselines3 too; return them by Pneuma's."""
-    if not isinstance(run_table, Mapping):
-        return run_table
     try:
         fields, keys_by_field = fields_and_keys(run_table)
     except UserError as error:
@@ -117,11 +115,9 @@ Name = Annotated[str, matching(r"(?!_)(?s:.*\S.*)", "a name that is not blank an
 """The name of a condition or a value. Names that begin with _ have a meaning to matplotlib."""
 PresetName = Annotated[
     str,
-    matching(
-        r"(?!(last|claims)$)[a-z][\w-]*", "a name of small letters, digits, - and _, but last or claims"
-    ),
+    matching(r"(?!(last|claims)$)[a-z][\w-]*", "small letters, digits, - and _, except last and claims"),
 ]
-Fields = Annotated[dict[str, Any], BeforeValidator(_read_fields)]
+Fields = Annotated[dict[str, Any], AfterValidator(_read_fields)]
 Seeds = Annotated[tuple[int, ...], Reads(read_seeds, SEEDS_ALLOWED)]
 
 

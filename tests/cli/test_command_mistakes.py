@@ -91,7 +91,7 @@ def test_an_outcome_that_runs_cannot_have_is_refused_with_its_line(here: Path) -
     assert "cartpole.toml, line 2: outcomes: unknown outcome of CartPole-v1 'final-share-killed'" in message
     (here / "cartpole.toml").write_text(CARTPOLE.format(above="", below=outcomes))
     message = refused("study", "run", "cartpole.toml")
-    assert "line 5: [run] outcomes is not allowed here: it stands above [run]" in message
+    assert "line 5: [run] outcomes is not allowed here: it belongs above [run]" in message
 
 
 def test_of_an_endless_message_both_ends_are_printed(here: Path) -> None:
