@@ -1,4 +1,4 @@
-"""What tests of several folders share: a results folder, and training in this process."""
+"""Fixtures of several folders: a results folder, and training in this process."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if "PYTHONPYCACHEPREFIX" in os.environ:  # as workers, commands that tests start
 
 @pytest.fixture(scope="session", autouse=True)
 def _folders_of_learners(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Stable-Baselines3's own learners leave an empty folder each in the system's: here, in the tests'."""
+    """Stable-Baselines3's own learners leave empty folders: here, in the tests' folder."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SB3_LOGDIR", str(tmp_path_factory.mktemp("learners")))
         yield

@@ -23,18 +23,18 @@ from pneuma.study.plan import Query
 BUDGET = 10_000
 HORIZON = 100
 """Of runs by `save_collapse`."""
-SOUND = 1.2, 0.3, 0.1
-"""Entropy, share of the most frequent action and share of dead units of a policy in health."""
-GONE = 0.001, 1.0, 0.8
+HEALTHY = 1.2, 0.3, 0.1
+"""Entropy, share of the most frequent action and share of dead units of a healthy policy."""
+COLLAPSED = 0.001, 1.0, 0.8
 
 Rows = Iterable[Mapping[str, Any]]
 Cells = Mapping[tuple[str, int], str]
 """The ids of a study's runs, by condition and seed."""
 Fields = Mapping[str, Any]
 FIELDS = {"env": "pneuma/Pneuma-v0", "slots": 1, "steps": 1000}
-"""What a run's configuration says, unless its test says more."""
+"""The fields of a run, unless its test sets others."""
 
-_USUAL: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+_DEFAULTS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "episodes": (
         EPISODE_COLUMNS,
         {"slot": 0, "episode": 0, "length": 50, "kills": 1, "hp": 0.0, "ending": "killed"},
@@ -45,7 +45,7 @@ _USUAL: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
         {**dict.fromkeys(EVALUATION_COLUMNS, 0.0), "episodes": 50, "argmax_starts": 6},
     ),
 }
-"""Columns of each table, and what a row has in those that it does not tell."""
+"""Columns of each table, and defaults of its rows."""
 
 
 def save_run(
@@ -61,12 +61,15 @@ def save_run(
     policy_files: Mapping[str, bytes] = {},
     **provenance: object,
 ) -> None:
-    """Store a run of rows, each of which tells its step and what is not usual; none after the end."""
+    """Store a run of rows, each with its step and what differs from the defaults; none after the end."""
     files = dict(policy_files)
-    for (name, (columns, usual)), rows in zip(_USUAL.items(), (episodes, updates, evaluations), strict=True):
-        told = [{**usual, **row} for row in rows if row["step"] <= end]
-        every = dict.fromkeys((*columns, *(key for row in told for key in row)))
-        files[f"{name}.parquet"] = to_parquet(told, tuple(every))
+    tables = (episodes, updates, evaluations)
+    for (name, (columns, defaults)), rows in zip(_DEFAULTS.items(), tables, strict=True):
+        table_rows = [{**defaults, **row} for row in rows if row["step"] <= end]
+        table_columns = dict.fromkeys(columns)
+        for row in table_rows:
+            table_columns.update(row)
+        files[f"{name}.parquet"] = to_parquet(table_rows, tuple(table_columns))
     run = {**FIELDS, **(fields or {})}
     files["run.json"] = to_json({"run_id": run_id, "run": run})
     files["provenance.json"] = to_json({"wall_seconds": 8.0, "python": "3.11", **provenance})
@@ -135,14 +138,14 @@ def learning(best: float = 0.6) -> np.ndarray:
 
 
 def healthy() -> np.ndarray:
-    """Return the updates of a policy in health, (100, 3)."""
-    return np.tile(SOUND, (100, 1))
+    """Return the updates of a healthy policy, (100, 3)."""
+    return np.tile(HEALTHY, (100, 1))
 
 
 def one_action(first: int, last: int = 100) -> np.ndarray:
     """Return updates with a policy of one action from one update to another, both counted, (100, 3)."""
     updates = healthy()
-    updates[first - 1 : last] = GONE
+    updates[first - 1 : last] = COLLAPSED
     return updates
 
 

@@ -1,4 +1,4 @@
-"""How fast rules, engines and start are, beside plain Stable-Baselines3: `python -m tests.speed [--json]`.
+"""How fast rules, engines and start are, compared with plain Stable-Baselines3: `python -m tests.speed`.
 
 Ratios are medians over rounds in which both sides take turns, of processor time, so that other programs
 disturb them little. `docs/engines.md` has the table of one processor.
@@ -6,7 +6,6 @@ disturb them little. `docs/engines.md` has the table of one processor.
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -14,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -50,14 +50,10 @@ Row = tuple[str, float, str]
 
 
 def main() -> None:
-    """Measure all cases and print them as a table, or as JSON."""
+    """Measure all cases and print them as a table."""
     torch.set_num_threads(1)
-    rows = [*rules(), *training(), *update(), *starts()]
-    if "--json" in sys.argv:
-        print(json.dumps({"processor": machine()["cpu"], "rows": rows}, indent=2))
-        return
     print(machine()["cpu"])
-    for case, value, unit in rows:
+    for case, value, unit in chain(rules(), training(), update(), starts()):
         print(f"{case:58} {value:12,.2f} {unit}")
 
 
@@ -65,11 +61,11 @@ def alternated(*works: Callable[[], object]) -> list[list[float]]:
     """Return the processor seconds of each work in each round; a round before compiles and fills caches."""
     seconds: list[list[float]] = [[] for _ in works]
     for _ in range(ROUNDS + 1):
-        for work, own in zip(works, seconds, strict=True):
-            begun = time.process_time()
+        for work, work_seconds in zip(works, seconds, strict=True):
+            begin = time.process_time()
             work()
-            own.append(time.process_time() - begun)
-    return [own[1:] for own in seconds]
+            work_seconds.append(time.process_time() - begin)
+    return [work_seconds[1:] for work_seconds in seconds]
 
 
 # --- Rules and Gymnasium ---------------------------------------------------------------------------
@@ -108,7 +104,7 @@ def single() -> None:
             env.reset()
 
 
-# --- Training beside Stable-Baselines3 alone -------------------------------------------------------
+# --- Training and Stable-Baselines3 alone ---------------------------------------------------------
 
 
 def training() -> Iterator[Row]:
@@ -131,14 +127,14 @@ def training() -> Iterator[Row]:
 
 def whole_run(run: Run, shares: list[float]) -> None:
     """Train a run, and note which share of its time its evaluations took."""
-    begun, evaluating = time.perf_counter(), [0.0]
+    begin, evaluating = time.perf_counter(), [0.0]
 
     def note(progress: Progress) -> bool:
         evaluating.append(progress.evaluation_seconds)
         return True
 
     train_run(run, note)
-    shares.append(evaluating[-1] / (time.perf_counter() - begun))
+    shares.append(evaluating[-1] / (time.perf_counter() - begin))
 
 
 def stable_baselines3(run: Run) -> Callable[[], object]:

@@ -1,8 +1,8 @@
-"""Training in this process, for tests of what is made of runs and not of how processes are supervised.
+"""Training in this process, for tests of runs' results, not of the supervision of processes.
 
-A worker of its own costs seconds before its first step: libraries are imported and programs compiled anew.
-What is here does as `training.executors.local` does, with the worker's own code, but for processes, signals
-and second tries. `training/test_execute.py` and `training/test_supervision.py` have the real ones.
+A worker needs seconds before its first step, as it imports libraries and compiles. This does as
+`training.executors.local` does, with the worker's own code, except for processes, signals and second tries.
+`training/test_execute.py` and `training/test_supervision.py` test the real ones.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pneuma.training.executors.base import Job, OnEvent
 from pneuma.training.worker import Worker
 
 
-class _Told(io.StringIO):
+class _EventStream(io.StringIO):
     """Takes a worker's lines and hands on their events."""
 
     def __init__(self, on_event: OnEvent) -> None:
@@ -34,7 +34,7 @@ class _Told(io.StringIO):
 
 
 def _train_runs(job: Job, on_event: OnEvent) -> None:
-    Worker(_Told(on_event), threading.Event()).train(replace(job, last_try=True))
+    Worker(_EventStream(on_event), threading.Event()).train(replace(job, last_try=True))
 
 
 @contextmanager

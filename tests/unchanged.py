@@ -42,24 +42,22 @@ CONTRAST = (
 """What a verdict comes from, of each of its contrasts."""
 PUBLISHED = Path(__file__).parents[1] / "results" / "published"
 NOWHERE = Path(__file__).with_name("no-results")
-"""A results folder that is not there: only published tables are read."""
+"""A results folder that does not exist: only published tables are read."""
 
 
 def compare() -> int:
     """Compare with the record, or write it; return 1 where anything differs."""
-    found = {"run ids": _run_ids(), "rows": _rows(), "tables": _tables(), "verdicts": _verdicts()}
+    current = {"run ids": _run_ids(), "rows": _rows(), "tables": _tables(), "verdicts": _verdicts()}
     if "--record" in sys.argv:
-        RECORD.write_text(json.dumps(found, indent=1) + "\n")
+        RECORD.write_text(json.dumps(current, indent=1) + "\n")
         return 0
-    known = json.loads(RECORD.read_text())
-    wrong = [
-        f"{kind}: {name}"
-        for kind in known
-        for name in {**known[kind], **found[kind]}
-        if known[kind].get(name) != found[kind].get(name)
-    ]
-    print("\n".join(wrong) or "unchanged")
-    return 1 if wrong else 0
+    changes = []
+    for kind, recorded in json.loads(RECORD.read_text()).items():
+        for name in recorded | current[kind]:
+            if recorded.get(name) != current[kind].get(name):
+                changes.append(f"{kind}: {name}")
+    print("\n".join(changes) or "unchanged")
+    return 1 if changes else 0
 
 
 def _run_ids() -> dict[str, str]:
@@ -69,8 +67,8 @@ def _run_ids() -> dict[str, str]:
             study = load_study(name, world)
             for suffix, settings in _with_slots(study):
                 runs = configure(study, settings).runs
-                of_conditions = {name: [config_id(run), run_id(run)] for name, run in sorted(runs.items())}
-                ids[f"{name} {world}{suffix}"] = _digest(json.dumps(of_conditions))
+                ids_by_condition = {name: [config_id(run), run_id(run)] for name, run in sorted(runs.items())}
+                ids[f"{name} {world}{suffix}"] = _digest(json.dumps(ids_by_condition))
     return dict(sorted(ids.items()))
 
 
@@ -91,8 +89,8 @@ def _rows() -> dict[str, str]:
 
 
 def _tables() -> dict[str, str]:
-    """Digest what readers make of the published preset of each study."""
-    found, store = {}, Store(NOWHERE)
+    """Digest the tables that are exported from the published preset of each study."""
+    digests, store = {}, Store(NOWHERE)
     index = RunIndex(store)
     for name, published in index.tables.items():
         about = published.about
@@ -104,19 +102,19 @@ def _tables() -> dict[str, str]:
         for table in TABLES:
             try:
                 encoded = encode_frame(export_records(data, table, store).table, "csv")
-                found[f"{name} {table}"] = _digest(encoded.decode())
+                digests[f"{name} {table}"] = _digest(encoded.decode())
             except UserError:
-                found[f"{name} {table}"] = "refused"
-    return found
+                digests[f"{name} {table}"] = "refused"
+    return digests
 
 
 def _verdicts() -> dict[str, str]:
     """Return each verdict on the published tables, and a digest of the numbers that it comes from."""
     with TemporaryDirectory() as folder:
         shutil.copytree(PUBLISHED, Path(folder) / "published")
-        told = described("study", "verify", "--json", "--results", folder)
+        document = described("study", "verify", "--json", "--results", folder)
     verdicts = {}
-    for verdict in told["claims"]:
+    for verdict in document["claims"]:
         tested = [row for row in verdict["contrasts"] if row["effect"] is not None]
         numbers = [[row[key] for key in CONTRAST] for row in tested]
         words = f"{verdict['verdict']} {_digest(json.dumps(numbers))}"

@@ -28,7 +28,7 @@ class Page(HTMLParser):
         self.feed(source.decode())
         self.close()
         assert self._open == []
-        self.anchors = [each.attributes["id"] for each in self.elements if "id" in each.attributes]
+        self.anchors = [element.attributes["id"] for element in self.elements if "id" in element.attributes]
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         element = Element(tag, {key: value or "" for key, value in attrs})
@@ -45,8 +45,10 @@ class Page(HTMLParser):
             element.text += data
 
     def all(self, tag: str, css_class: str = "") -> list[Element]:
-        """Return the elements of a kind, of a class if one is given."""
-        found = [each for each in self.elements if each.tag == tag]
-        return [
-            each for each in found if not css_class or css_class in each.attributes.get("class", "").split()
-        ]
+        """Return the elements with a tag, and with a class if one is given."""
+        elements = []
+        for element in self.elements:
+            classes = element.attributes.get("class", "").split()
+            if element.tag == tag and (not css_class or css_class in classes):
+                elements.append(element)
+        return elements
