@@ -157,6 +157,8 @@ def _read_table(table_path: Path, text_lines: Sequence[str], first_row: int) -> 
     """Return the numbers in lines of a CSV file, (rows, columns); its rows are counted from `first_row`."""
     rows: list[list[float]] = []
     for row_number, text_line in enumerate(text_lines, start=first_row):
+        if not text_line.strip():
+            continue
         try:
             rows.append([float(cell) for cell in text_line.split(",")])
         except ValueError as error:

@@ -76,7 +76,7 @@ def write_folder(folder: Path, **files: str) -> Path:
 
 def test_a_header_says_where_the_land_ends_and_any_obstacle_blocks(tmp_path: Path) -> None:
     header = 'title = "Other"\ncoast = [0, 2]\norigin = [1, 0.5]\ntile = 80\n'
-    obstacles, ground = "-1,-1,-1,-1\n-1,-1,-1,-1\n7,-1,-1,0\n", "1,1,1,1\n1,1,1,1\n0,2,1,1\n"
+    obstacles, ground = "-1,-1,-1,-1\n-1,-1,-1,-1\n7,-1,-1,0\n\n", "1,1,1,1\n1,1,1,1\n0,2,1,1\n"
     level = load_level(str(write_folder(tmp_path, level=header, obstacles=obstacles, ground=ground)), CODES)
     assert (level.title, level.left, level.top) == ("Other", -80.0, -40.0)
     assert level.terrain[2].tolist() == [COAST, COAST, rules.OPEN, SOLID]
