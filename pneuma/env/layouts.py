@@ -72,10 +72,10 @@ def _fill_perceived(worlds: Worlds, settings: Any) -> None:
         angles = 2 * np.pi * np.arange(rays) / rays
         settings["ray_x"][:rays] = np.round(np.cos(angles), 12)  # rounding makes them equal on all machines
         settings["ray_y"][:rays] = np.round(np.sin(angles), 12)
-    monster_kinds = sorted({monster.name for level in worlds.levels for monster in level.monsters})
-    settings["monster_kinds"] = len(monster_kinds)
+    species = sorted({monster.name for level in worlds.levels for monster in level.monsters})
+    settings["species_count"] = len(species)
     for level_stats, level in zip(worlds.monster_stats, worlds.levels, strict=True):
-        level_stats["kind"] = [monster_kinds.index(monster.name) for monster in level.monsters]
+        level_stats["species"] = [species.index(monster.name) for monster in level.monsters]
 
 
 def _max_by_level(numbers: np.ndarray) -> float:
@@ -118,7 +118,7 @@ def observation_space(worlds: Worlds, player_stats: Any) -> spaces.Box:
     if config.observe_facing:
         bounds += [FLAG] * 4
     ray: list[Bounds] = [(0.0, diagonal * settings["ray_scale"])] + [FLAG] * (
-        2 + int(settings["monster_kinds"])
+        2 + int(settings["species_count"])
     )
     bounds += monster_bounds * int(settings["perceived"]) + ray * int(settings["rays"])
     limits = np.array(bounds)

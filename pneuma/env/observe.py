@@ -174,24 +174,24 @@ def _write_rays(world: World, player_index: int, observation: Array, column: int
         ray_x = settings.ray_x[ray_index]
         ray_y = settings.ray_y[ray_index]
         nearest = math.inf
-        kind = 0  # terrain
+        category = 0  # terrain
         for body_index in range(len(world.boxes)):
             box = world.boxes[body_index]
             if body_index != monsters + player_index and box.alive:
                 distance = _distance_to_body(box, player.x, player.y, ray_x, ray_y)
                 if distance < nearest:
                     nearest = distance
-                    kind = 1  # another player
+                    category = 1  # another player
                     if body_index < monsters:
-                        kind = 2 + world.monster_stats[body_index].kind
+                        category = 2 + world.monster_stats[body_index].species
         distance = _distance_to_terrain(world, player.x, player.y, ray_x, ray_y)
         if distance < nearest:
             nearest = distance
-            kind = 0
+            category = 0
         observation[column] = nearest * settings.ray_scale
-        for possible_kind in range(2 + settings.monster_kinds):
-            observation[column + 1 + possible_kind] = possible_kind == kind
-        column += 3 + settings.monster_kinds
+        for possible_category in range(2 + settings.species_count):
+            observation[column + 1 + possible_category] = possible_category == category
+        column += 3 + settings.species_count
     return column
 
 

@@ -172,7 +172,7 @@ class _MonsterStats(_Body):
     xp: float64  # for the kill
     heal: float64
     reach_squared: float64  # beyond this distance nothing can happen to it within one step
-    kind: int32  # number of its kind, among those that rays distinguish
+    species: int32  # number of its species, among those that rays distinguish
     hp_scale: float64  # of an observation
     distance_scale: float64
     xp_scale: float64
@@ -208,7 +208,7 @@ class _Settings:
     scale_y: float64
     xp_scale: float64
     rays: int32  # that a player sees by
-    monster_kinds: int32  # that they distinguish
+    species_count: int32  # that they distinguish
     ray_scale: float64  # of distances along them
     ray_x: Annotated[float64, MAX_RAYS]  # their directions, of length 1
     ray_y: Annotated[float64, MAX_RAYS]

@@ -125,23 +125,25 @@ def _look_around(world: Oracle, player: Player) -> list[float]:
         ends.append(
             (_terrain(world.ground, (player.x, player.y), ray, world.rulebook.closed_to_players), TERRAIN)
         )
-        distance, kind = min(ends, key=lambda end: end[0])  # of equals the first
+        distance, category = min(ends, key=lambda end: end[0])  # of equals the first
         numbers.append(distance * settings.ray_scale)
-        numbers += [float(number == kind) for number in range(MONSTERS + settings.monster_kinds)]
+        numbers += [float(number == category) for number in range(MONSTERS + settings.species_count)]
     return numbers
 
 
 def _ends_at_bodies(world: Oracle, player: Player, ray: Pair) -> list[tuple[float, int]]:
     """Return how far off each living body is entered, and what it is; one that is only touched is not."""
-    boxes = [(monster.box, MONSTERS + monster.stats.kind) for monster in world.monsters if monster.hp > 0.0]
+    boxes = [
+        (monster.box, MONSTERS + monster.stats.species) for monster in world.monsters if monster.hp > 0.0
+    ]
     boxes += [(mate.box, PLAYER) for mate in world.players if mate is not player and mate.hp > 0.0]
     ends = []
-    for (centre, half), kind in boxes:
+    for (centre, half), category in boxes:
         low = centre[0] - half[0], centre[1] - half[1]
         high = centre[0] + half[0], centre[1] + half[1]
         start, end, passes_by = _inside(low, high, (player.x, player.y), ray)
         if start < end and end > 0.0 and not passes_by:
-            ends.append((max(start, 0.0), kind))
+            ends.append((max(start, 0.0), category))
     return ends
 
 
