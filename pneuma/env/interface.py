@@ -71,13 +71,9 @@ class Interface:
             start: the index of a start place, None for the default one, or one of these for each world.
         """
         starts = self.worlds.default_starts.copy()
-        try:
-            for world, start_index in enumerate(np.broadcast_to(np.array(start, object), len(starts))):
-                if start_index is not None:
-                    starts[world] = operator.index(start_index)
-        except (TypeError, ValueError, OverflowError):
-            allowed = f"the index of a start place, or one for each of {len(starts)} worlds"
-            raise ValueError(f"start = {start!r}: must be {allowed}") from None
+        for world, start_index in enumerate(np.broadcast_to(np.array(start, object), len(starts))):
+            if start_index is not None:
+                starts[world] = operator.index(start_index)
         self.worlds.seed(seeds)
         self.worlds.reset(starts=starts)
         self.slots.has_begun = True
