@@ -43,22 +43,23 @@ LEVELS = 512
 
 
 def recorded_from_tables(fields: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> series.Recorded:
-    """Return what a run's record tables contain."""
+    """Return the records in a run's tables."""
+    episodes, updates = _sorted(tables["episodes.parquet"]), _sorted(tables["metrics.parquet"])
     quantities: dict[str, series.Series] = {}
-    first_step = math.inf
-    for table_name, columns in (("episodes", EPISODE_QUANTITIES), ("metrics", UPDATE_QUANTITIES)):
-        record_table = tables[f"{table_name}.parquet"]
-        record_table = record_table.take(np.argsort(record_table["step"].to_numpy(), kind="stable"))
+    for record_table, columns in ((episodes, EPISODE_QUANTITIES), (updates, UPDATE_QUANTITIES)):
         steps = record_table["step"].to_numpy().astype(float)
         for column in columns:
             if column in record_table.column_names:
                 quantities[column] = steps, record_table[column].to_numpy().astype(float)
-        if table_name == "episodes":
-            _, first_rows = np.unique(record_table["slot"].to_numpy(), return_index=True)
-            # with fewer, some slot has not finished an episode
-            if len(first_rows) == (fields.get("slots") or 0) * fields.get("players", 1) > 0:
-                first_step = steps[first_rows].max()
+    _, first_rows = np.unique(episodes["slot"].to_numpy(), return_index=True)
+    first_step = math.inf
+    if len(first_rows) == (fields.get("slots") or 0) * fields.get("players", 1) > 0:
+        first_step = float(episodes["step"].to_numpy()[first_rows].max())
     return series.Recorded(quantities, tables["evaluations.parquet"].to_pylist(), first_step)
+
+
+def _sorted(record_table: pa.Table) -> pa.Table:
+    return record_table.take(np.argsort(record_table["step"].to_numpy(), kind="stable"))
 
 
 # --- Of stored runs ----------------------------------------------------------------------------------
