@@ -131,12 +131,11 @@ def read_checkpoint(checkpoint_file: CheckpointFile) -> tuple[Checkpoint, list[d
         if checksum(encoded_checkpoint)[:16] != checkpoint_file.digest:
             return None
         checkpoint, metadata = decode(encoded_checkpoint)
-        attempts = metadata["history"]["attempts"]
+        if metadata["run_id"] != checkpoint_file.path.parent.parent.name:
+            return None
+        return checkpoint, metadata["history"]["attempts"]
     except Exception:  # untrusted bytes may raise any error
         return None
-    if metadata["run_id"] != checkpoint_file.path.parent.parent.name:
-        return None
-    return checkpoint, attempts
 
 
 def encode(checkpoint: Checkpoint, history: Mapping[str, Any], run_id: str) -> bytes:
@@ -170,10 +169,8 @@ def decode(encoded_checkpoint: bytes) -> tuple[Checkpoint, dict[str, Any]]:
         raise ValueError(f"a checkpoint of schema {metadata['schema']}")
     arrays = load(encoded_checkpoint)
     rows = {}
-    for table_name, columns in TABLES.items():
-        table = from_parquet(arrays[f"records/{table_name}"].tobytes())
-        value_columns = [column for column in VALUE_COLUMNS if column in table.column_names]
-        rows[table_name] = table.select(list(columns) + value_columns).to_pylist()
+    for table_name in TABLES:
+        rows[table_name] = from_parquet(arrays[f"records/{table_name}"].tobytes()).to_pylist()
     shaped_arrays = {name: arrays[name].reshape(shape) for name, shape in metadata["shapes"].items()}
     return Checkpoint(metadata["step"], shaped_arrays, dict(metadata["numbers"]), Records(**rows)), metadata
 
