@@ -34,13 +34,13 @@ def _seeds_of_text(seeds_text: str) -> int | list[int]:
     if "," not in seeds_text and ".." not in seeds_text:
         return int(seeds_text)
     seeds: list[int] = []
-    for range_text in seeds_text.split(","):
-        if range_text.strip():
-            first_seed, dots, last_seed = range_text.partition("..")
-            seed_range = range(int(first_seed), int(last_seed if dots else first_seed) + 1)
-            if len(seed_range) > MOST_SEEDS:
-                raise ValueError
-            seeds.extend(seed_range)
+    for range_text in filter(str.strip, seeds_text.split(",")):
+        first_text, dots, last_text = range_text.partition("..")
+        first_seed = int(first_text)
+        last_seed = int(last_text) if dots else first_seed
+        if len(seeds) + last_seed - first_seed >= MOST_SEEDS:
+            raise ValueError
+        seeds.extend(range(first_seed, last_seed + 1))
     return seeds
 
 

@@ -84,6 +84,7 @@ def _plan(path: str) -> None:
         (_plan, STUDY.format("", "".join(f"[conditions.c{number}]\n" for number in range(5000)))),
         (_plan, STUDY.format("", f"[factors]\ngamma = {[0.5 + number / 1e6 for number in range(20_000)]}\n")),
         (_plan, STUDY.replace("1\n", "10_000\n").format("", "[factors]\nepochs = [1, 2, 3, 4, 5, 6]\n")),
+        (_plan, STUDY.format("", "").replace("seeds = 1", f'seeds = "{"0..9999," * 50_000}"')),
         (load_search, SEARCH.format("step = 1e-320")),
         (load_claims, CLAIMS.format('preset = "quick"\nb = { a = 1 }')),
         (load_claims, CLAIMS.format('value = "none"')),

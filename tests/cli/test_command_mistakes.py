@@ -46,6 +46,7 @@ MISTAKES = {
     "study run collapse --set scale=raw": "--set scale: conditions of study collapse differ in it",
     f"{RUN} --address a:1": "--address requires --executor ray",
     f"{RUN} --seeds 0": "--seeds 0: must be a count",
+    f"{RUN} --seeds 0..{10**20}": "must be a count",
     f"{RUN} --preset claims": "pneuma/engines/ppo.py is not as committed (2 files",
     "study summary activation@last": "activation@last: was not run in",
     "study summary activation --world mars": "--world mars: must be one of",
