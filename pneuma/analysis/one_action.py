@@ -56,7 +56,9 @@ def time_in_one_action(study_data: StudyData, condition: str) -> Curve:
     shares_by_run: list[list[float]] = []
     for run in study_data.of_condition(condition):
         steps, actions = run.evaluation_points(COLUMN)
-        fifths = np.ceil(PARTS * steps / run.budget).clip(1, PARTS)
+        # an evaluation follows the update in which a share of the budget is reached
+        update_starts = steps - (run.update_steps or 1)
+        fifths = 1 + np.floor(PARTS * update_starts / run.budget).clip(0, PARTS - 1)
         share_by_fifth = pd.Series(actions > ONE_ACTION).groupby(fifths).mean()
         shares_by_run.append(share_by_fifth.reindex(range(1, PARTS + 1)).tolist())
     return Curve(condition, pd.DataFrame(np.transpose(shares_by_run), range(1, PARTS + 1)))
