@@ -29,7 +29,7 @@ def own_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def commit(folder: Path, rules: int = RULES) -> str:
     """Commit all files of a folder, and a judge with some rules; return the commit."""
-    (folder / "pneuma").mkdir(exist_ok=True)
+    (folder / "pneuma").mkdir(parents=True, exist_ok=True)
     (folder / "pneuma" / "judge.py").write_text(f"RULES = {rules}\n")
     return commit_all(folder)
 
@@ -95,6 +95,16 @@ def test_a_verdict_has_a_label(
     assert (verdict["label"], verdict["changed"]) == (label, changed)
     line = f"{label}; changed since the first run: {', '.join(changed)}" if changed else label
     assert line in [text.strip() for text in printed(*words).splitlines()]
+
+
+def test_a_claim_whose_runs_are_of_no_known_commit_is_unverified(tmp_path: Path) -> None:
+    path, results = write_files(tmp_path), tmp_path / "results"
+    words = ["study", "verify", "--claims", path, "--results", results]
+    (verdict,) = described(*words, "--json")["claims"]
+    assert (verdict["label"], verdict["changed"]) == ("preregistered", None)  # there is no run yet
+    save_runs(Store(results), tmp_path, {"high": HIGH, "low": LOW}, commit=commit(tmp_path / "elsewhere"))
+    (verdict,) = described(*words, "--json")["claims"]
+    assert (verdict["label"], verdict["changed"]) == ("unverified", None)
 
 
 def test_a_preset_of_claims_that_were_changed_is_refused(tmp_path: Path) -> None:

@@ -39,7 +39,8 @@ RARE = 0.1
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but too small to count"
 """The reason if a claim is refuted although its interval lies wholly on the claimed side of 0."""
 
-PREREGISTERED, DESCRIPTIVE = "preregistered", "descriptive"
+PREREGISTERED, DESCRIPTIVE, UNVERIFIED = "preregistered", "descriptive", "unverified"
+"""Labels. A claim is unverified if no commit shows that it was stated before its runs."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,8 @@ class Verdict:
         reason: why it is untestable, what is missing, or `AS_CLAIMED_BUT_SMALL`; empty for a plain result.
         contrasts: its rows of the table.
         registered_verdict: the verdict by the margins that were registered.
-        label: whether it tests: `PREREGISTERED`, `DESCRIPTIVE`, or on which list's runs it was stated.
+        label: whether it tests: `PREREGISTERED`, `DESCRIPTIVE`, `UNVERIFIED`, or on which list's runs it was
+            stated.
         changed: what has changed of the claim since its runs were trained; None if that is unknown.
     """
 
@@ -169,7 +171,7 @@ def _judge_claim(claim_list: ClaimList, claim_runs: ClaimRuns) -> Verdict:
         reason=_reason(verdict, claim_contrasts),
         contrasts=tuple(claim_contrasts),
         registered_verdict=_of_claim(claim, claim_contrasts, "registered_verdict"),
-        label=_label(claim_list, claim, changed or ()),
+        label=_label(claim_list, claim, changed, has_runs=bool(claim_runs.commits)),
         changed=changed,
     )
 
@@ -182,12 +184,14 @@ def _of_claim(claim: Claim, claim_contrasts: Iterable[ClaimContrast], column: st
     return combine([combine(verdicts, "all") for verdicts in verdicts_by_outcome.values()], claim.need)
 
 
-def _label(claim_list: ClaimList, claim: Claim, changed: Iterable[str]) -> str:
+def _label(claim_list: ClaimList, claim: Claim, changed: tuple[str, ...] | None, has_runs: bool) -> str:
     """Return whether a claim was stated before its runs."""
-    if claim.seen or set(changed) - set(AMOUNT_KEYS):
+    if claim.seen or set(changed or ()) - set(AMOUNT_KEYS):
         return DESCRIPTIVE
     if claim.first_seed < claim_list.head.known_below:
         return f"same runs as {claim_list.head.known_from}"
+    if changed is None and has_runs:
+        return UNVERIFIED
     return PREREGISTERED
 
 

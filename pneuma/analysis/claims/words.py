@@ -24,6 +24,7 @@ from pneuma.analysis.claims.verdicts import (
     REFUTED,
     SUPPORTED,
     UNTESTABLE,
+    UNVERIFIED,
     ClaimContrast,
     Verdict,
 )
@@ -39,7 +40,7 @@ WORDS = {
     NOT_TESTED: "The runs are missing, or cannot show whether the sentence is true.",
 }
 """The four words, and what each means for a sentence in a world."""
-_LETTERS = {PREREGISTERED: "p", DESCRIPTIVE: "d"}
+_LETTERS = {PREREGISTERED: "p", DESCRIPTIVE: "d", UNVERIFIED: "u"}
 _WORD_OF = {
     SUPPORTED: HOLDS, REFUTED: FAILS, MIXED: UNDECIDED, INCONCLUSIVE: UNDECIDED, UNTESTABLE: NOT_TESTED,
     DESCRIBED: DESCRIBED,
@@ -162,7 +163,7 @@ def lines(verdict: Verdict) -> list[str]:
 
 
 def letter(verdict: Verdict) -> str:
-    """Return p for preregistered, d for descriptive, or the number of the list whose runs were known.
+    """Return p for preregistered, d for descriptive, u for unverified, or the list whose runs were known.
 
     A star follows if the claim was changed after its first run.
     """
