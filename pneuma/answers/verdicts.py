@@ -21,7 +21,7 @@ LEGEND = (
     "smallest difference that counts. docs/claims.md explains words, labels and margins.",
     f"Rules of the judge: version {RULES}. The intervals of a family hold jointly:",
 )
-OUTCOMES_OF_THE_THESIS = "Kills are the mean of the last five evaluations, returns of the last 5 % of training."
+KILLS_AND_RETURNS = "Kills are the mean of the last five evaluations, returns of the last 5 % of training."
 CLAIM_FIELDS = ("row", "section", "quote", "context", "study", "kind", "direction", "need", "seen")
 """The fields of a claim in a document, apart from its name."""
 
@@ -75,7 +75,7 @@ def verify(
     verdicts: list[Verdict] = []
     legend = list(LEGEND)
     if claims_path is None:
-        legend.insert(0, OUTCOMES_OF_THE_THESIS)
+        legend.insert(0, KILLS_AND_RETURNS)
     for claim_list in claim_lists:
         verdicts += judge(claim_list, index, wanted)
         family = {"list": "a world", "study": "a study in a world"}[claim_list.head.families]
