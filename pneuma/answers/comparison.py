@@ -183,7 +183,7 @@ def _compare_pairs(
 def _notes_on_pair(a: Group, b: Group) -> list[str]:
     """Return what makes a comparison doubtful: different engines, which claims refuse, and shared runs."""
     notes = []
-    engine_texts = [", ".join(sorted(arm.data.engines(arm.condition))) or "not known" for arm in (a, b)]
+    engine_texts = [", ".join(sorted(group.data.engines(group.condition))) or "not known" for group in (a, b)]
     if engine_texts[0] != engine_texts[1]:
         notes.append(f"Note: these runs were trained by different engines ({' and '.join(engine_texts)}).")
     shared_ids = a.run_ids & b.run_ids

@@ -57,7 +57,7 @@ def verify(
         world: only this one.
 
     Returns:
-        The table `contrasts` has a row for each claim, world, outcome and pair of arms.
+        The table `contrasts` has a row for each claim, world, outcome and pair of conditions.
 
     Raises:
         UserError: for a list that is not allowed, or names that are not in it.
