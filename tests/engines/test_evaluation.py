@@ -196,14 +196,14 @@ def test_compiled_play_is_what_numpy_plays(
     assert compiled["length"] > 10
 
 
-# --- Estimated values of actions beside true ones -------------------------------------------------
+# --- Estimated and true values of actions ---------------------------------------------------------
 
 
 @pytest.mark.parametrize("gamma", [0.0, 0.5, 0.9])
 def test_a_constant_reward_is_worth_the_geometric_series(
     gamma: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The time limit cuts no state short: all are worth 1 / (1 - gamma), but for the hundredth left out."""
+    """The time limit cuts no state short: all are worth 1 / (1 - gamma), except the hundredth left out."""
     values = ActionValues(make_run({"algorithm": "dqn", "gamma": gamma, "episode_steps": 12}), 6)
     step = values.worlds.step
 

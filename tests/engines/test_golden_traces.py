@@ -54,9 +54,9 @@ def test_a_run_is_trained_to_the_numbers_of_its_engines_version(engine: str, ver
     fields, episodes, some, numbers = GOLDEN[engine, version]
     records = train_run(make_run(fields), lambda progress: True).records
     assert len(records.episodes) == episodes
-    for place, told in some.items():
-        row = records.episodes[place]
-        assert (row["step"], row["length"], row["return"]) == pytest.approx(told, abs=1e-4)
+    for index, expected in some.items():
+        row = records.episodes[index]
+        assert (row["step"], row["length"], row["return"]) == pytest.approx(expected, abs=1e-4)
     # The policy loss is a mean of terms of about 1 that cancel: processors differ in its last bits (1e-7).
     last = {**records.metrics[-1], **records.evaluations[-1]}
     assert {key: last[key] for key in numbers} == pytest.approx(numbers, rel=1e-3, abs=1e-6)

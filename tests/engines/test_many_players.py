@@ -38,7 +38,7 @@ def thesis(events, players, player_stats):
     ],
 )
 def test_rollouts_are_those_of_stable_baselines_slots(settings: dict[str, Any]) -> None:
-    """The same actions through the vector environment: what is seen, paid, ended and told."""
+    """The same actions through the vector environment: observations, rewards, endings and records."""
     three = {"players": 3, "slots": 2, "classes": ("tank", "mage", "mage")}
     run = run_of(horizon=200, minibatch=50, episode_steps=90, **three, **settings)
     env, trainer = make_vec_env(run), BatchedTrainer(run)

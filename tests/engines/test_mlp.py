@@ -1,4 +1,4 @@
-"""The compiled forward pass: its functions beside double precision, and its sums beside plain loops."""
+"""The compiled forward pass: its functions against double precision, its sums against plain loops."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def test_a_policy_whose_logits_overflow_is_not_kept(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize(
     ("algorithm", "target"),
     [
-        # Of the next state the online network says (1, 3, 2, 0, 0), the target network (5, 4, 9, 0, 0);
+        # Of the next state the online network gives (1, 3, 2, 0, 0), the target network (5, 4, 9, 0, 0);
         # reward 0.5, gamma 0.9. DQN: 0.5 + 0.9 x 9 = 8.6. Double DQN: the online network's best is action
         # 1, which the target network rates 4: 0.5 + 0.9 x 4 = 4.1 (Eq. 3.10).
         ("dqn", 8.6),
@@ -101,6 +101,6 @@ def test_without_a_baseline_advantages_are_the_returns() -> None:
     buffer.rewards[:] = 1.0
     buffer.episode_starts[:] = 0.0
     buffer.compute_returns_and_advantage(torch.tensor([[4.0]]), np.array([False]))
-    # Backwards from 4 at the end: 1 + 4/2 = 3, 1 + 3/2 = 2.5, 1 + 2.5/2 = 2.25, … whatever the critic said.
+    # Backwards from 4 at the end: 1 + 4/2 = 3, 1 + 3/2 = 2.5, 1 + 2.5/2 = 2.25, … whatever the critic gives.
     np.testing.assert_allclose(buffer.advantages[-3:, 0], [2.25, 2.5, 3.0], rtol=1e-6)
     np.testing.assert_array_equal(buffer.advantages, buffer.returns)
