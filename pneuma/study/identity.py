@@ -129,9 +129,9 @@ def own_names(fields: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     for field_name, is_own in _IS_OWN.items():
         field_value = fields.get(field_name, ())
         names = (field_value,) if isinstance(field_value, str) else field_value
-        own = tuple(filter(is_own, names))
-        if own:
-            names_by_field[field_name] = own
+        user_names = tuple(filter(is_own, names))
+        if user_names:
+            names_by_field[field_name] = user_names
     return names_by_field
 
 
