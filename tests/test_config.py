@@ -93,7 +93,6 @@ def test_an_algorithm_has_its_own_fields_and_no_others(algorithm: str) -> None:
 )
 def test_two_ways_to_write_one_training_are_equal_runs(one: dict[str, Any], other: dict[str, Any]) -> None:
     assert make_run(one) == make_run(other)
-    assert hash(make_run(one)) == hash(make_run(other))
 
 
 def test_whole_numbers_are_whole_however_they_are_written() -> None:
@@ -107,10 +106,7 @@ def test_whole_numbers_are_whole_however_they_are_written() -> None:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        (
-            {"players": 2, "learners": "independent", "algorithm": "a2c"},
-            "learners = .*: sb3 trains one policy",
-        ),
+        ({"players": 2, "learners": "independent", "engine": "sb3"}, "learners = .*: sb3 trains one policy"),
         ({"optimizer": "upgd", "engine": "sb3"}, "optimizer = upgd .*: the engine sb3 lacks it; batched has"),
         ({"env": "CartPole-v1", "wrappers": [{"stack_size": 4}]}, "wrappers = .*: module:Class"),
         ({"algorithm": "qr-dqn"}, "algorithm = qr-dqn .* in pneuma/Pneuma-v0: only Gymnasium's other"),

@@ -1,4 +1,4 @@
-"""What a run is called: the same for the same bits, another for anything that could change them."""
+"""Ids of runs: equal for equal bits, different for anything that could change them."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ ACTIVATION_SEED_0 = {
 """Stored runs are found by these: a change here retrains everybody's runs. Change it on purpose only."""
 
 ELSEWHERE = {"engine", "level", "characters", "reward"}
-"""Fields that are hashed otherwise than by their value: by a version, by the contents of files."""
+"""Fields that are not hashed by their value, but by a version or by the contents of files."""
 UNREAD = {"momentum": 0.9, "noise": 0.01, "target_kl": 0.02, "buffer_size": 64}
 """Fields that PPO and Adam do not read."""
 
 
-def test_the_shipped_studys_runs_keep_their_names() -> None:
+def test_the_shipped_studys_runs_keep_their_ids() -> None:
     selection = Query(seeds=(0,), steps=50_000, settings={"slots": 1})
     cells = make_plan(load_study("activation", "text"), selection).cells
     assert {cell.condition: cell.run_id for cell in cells} == ACTIVATION_SEED_0
@@ -41,7 +41,7 @@ def test_a_configuration_is_a_run_without_its_seed_and_steps() -> None:
     assert config_id(replace(run, horizon=512)) != config_id(run) != run_id(run)
 
 
-def test_every_field_that_is_read_changes_the_name() -> None:
+def test_every_field_with_an_effect_changes_the_id() -> None:
     run, another = make_run({}), "another"
     for field in fields(Run):
         if field.name not in (*ELSEWHERE, *GYMNASIUM_FIELDS):
@@ -52,7 +52,7 @@ def test_every_field_that_is_read_changes_the_name() -> None:
         assert run_id(make_run({key: value})) == run_id(run), key
 
 
-def test_a_raised_version_changes_the_name(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_raised_version_changes_the_id(monkeypatch: pytest.MonkeyPatch) -> None:
     before = run_id(make_run({}))
     monkeypatch.setattr(identity, "RULES_VERSION", 99)
     assert run_id(make_run({})) != before
@@ -70,8 +70,8 @@ def _name(level: Path | str) -> str:
     return run_id(make_run({"level": str(level)}))
 
 
-def test_the_contents_of_a_level_folder_change_the_name(level: Path) -> None:
-    (level / "objects.csv").write_bytes(b"9" * 2**20)  # whatever is hashed of a file is all of it
+def test_the_contents_of_a_level_folder_change_the_id(level: Path) -> None:
+    (level / "objects.csv").write_bytes(b"9" * 2**20)  # a large file is hashed to its end
     before = _name(level)
     for file in ("level.toml", "ground.csv", "obstacles.csv", "objects.csv"):
         original = (level / file).read_bytes()
@@ -116,10 +116,9 @@ steps = 512
 """
 
 
-def test_all_files_of_a_users_own_are_found_beside_the_studys_or_else_here(
+def test_user_files_are_found_in_the_studys_folder_or_in_the_current_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Wherever the command is called, and with the same names for the runs."""
     there = tmp_path / "there"
     sources = {
         "there/of_mine/parts.py": "def reward(events, players, stats):\n    return events['kills']\n",
@@ -127,7 +126,6 @@ def test_all_files_of_a_users_own_are_found_beside_the_studys_or_else_here(
         "there/package_of_mine/more.py": "",
         "up_of_mine.py": "import gymnasium\nWrapper = gymnasium.Wrapper\n",
         "there/sub/mine.toml": "[monsters.bamboo]\nhp = 7\n",
-        "there/thesis/of_mine.py": "",
         "there/own.toml": OWN,
     }
     for name, text in sources.items():
@@ -136,14 +134,12 @@ def test_all_files_of_a_users_own_are_found_beside_the_studys_or_else_here(
         path.write_text(text)
     shutil.copytree(LEVELS / "thesis", there / "isle")
 
-    def cells() -> list[Cell]:
-        planned = make_plan(load_study(str(there / "own.toml"), "text"), Query()).cells
-        for cell in planned:
-            check_environment(cell.run)
-            assert cell.run_id == run_id(cell.run)  # by the files as they are now
-        return list(planned)
+    def cells() -> tuple[Cell, ...]:
+        return make_plan(load_study(str(there / "own.toml"), "text"), Query()).cells
 
     world, other = cells()
+    check_environment(world.run)
+    check_environment(other.run)
     assert world.run.reward == ("thesis", f"{there / 'of_mine/parts.py'}:reward")
     assert world.run.level == str(there / "isle") and world.run.characters == str(there / "sub" / "mine.toml")
     assert other.run.env_module == str(there / "package_of_mine" / "__init__.py")
@@ -151,15 +147,14 @@ def test_all_files_of_a_users_own_are_found_beside_the_studys_or_else_here(
     before = other.run_id
     (there / "package_of_mine" / "more.py").write_text("\n")
     assert cells()[1].run_id != before
-    here = tmp_path / "elsewhere" / "own.toml"
-    here.parent.mkdir()
-    here.write_text(OWN.partition("[conditions.other]")[0] + "[presets.quick]\nseeds = 1\nsteps = 512\n")
+    elsewhere = tmp_path / "elsewhere" / "own.toml"
+    elsewhere.parent.mkdir()
+    elsewhere.write_text(OWN)
     monkeypatch.chdir(there)
-    (found,) = make_plan(load_study(str(here), "text"), Query()).cells
-    assert found.run.level == "isle"
+    assert make_plan(load_study(str(elsewhere), "text"), Query()).cells[0].run.level == "isle"
 
 
-def test_a_reward_is_named_alike_by_its_module_and_by_that_ones_path(
+def test_a_reward_has_one_id_by_the_name_or_the_path_of_its_module(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
