@@ -215,6 +215,7 @@ def read_model(
 
 
 PLAINER = {
+    "'', ": "",  # the default, which nobody writes
     "a valid integer": "a whole number", "valid ": "", "a tuple": "a list",
     "Tuple should have": "must have", " after validation": "",
     "greater than or equal to": "at least", "less than or equal to": "at most",

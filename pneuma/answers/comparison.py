@@ -117,7 +117,7 @@ def _compare_studies(study_data: StudyData, other_data: StudyData, outcomes: Seq
             pairs[condition] = group_a, Group(other_data, condition, f"{condition}, {names[1]}")
     if not pairs:
         raise UserError(
-            f"{names[0]} and {names[1]} have no condition with the same name: name two conditions instead"
+            f"{names[0]} and {names[1]} have no condition with the same name, so nothing can be compared"
         )
     title = f"{study_data.full_title}, and {other_data.full_title}: {names[0]} against {names[1]}"
     return replace(_compare_pairs(study_data, pairs, names, outcomes), title=title)

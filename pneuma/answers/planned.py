@@ -93,7 +93,7 @@ def _expected_time(
             expected.append(_published_seconds(index, run, run.steps - execute.kept_step(statuses[run_id])))
     known_seconds = [run_seconds for run_seconds in expected if run_seconds is not None]
     if len(known_seconds) < len(missing_runs):
-        return "unknown until a run of each kind has ended"
+        return "unknown until a run of each configuration has ended"
     total_seconds = max(sum(known_seconds) / workers, *known_seconds)
     return f"about {duration(total_seconds)}{machine}, with {workers} at once"
 

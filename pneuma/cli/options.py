@@ -69,6 +69,9 @@ def choice(allowed: Iterable[str], help_text: str, metavar: str = "", name: str 
     return option(metavar or "|".join(names), help_text, read, name, autocompletion=lambda: list(names))
 
 
+LARGEST_COUNT = 1e15
+
+
 def count(help_text: str) -> Any:
     """Return an option for a whole number of at least 1: 100000, 100_000 or 1e5."""
 
@@ -77,8 +80,8 @@ def count(help_text: str) -> Any:
             number = float(typed)
         except ValueError:
             number = 0.0
-        if not (1 <= number < 2**53 and number.is_integer()):
-            raise WrongText(f"{typed}: must be a whole number of at least 1, as 100_000 or 1e5")
+        if not (1 <= number <= LARGEST_COUNT and number.is_integer()):
+            raise WrongText(f"{typed}: must be a whole number from 1 to 1e15, as 100_000 or 1e5")
         return int(number)
 
     return option("N", help_text, read)

@@ -17,7 +17,9 @@ app = opt.Commands("", "")
 @app.command(short_help="Write all evidence as one HTML page.")
 def report(
     out: Annotated[Path, opt.option("FILE", "The page to write, ending in .html.")],
-    names: Annotated[opt.Several, opt.argument("NAME", "Studies (default: all shipped or run).")] = None,
+    names: Annotated[
+        opt.Several, opt.argument("NAME", "Studies (default: those run here, or all published).")
+    ] = None,
     force: opt.Force = False,
     results: opt.Results = opt.HERE,
     quiet: opt.Quiet = False,

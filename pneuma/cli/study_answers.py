@@ -60,7 +60,7 @@ def compare(
     if a and b and not with_:
         study_data = selection.open(comparison.narrowed(selection.query(name), a, b))
         return comparison.compare(study_data, a, b, outcome or ())
-    raise UserError("name two conditions, A and B, or another study by --with STUDY")
+    raise UserError("name two conditions, A and B, or no condition and --with STUDY")
 
 
 def collapse(name: opt.Study, selection: opt.RunFilter) -> Answer:

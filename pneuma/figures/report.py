@@ -46,9 +46,10 @@ Verdicts = Mapping[str, Mapping[str, Verdict]]
 
 
 def gather_report(index: RunIndex, study_names: Sequence[str], say: Say) -> dict[str, Any]:
-    """Return the contents of `report_page` for some studies, or for all that are shipped or were run here.
+    """Return the contents of `report_page` for some studies, or for all that were run here.
 
-    If none of them is one of the thesis's, the page has their titles and judges no claims.
+    If there are none, or one of them is the thesis's, all published ones are added. If none of them is one of
+    the thesis's, the page has their titles and judges no claims.
     """
     shipped, selected = list_studies(), list(study_names)
     if not study_names:
@@ -56,8 +57,7 @@ def gather_report(index: RunIndex, study_names: Sequence[str], say: Say) -> dict
             if not study_data.study.settings:
                 selected.append(study_data.study.file)
         if not selected or set(selected) & set(shipped):
-            selected = [*shipped, *selected]
-        selected = list(dict.fromkeys([*selected, *index.listings()]))
+            selected = list(dict.fromkeys([*shipped, *selected, *index.listings()]))
     contents: dict[str, Any] = {"claims": {}, "note": "", "unjudged": "", "title": ""}
     is_of_thesis = bool(set(selected) & set(shipped))
     if is_of_thesis:

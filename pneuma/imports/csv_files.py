@@ -258,7 +258,9 @@ def _refuse_two_runs(path: Path, steps: pd.Series, run_name: str) -> None:
         step = steps[backward[0]]
         problem = f"{path}, row {backward[0]}: step {step:,} of {run_name} is not after the one before: "
         arguments = Hint("condition"), " and ", Hint("seed")
-        raise UserError(f"{problem}distinguish the runs with ", *arguments, ", or keep one row per step")
+        raise UserError(
+            f"{problem}distinguish the runs with ", *arguments, ", and sort the rows of each by step"
+        )
 
 
 # --- Monitors of Stable-Baselines3 ------------------------------------------------------------------

@@ -39,7 +39,7 @@ MISTAKES = {
     "study run nothing-like-it": "unknown study 'nothing-like-it'; `pneuma study list`",
     "run shorter.toml": "`pneuma study run shorter.toml`",
     "plot activation": "no such command 'plot': `pneuma study plot`",
-    f"{RUN} --steps 100k": "--steps 100k: must be a whole number of at least 1, as 100_000 or 1e5",
+    f"{RUN} --steps 100k": "--steps 100k: must be a whole number from 1 to 1e15, as 100_000 or 1e5",
     f"{RUN} --set optimizer=sdg": "did you mean sgd?",
     f"{RUN} --set gamma": "--set gamma: must be KEY=VALUE",
     f"{RUN} --set momentum=0.9": "momentum",  # Adam does not read it
