@@ -158,9 +158,11 @@ class Preset(Amounts):
         for condition in conditions:
             if condition_names and condition not in condition_names:
                 continue
-            sources = (in_world.conditions.get(condition), in_world, self.conditions.get(condition), self)
-            seeds = next((source.seeds for source in sources if source and source.seeds), ())
-            steps = next((source.steps for source in sources if source and source.steps), 0)
+            seeds, steps = self.seeds, self.steps
+            # from the general to the special
+            for exception in (self.conditions.get(condition), in_world, in_world.conditions.get(condition)):
+                if exception:
+                    seeds, steps = exception.seeds or seeds, exception.steps or steps
             amounts[condition] = Amount.model_construct(seeds=seeds, steps=steps)
         return amounts
 
@@ -234,9 +236,7 @@ class Study(Table):
 
     def fields(self, condition: str, overrides: Mapping[str, Any] = MappingProxyType({})) -> dict[str, Any]:
         """Return a condition's fields, base and shared ones included, with some overridden."""
-        set_names = set(self.run)
-        for condition_fields in self.conditions.values():
-            set_names.update(condition_fields)
+        set_names = set(self.run).union(*self.conditions.values())
         shared_fields = {**self.run, **world_fields(self.world, set_names)}
         return join_fields(self.base, {**shared_fields, **self.conditions[condition], **overrides})
 
