@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from functools import cache
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +13,11 @@ from pneuma.errors import UserError
 from pneuma.presets import WORLDS
 from pneuma.store.index import RunIndex
 from pneuma.store.store import Store
-from pneuma.study.spec import load_study
 from tools import monster_worth
 
 from .claim_files import CLAIMS, changed, write_files
 
-SHIPPED, FIFTH = shipped_claims()
+SHIPPED, _ = shipped_claims()
 
 
 def test_a_claim_is_what_its_file_says(tmp_path: Path) -> None:
@@ -122,24 +119,3 @@ def test_margins_of_returns_are_what_a_monster_is_worth() -> None:
         rows = monster_worth.compared_by_return(SHIPPED, index, world)
         margin = SHIPPED.claims["betas-better"].margin_of(world, "final-return")
         assert f"{monster_worth.monster_worth(rows):.2g}" == f"{margin:.2g}", world
-
-
-def test_the_fifth_list_takes_its_runs_from_presets_and_corrects_each_study_alone() -> None:
-    claims = FIFTH.claims
-    assert {(claim.steps, *claim.seeds_of(name)[:1]) for claim in claims.values() for name in claim.a} == {
-        (1_000_448, 2000), (5_000_192, 2060),
-    }  # fmt: skip
-    assert len(claims["betas-cure"].seeds_of("stationary-wide")) == 60
-    studies = ("betas-by-clip", "betas-longer", "betas-learned")
-    assert [FIFTH.family_size("godot", study) for study in studies] == [6, 1, 3]
-    assert [*map(claims["betas-cure"].direction_of, claims["betas-cure"].outcome)] == ["less", "greater"]
-
-
-def test_no_shipped_claim_compares_what_is_the_same() -> None:
-    load = cache(load_study)
-    for claim in [*SHIPPED.claims.values(), *FIFTH.claims.values()]:
-        for world in claim.worlds:
-            study = load(claim.study, world)
-            for a, b in [pair for outcome in claim.outcome for pair in claim.pairs(outcome)]:
-                fields = [study.fields(name) for name in dict.fromkeys((*a, *b))]
-                assert all(one != other for one, other in combinations(fields, 2)), claim.name

@@ -123,13 +123,6 @@ def test_published_tables_of_any_study_give_the_same_verdicts_as_runs(store: Sto
     assert judge_one(clone, tmp_path) == judge_one(store, tmp_path)
 
 
-def test_seeds_that_the_claim_did_not_fix_are_not_read(store: Store, tmp_path: Path) -> None:
-    save_runs(store, tmp_path, {"high": HIGH, "low": LOW})
-    before = judge_one(store, tmp_path)
-    save_runs(store, tmp_path, {"high": [*HIGH, *[0.0] * 20], "low": [*LOW, *[1.0] * 20]})
-    assert judge_one(store, tmp_path) == before
-
-
 # --- Several outcomes ------------------------------------------------------------------------------
 
 
