@@ -84,12 +84,14 @@ def run_study(
     most_workers, store = _count("workers", workers) or available_cores(), _store(results)
     planned = plan_study(_query(study, world, preset, seeds, steps, conditions, settings), store)
     executor_config = ExecutorConfig(workers=most_workers)
-    outcomes = train_plan(planned, store, executor_config, quiet=quiet, on_progress=on_progress)
-    if unfinished := [outcome for outcome in outcomes if not outcome.status.finished]:
+    cell_results = train_plan(planned, store, executor_config, quiet=quiet, on_progress=on_progress)
+    unfinished = [cell_result for cell_result in cell_results if not cell_result.status.finished]
+    if unfinished:
         cell, status = unfinished[0].cell, unfinished[0].status
         raise UserError(
-            f"{len(unfinished)} of {len(outcomes)} runs did not finish: {cell.condition} seed {cell.seed} "
-            f"{status.name} {unfinished[0].reason}; see {store.run_folder(cell.run_id) / 'error.txt'}"
+            f"{len(unfinished)} of {len(cell_results)} runs did not finish: {cell.condition} "
+            f"seed {cell.seed} {status.name} {unfinished[0].reason}; "
+            f"see {store.run_folder(cell.run_id) / 'error.txt'}"
         )
     return open_data(study, results, preset=spec.LAST, world=world)
 
@@ -145,7 +147,8 @@ def train_plan(
     Runs pause at the step `config.until`.
     """
     missing, notes = execute.prepare(planned, store, retry_failed, config.until)
-    if own_path := planned.study.own_path:
+    own_path = planned.study.own_path
+    if own_path:
         own_files = {own_file for cell in planned.cells for own_file in user_files(as_fields(cell.run))}
         config = replace(config, project=project(Path(own_path), own_files))
     for note in list(planned.notes) + list(notes):
@@ -295,8 +298,8 @@ def promote(
 
     store = _store(results)
     search_record = read_record(store, os.fspath(search), world)
-    trial_found = find_trial(search_record, trial)
-    study_text = promotion_study(search_record, trial_found, _seeds(seeds) or (), _count("steps", steps))
+    promoted = find_trial(search_record, trial)
+    study_text = promotion_study(search_record, promoted, _seeds(seeds) or (), _count("steps", steps))
     return run_study(write_study(store, search_record, study_text), results, workers=workers, quiet=quiet)
 
 

@@ -29,12 +29,7 @@ def find_collapses(study_data: StudyData) -> Answer:
         if row["runs"]:
             interval = f"{per_cent(round(row['low'], 2))} to {per_cent(round(row['high'], 2))}"
         count_rows.append(
-            (
-                row["condition"],
-                f"{row['collapsed']} of {row['runs']}",
-                interval,
-                row["unknown"],
-            )
+            (row["condition"], f"{row['collapsed']} of {row['runs']}", interval, row["unknown"])
         )
     count_table = pd.DataFrame(
         count_rows, columns=["condition", "collapsed", "95 % interval", "without a sign recorded"]

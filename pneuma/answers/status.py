@@ -54,14 +54,8 @@ def _count_states(preset: str, study_data: StudyData) -> list[dict[str, Any]]:
     planned_counts = Counter(cell.condition for cell in study_data.plan.cells)
     if not len(study_data.runs):
         total = planned_counts.total()
-        return [
-            {
-                "preset": preset,
-                "condition": f"all {len(planned_counts)}",
-                "runs": total,
-                "planned": total,
-            }
-        ]
+        all_conditions = f"all {len(planned_counts)}"
+        return [{"preset": preset, "condition": all_conditions, "runs": total, "planned": total}]
     run_states = study_data.runs["status"].where(study_data.runs["where"] == "", "published")
     count_rows = []
     for condition, planned_count in planned_counts.items():

@@ -112,8 +112,8 @@ def plot(
     if drawing.figure not in (None, CURVES) and drawing.is_of_curves:
         options = "--quantity, --band, --window, --x, --beside and --log"
         raise UserError(f"{options} require --figure {CURVES}")
-    formats, store = read_formats(drawing.formats, out), selection.store
-    nothing = nothing_yet(store)
+    formats = read_formats(drawing.formats, out)
+    nothing = nothing_yet(selection.store)
     if not names and nothing:
         raise UserError(nothing)
     from pneuma.figures.grid import save_page
@@ -134,7 +134,7 @@ def plot(
         for page in pages:
             yield from save_page(page, folder, formats, look)
 
-    figure_files = keep_files(store, out, save)
+    figure_files = keep_files(selection.store, out, save)
     answers = [page.answer.document for page in pages if page.answer]
     return Result({"figures": figure_files, "answers": answers}, wrote(figure_files))
 
@@ -282,8 +282,7 @@ def _read_curves(curves_text: str) -> tuple[str, ...]:
         return ()
     allowed = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES, ACTIONS)
     quantities: list[str] = []
-    for env_data in curves_text.split(","):
-        quantity = env_data.strip()
+    for quantity in map(str.strip, curves_text.split(",")):
         if quantity not in allowed:
             raise UserError(f"--curves {quantity}: {unknown_name('value', quantity, allowed)}")
         quantities += ACTION_QUANTITIES if quantity == ACTIONS else [quantity]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pneuma.answers.verdicts import VerdictsAnswer
 
 WIDTH = 100
-"""Characters in a line of a sentence."""
+"""Characters in a line of text."""
 
 
 def verify(
@@ -52,16 +52,15 @@ def _show(answer: VerdictsAnswer, in_detail: bool) -> Iterator[str | Table]:
         answer.verdicts.items(), table.iloc[:, :2].to_numpy(), strict=True
     ):
         yield f"{claim_name} (section {section})" if section else claim_name
-        for claim_text in heading.removeprefix(f"{claim_name}\n").split("\n"):
-            yield from _indented(claim_text, "  ")
+        for heading_line in heading.removeprefix(f"{claim_name}\n").split("\n"):
+            yield from _indented(heading_line, "  ")
         for world, verdict in by_world.items():
             verdict_head = f"{worlds[world]:16}{words.word(verdict)}"
-            for claim_text in [*words.lines(verdict), words.registration(verdict)]:
-                yield f"    {verdict_head:32}{claim_text}".rstrip()
+            for verdict_line in words.lines(verdict) + [words.registration(verdict)]:
+                yield f"    {verdict_head:32}{verdict_line}".rstrip()
                 verdict_head = ""
-            details = words.details(verdict) if in_detail else words.remedy(verdict)
-            for claim_text in details:
-                yield from _indented(claim_text, "      ")
+            for detail in words.details(verdict) if in_detail else words.remedy(verdict):
+                yield from _indented(detail, "      ")
         yield ""
     yield frame_table(counts)
     yield ""
