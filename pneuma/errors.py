@@ -137,19 +137,20 @@ def nearest_name(word: str, known_names: Iterable[str]) -> str:
     candidates, typed_word = list(known_names), str(word).lower()
     pneuma_name = SYNONYMS.get(typed_word, typed_word)
     similar = [name for name in (pneuma_name, f"final-{pneuma_name}".replace("_", "-")) if name in candidates]
-    beginnings = [name for name in candidates if name.startswith(f"{typed_word}_")]
-    similar = similar or beginnings[:1] or difflib.get_close_matches(typed_word, candidates, 1, NEAR)
+    similar += [name for name in candidates if name.startswith(f"{typed_word}_")]
+    similar += difflib.get_close_matches(typed_word, candidates, 1, NEAR)
     return f" (did you mean {similar[0]}?)" if similar else ""
 
 
 def unknown_name(category: str, word: str, known_names: Iterable[str]) -> UserError:
     """Return the error for a name that is not among `known_names`."""
     listed = list(known_names)
-    hint, separator = nearest_name(word, listed), "; " if any("," in name for name in listed) else ", "
+    hint = nearest_name(word, listed)
     hidden_count = len(listed) - MOST_LISTED
-    if hidden_count > 1 and hint:
-        return UserError("unknown ", category, f" {word!r}{hint}")
     if hidden_count > 1:
+        if hint:
+            return UserError("unknown ", category, f" {word!r}{hint}")
         closest_names = difflib.get_close_matches(str(word).lower(), listed, MOST_LISTED, 0)
-        listed = [*(name for name in listed if name in closest_names), f"{hidden_count} more"]
+        listed = [name for name in listed if name in closest_names] + [f"{hidden_count} more"]
+    separator = "; " if any("," in name for name in listed) else ", "
     return UserError("unknown ", category, f" {word!r}{hint}; known are {separator.join(listed)}")
