@@ -111,7 +111,7 @@ def plan_study(query: plan.Query, store: Store, say: Say = silent) -> plan.Plan:
         if use.startswith("run "):
             say(f"Note: the study's file asks to {use}.")
     if query.preset == spec.CLAIMS:
-        from pneuma.analysis.claims.fixed_runs import with_claims
+        from pneuma.analysis.claims.preset import with_claims
 
         study = with_claims(study, query.steps)
     planned = plan.make_plan(study, query)

@@ -17,7 +17,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 
-from pneuma.analysis.claims.fixed_runs import fixed_amounts
+from pneuma.analysis.claims.preset import fixed_amounts
 from pneuma.study.spec import load_study
 
 PARTS = {

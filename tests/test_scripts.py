@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pneuma.analysis.claims.fixed_runs import fixed_amounts, with_claims
+from pneuma.analysis.claims.preset import fixed_amounts, with_claims
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.shipped import list_studies
 from pneuma.study.spec import Study, load_study

@@ -61,7 +61,7 @@ def plan_to_read(index: RunIndex, query: Query) -> Plan:
 
 def _make_plan(index: RunIndex, study: Study, query: Query) -> Plan:
     if query.preset == CLAIMS:
-        from pneuma.analysis.claims.fixed_runs import with_claims
+        from pneuma.analysis.claims.preset import with_claims  # which loads SciPy
 
         study = with_claims(study, query.steps)
     return make_plan(study, query, index.engine_of)

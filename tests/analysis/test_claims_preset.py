@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pneuma.analysis.claims.fixed_runs import fixed_amounts, with_claims
+from pneuma.analysis.claims.preset import fixed_amounts, with_claims
 from pneuma.errors import UserError
 from pneuma.study.spec import Study, load_study
 

@@ -1,30 +1,28 @@
-"""The finished runs that a claim fixes; and the runs that claims on a study fix, as a preset to train."""
+"""The finished runs that a claim fixes."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from pneuma.analysis.claims.claim_list import Claim, ClaimList, load_claims
+from pneuma.analysis.claims.claim_list import Claim
 from pneuma.analysis.intervals import mean_interval
 from pneuma.analysis.outcomes import find_outcome, outcome, outcome_values, reason, unit_of_return
 from pneuma.analysis.runs import finished_rows, runs_of_plan
 from pneuma.analysis.study_data import StudyData
 from pneuma.config import round_up
-from pneuma.errors import Hint, UserError
 from pneuma.seeds import seeds_option
 from pneuma.store.index import RunIndex
 from pneuma.store.rows import Row
 from pneuma.study.command_words import results_words, study_words
 from pneuma.study.identity import config_id
 from pneuma.study.plan import Cell, Plan, configure
-from pneuma.study.shipped import CLAIMS_FILES
-from pneuma.study.spec import CLAIMS, Amount, Preset, Study
+from pneuma.study.spec import Study
 
 TRAIN_WITH = "train with:"
 """The beginning of the part of a reason that names the command."""
@@ -154,57 +152,3 @@ def find_claim_runs(index: RunIndex, study: Study, claim: Claim) -> ClaimRuns:
             cells.append(Cell(condition, seed, replace(run, seed=seed, steps=steps)))
     study_data = finished_rows(index, runs_of_plan(index, Plan(study, tuple(cells))))
     return ClaimRuns(claim, study_data, index.store.root)
-
-
-# --- The preset `claims`: runs to train ----------------------------------------------------------------
-
-
-def with_claims(study: Study, steps: int | None = None) -> Study:
-    """Return a study with the preset `claims`: the runs that claims fix, of lists in the folder of its file.
-
-    Conditions without a claim are left out. A condition of several claims has the seeds of all of them. If
-    claims fix several budgets, `steps` chooses one; any other number chooses the conditions of all.
-
-    Raises:
-        UserError: when no claim is about the study, or several budgets are possible.
-    """
-    amounts, preset_hint = fixed_amounts(study), Hint("preset", CLAIMS)
-    if not amounts:
-        raise UserError(preset_hint, f": no list of claims fixes runs of study {study.name} in this world")
-    if len(amounts) > 1 and steps is None:
-        budgets = " or ".join(f"{budget:,}" for budget in amounts)
-        raise UserError(preset_hint, f": claims fix runs of {budgets} steps: choose with ", Hint("steps"))
-    steps = steps or next(iter(amounts))
-    conditions: dict[str, Amount] = {}
-    for by_condition in amounts.values():
-        conditions |= by_condition
-    fixed = amounts.get(steps, conditions)
-    preset = Preset.model_construct(seeds=(), steps=steps, only=tuple(fixed), conditions=fixed)
-    return study.model_copy(update={"presets": {**study.presets, CLAIMS: preset}})
-
-
-def fixed_amounts(study: Study) -> dict[int, dict[str, Amount]]:
-    """Return seeds and steps of each condition by number of steps; empty if no claim is about the study."""
-    amounts: dict[int, dict[str, Amount]] = {}
-    for _, claim in claims_on(study):
-        by_condition = amounts.setdefault(claim.steps, {})
-        for condition in claim.conditions:
-            seeds = set(claim.seeds_of(condition))
-            if condition in by_condition:
-                seeds.update(by_condition[condition].seeds)
-            by_condition[condition] = Amount.model_construct(seeds=tuple(sorted(seeds)), steps=claim.steps)
-    return amounts
-
-
-def claims_on(study: Study) -> Iterator[tuple[ClaimList, Claim]]:
-    """Yield the claims on a study in its world, each with its list, of all lists in its file's folder."""
-    if study.path is None:
-        return
-    for file_name in CLAIMS_FILES:
-        claims_path = study.path.parent / file_name
-        if claims_path.exists():
-            claim_list = load_claims(claims_path)
-            for claim in claim_list.claims.values():
-                is_on_study = claim_list.studies[claim.study].path == study.path
-                if is_on_study and study.world in claim.worlds:
-                    yield claim_list, claim

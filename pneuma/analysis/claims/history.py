@@ -22,7 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.analysis.claims.claim_list import RULES, Claim, ClaimList, claim_keys
-from pneuma.analysis.claims.fixed_runs import claims_on, find_claim_runs
+from pneuma.analysis.claims.fixed_runs import find_claim_runs
+from pneuma.analysis.claims.preset import claims_on
 from pneuma.errors import Hint, UserError
 from pneuma.schema import normalize
 from pneuma.store.index import RunIndex
