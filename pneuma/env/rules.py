@@ -298,8 +298,16 @@ def walk(world: World, player_index: int, among_bodies: bool) -> tuple[float, fl
     """Return where a player is after walking for one tick in the direction it faces."""
     facing = world.players[player_index].facing
     speed = world.player_stats[player_index].speed
-    step_x = ((facing == RIGHT) - (facing == LEFT)) * speed
-    step_y = ((facing == DOWN) - (facing == UP)) * speed
+    step_x = 0.0
+    step_y = 0.0
+    if facing == RIGHT:
+        step_x = speed
+    elif facing == LEFT:
+        step_x = -speed
+    elif facing == DOWN:
+        step_y = speed
+    else:
+        step_y = -speed
     body_index = len(world.monsters) + player_index
     return move(world, body_index, step_x, step_y, world.settings.player_stops, among_bodies)
 
@@ -347,17 +355,18 @@ def _take_strike(world: World, monster_index: int, player_index: int) -> None:
     tick = world.tick[player_index]
     player_bit = np.uint8(1 << player_index)
     is_struck = tick.is_present and tick.strikes and _is_struck(world, monster_index, player_index)
-    is_first = monster.struck_by[player_index] != world.players[player_index].attack
     if not tick.is_present:
         monster.noticed &= ~player_bit
         monster.bite[player_index] = 0
-    on_entry = world.settings.hit_on_entry and tick.strikes == BLADE
-    if on_entry:
-        is_first = not monster.inside & player_bit
+    was_inside = monster.inside & player_bit
     monster.inside &= ~player_bit
-    if on_entry and is_struck:
+    if not is_struck:
+        return
+    is_first = monster.struck_by[player_index] != world.players[player_index].attack
+    if world.settings.hit_on_entry and tick.strikes == BLADE:
+        is_first = not was_inside
         monster.inside |= player_bit
-    if is_struck and is_first and monster.safe == 0 and monster.hp > 0.0:
+    if is_first and monster.safe == 0 and monster.hp > 0.0:
         _apply_hit(world, monster_index, player_index)
 
 
