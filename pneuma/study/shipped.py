@@ -46,10 +46,20 @@ def read_head(study_name: str, folder: Path | None = None) -> dict[str, Any]:
     return tomllib.loads(((folder or studies_folder()) / f"{study_name}.toml").read_text(encoding="utf-8"))
 
 
+def study_of_figure(figure_name: str) -> str | None:
+    """Return the shipped study of a figure, such as optimizer of fig-6-4; None if there is none."""
+    for study_name in list_studies():
+        if read_head(study_name).get("figure") == figure_name:
+            return study_name
+    return None
+
+
 def find_file(
     category: str, name: str, folder: Path, other_names: Iterable[str] = (), copies: Path | None = None
 ) -> Path:
     """Return the path of a file by itself, by a shipped name, or by that of NAME.toml here or in examples.
+
+    A study has the name of its figure, too.
 
     Args:
         category: a study or a search; for messages.
@@ -73,8 +83,12 @@ def find_file(
             return file_path
     if name.endswith(".toml"):
         return candidates[0]
-    if category == "study" and name in shipped_names(folder / "search"):
-        raise UserError(f"{name} is a search, not a study: `pneuma search run {name}`")
+    if category == "study":
+        study_name = study_of_figure(name)
+        if study_name:
+            return folder / f"{study_name}.toml"
+        if name in shipped_names(folder / "search"):
+            raise UserError(f"{name} is a search, not a study: `pneuma search run {name}`")
     user_names = [user_file.stem for user_file in Path().glob("*.toml")]
     hint = nearest_name(name, shipped + list(other_names) + shipped_names(folder / "examples") + user_names)
     raise UserError(f"unknown {category} {name!r}{hint}; `pneuma {category} list` lists the shipped ones")

@@ -101,8 +101,8 @@ def test_of_an_endless_message_both_ends_are_printed(here: Path) -> None:
     assert len(message) < 5000 and "x.toml" in message and "missing" in message
 
 
-def test_a_folder_without_results_is_noted(here: Path) -> None:
-    called = call("study", "summary", "optimizer", "--results", "nowhere")
+def test_a_study_is_found_by_its_figure_and_a_folder_without_results_is_noted(here: Path) -> None:
+    called = call("study", "summary", "fig-6-4", "--results", "nowhere")
     assert called.out.startswith("Optimizer") and "Note: nowhere has no results." in called.err
 
 
