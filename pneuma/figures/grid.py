@@ -22,6 +22,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
+from matplotlib.legend import Legend
 from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 
 from pneuma.analysis.quantities import POWERS, SHARES, VALUES
@@ -37,12 +38,14 @@ FAR = 2.0
 BELOW_ZERO = 0.02
 """How far an axis of shares extends below 0 and above 1, so that points at the ends are seen."""
 CAPTION_LINES = 5
-LETTERS_OF_HANDLE, LETTERS_OF_NARROW_HANDLE = 8, 6
+LETTERS_OF_HANDLE = 8
 """How wide a sign in a legend is, with the space around it, in letters."""
 LONGEST_LABEL = 40
 """Most letters in a line of a row's label."""
 AXIS_INCHES = 0.4
 """Width of the labels of an upright axis with values."""
+EDGE_INCHES, PAD_INCHES = 0.07, 3 / 72
+"""The distance of all texts from the left edge, and matplotlib's padding around panels."""
 NARROW = 2.0
 """Inches of a panel in which the labels of three ticks fit, and no more."""
 LONG_AXIS = 5000
@@ -223,28 +226,21 @@ def _put_texts(figure: Figure, page: Page, look: Look, x_label: str) -> Figure:
         headline = caption = ""
     if look.title is not None:
         headline = look.title
-    type_points, left_edge = text_points(), 0.07 / look.width
+    type_points, left_edge = text_points(), EDGE_INCHES / look.width
     line_inches = type_points * LINE_INCHES
     line_letters = characters(type_points, look.width)
     heading = textwrap.wrap(headline, characters(1.2 * type_points, look.width))
-    labels: dict[str, Any] = {}
+    artists: dict[str, Any] = {}
     for label, artist in _legend_entries(figure, page.entries).items():
-        labels[textwrap.fill(label, line_letters - LETTERS_OF_HANDLE)] = artist
-    longest = max(map(len, labels), default=0)
-    columns, legend_share = line_letters // (longest + LETTERS_OF_HANDLE), 1.0
-    legend_look: dict[str, Any] = {}
-    if columns < 2:  # in small print with narrow spaces, more fit beside each other
-        columns, legend_share = int(line_letters / CAPTION) // (longest + LETTERS_OF_NARROW_HANDLE), CAPTION
-        legend_look = {"handlelength": 1.5, "columnspacing": 1.0, "fontsize": CAPTION * type_points}
-    columns = max(1, min(len(labels), columns))
-    legend_rows: float = math.ceil(len(labels) / columns)
-    if columns == 1:
-        legend_rows += sum(label.count("\n") for label in labels)
-    legend_rows *= legend_share
+        artists[textwrap.fill(label, line_letters - LETTERS_OF_HANDLE)] = artist
+    legend, legend_inches = None, 0.0
+    if artists:
+        legend = _add_legend(figure, artists, look.width - 2 * EDGE_INCHES)
+        legend_inches = legend.get_window_extent().height / figure.dpi
     caption_lines = textwrap.wrap(
         caption, characters(CAPTION * type_points, look.width), max_lines=CAPTION_LINES, placeholder=" …"
     )
-    inches_above = line_inches * (1.2 * len(heading) + legend_rows) + 0.1
+    inches_above = line_inches * 1.2 * len(heading) + legend_inches + 0.15
     inches_below = line_inches * (CAPTION * len(caption_lines) + bool(x_label)) + 0.08
     rows_of_panels = figure.axes[0].get_gridspec().nrows  # type: ignore[union-attr]
     height = look.height or inches_above + page.inches * rows_of_panels + inches_below
@@ -256,7 +252,9 @@ def _put_texts(figure: Figure, page: Page, look: Look, x_label: str) -> Figure:
         raise UserError(Hint("height", f"{height:g}"), least_amount, *advice)
     figure.set_size_inches(look.width, height)
     engine: Any = figure.get_layout_engine()
-    engine.set(rect=(0, inches_below / height, 1, 1 - (inches_above + inches_below) / height))
+    panels_left = (EDGE_INCHES - PAD_INCHES) / look.width
+    panels_height = 1 - (inches_above + inches_below) / height
+    engine.set(rect=(panels_left, inches_below / height, 1 - panels_left, panels_height))
     figure.text(
         0.5,
         (inches_below - line_inches) / height,
@@ -267,17 +265,32 @@ def _put_texts(figure: Figure, page: Page, look: Look, x_label: str) -> Figure:
         fontsize=mpl.rcParams["axes.labelsize"],
     )
     figure.text(left_edge, 1 - 0.05 / height, "\n".join(heading), fontsize=1.2 * type_points, va="top")
-    if labels:
-        figure.legend(
-            labels.values(), labels.keys(), loc="upper left", ncols=columns, alignment="left",
-            bbox_to_anchor=(left_edge, 1 - (1.2 * line_inches * len(heading) + 0.05) / height),
-            labelspacing=0.3, borderpad=0, borderaxespad=0, **legend_look,
-        )  # fmt: skip
+    if legend:
+        legend.set_bbox_to_anchor((left_edge, 1 - (1.2 * line_inches * len(heading) + 0.05) / height))
     figure.text(
         left_edge, 0.05 / height, "\n".join(caption_lines), fontsize=CAPTION * type_points, color="#444444",
         linespacing=1.35, va="bottom",
     )  # fmt: skip
     return figure
+
+
+def _add_legend(figure: Figure, artists: Mapping[str, Any], width: float) -> Legend:
+    """Add a legend in as many columns as fit a width in inches; if only one does, in small print."""
+    small_print = {"fontsize": CAPTION * text_points(), "handlelength": 1.5, "columnspacing": 1.0}
+    looks: list[tuple[int, dict[str, Any]]] = []
+    for columns in range(len(artists), min(len(artists), 2) - 1, -1):
+        looks.append((columns, {}))
+    for columns in range(len(artists), 0, -1):
+        looks.append((columns, small_print))
+    while True:
+        columns, look = looks.pop(0)
+        legend = figure.legend(
+            artists.values(), artists.keys(), loc="upper left", ncols=columns, alignment="left",
+            labelspacing=0.3, borderpad=0, borderaxespad=0, **look,
+        )  # fmt: skip
+        if not looks or legend.get_window_extent().width <= width * figure.dpi:
+            return legend
+        legend.remove()
 
 
 def _legend_entries(figure: Figure, page_entries: Mapping[str, Any]) -> dict[str, Any]:

@@ -87,7 +87,7 @@ def _draw(
         position, colour = row_conditions.index(condition), looks[condition]["color"]
         (dots,) = axes.plot(
             runs, position + _offsets(runs, float(np.ptp([*all_values, 0.0]))), "o", color=colour,
-            markersize=0.6 * size, markeredgewidth=0, alpha=0.5, clip_on=False, zorder=2.6,
+            markersize=0.8 * size, markeredgewidth=0, alpha=0.6, clip_on=False, zorder=2.6,
         )  # fmt: skip
         dots.set_in_layout(False)  # there may be none
         for summary_row in column.summary[column.summary["condition"] == condition].to_dict("records"):
