@@ -33,8 +33,10 @@ TABLES = {"table-6-1": ("s", ":"), "table-6-2": ("D", "--")}
 """The thesis's bases, whose trials and values are marked, with the marker and the line of each."""
 TABLE_LABELS = {"table-6-1": "Table 6.1", "table-6-2": "Table 6.2"}
 LATE_BLUES = ListedColormap(colormaps["Blues"](np.linspace(0.2, 1, 256)))
-"""Colours of trials in their order, of which the first is no white."""
+"""Colours of trials in their order; of which the first is no white."""
 COLUMNS, ROW_INCHES = 4, 1.75
+LETTERS_ACROSS = 24
+"""Most letters of choices that are written level below a panel."""
 LEAST_TRIALS, BEST_TRIALS, BEST_SHARE = 10, 5, 0.1
 """Share of the trials that importances treat as the best, though never fewer than five trials."""
 
@@ -102,7 +104,7 @@ def _pictures(record: Record) -> dict[str, tuple[str, Draw]]:
     }
     parameters = {parameter for trial in record.complete for parameter in trial.params}
     if len(parameters) > 1 and len(record.complete) >= LEAST_TRIALS:
-        title = "which parameters separate the best trials from the others (PED-ANOVA)"
+        title = "parameters that separate the best trials (PED-ANOVA)"
         pictures_by_name["importances"] = title, _importances
     if len(record.search.objectives) == 2:
         pictures_by_name["front"] = "both objectives", _front
@@ -177,6 +179,7 @@ def _history(record: Record) -> Axes:
         if number in value_by_trial:
             marker, _ = TABLES[base]
             axes.plot(number, value_by_trial[number], marker, color=INK, zorder=4, label=TABLE_LABELS[base])
+    axes.set_xlim(-1, record.ended[-1].number + 1)  # a generation may have trials beyond the budget
     axes.legend()
     return axes
 
@@ -206,8 +209,11 @@ def _slices(record: Record) -> Any:
         axes.tick_params(labelleft=column == 0)
         axes.set(xlabel=parameter.replace("_", " "), ylabel="")
         if has_choices:
-            choices = [tick_label.get_text().strip("'") for tick_label in axes.get_xticklabels()]
-            axes.set_xticks(range(len(choices)), choices, rotation=30, ha="right", rotation_mode="anchor")
+            choices = [tick_label.get_text().strip("'[]\"") for tick_label in axes.get_xticklabels()]
+            look: Any = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"}
+            if len("  ".join(choices)) <= LETTERS_ACROSS:
+                look = {}
+            axes.set_xticks(range(len(choices)), choices, **look)
         elif axes.get_xscale() == "log":
             axes.xaxis.set(major_locator=LogLocator(numticks=5), minor_locator=NullLocator())
             axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
