@@ -2,20 +2,15 @@
 
     optuna.load_study(study_name=SEARCH, storage=JournalStorage(JournalFileBackend(".../NAME.DIGEST.log")))
 
-A log may come from anybody: it is parsed as JSON and compared with the search's file, and nothing in it is
-imported or unpickled. The digest stands for all that the suggestions depend on: the file, seeds, steps, and
-versions.
+A log may be untrusted: it is parsed as JSON and compared with the search's file. Nothing in it is imported or
+unpickled. DIGEST is of all that the suggestions depend on: the file, seeds, steps, and versions.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
-import socket
-import time
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -27,7 +22,7 @@ from optuna.storages.journal._file import BaseJournalFileLock
 from optuna.trial import FrozenTrial, TrialState
 
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION
-from pneuma.errors import UserError, print_aside
+from pneuma.errors import UserError
 from pneuma.files import checksum, names_in, stored_file
 from pneuma.schema import read_toml
 from pneuma.search.spec import Budget, Search, load_search
@@ -50,11 +45,8 @@ WORDS = ("title", "section", "about", "presets")
 class LogLock(BaseJournalFileLock):
     """The right to append to a log. It ends with the process that has it; Optuna's own locks outlive a kill.
 
-    Whoever gets it cuts off a line that a killed process has not finished: Optuna cannot read what follows.
+    Whoever gets it removes a line that a killed process has not finished: Optuna cannot read what follows.
     """
-
-    WAIT_SECONDS = 10.0
-    """After this time it prints for whom it waits."""
 
     def __init__(self, log_path: Path) -> None:
         self._log = log_path.resolve()
@@ -63,16 +55,8 @@ class LogLock(BaseJournalFileLock):
     def acquire(self) -> bool:
         lock_path = self._log.with_name(f".{self._log.name}.lock")
         self._file = open(lock_path, "a+b", opener=open_lock)  # noqa: SIM115 (`release` closes it)
-        message_time = time.monotonic() + self.WAIT_SECONDS
         while not take_lock(self._file.fileno()):
-            if time.monotonic() > message_time:
-                message_time = math.inf
-                self._file.seek(0)
-                holder = self._file.read().decode(errors="replace") or "another process"
-                print_aside(f"Waiting for {holder}, which writes {self._log}.")
-        self._file.truncate(0)
-        self._file.write(f"process {os.getpid()} on {socket.gethostname()}".encode())
-        self._file.flush()
+            pass  # another process writes a line
         with open(self._log, "r+b") as log_file:
             log_file.seek(max(log_file.seek(0, os.SEEK_END) - 1, 0))
             if log_file.read() not in (b"", b"\n"):
@@ -119,7 +103,7 @@ class Record:
 
 
 def open_record(store: Store, search: Search, budget: Budget) -> Record:
-    """Return the record of a search, which is begun if there is none; other processes may write it too."""
+    """Return the record of a search, and begin it if there is none; other processes may write it too."""
     store.check_writable()
     identity = _identify(search, budget)
     digest = checksum(json.dumps(identity, sort_keys=True).encode())[:12]
@@ -135,11 +119,6 @@ def open_record(store: Store, search: Search, budget: Budget) -> Record:
             )
         study = _load_study(storage, search)
         if study.user_attrs.get(ABOUT, {}).get("trials_asked", 0) < budget.trials:
-            metric_names = [
-                f"{objective.outcome}, {objective.over_seeds}" for objective in search.objectives.values()
-            ]
-            with warnings.catch_warnings(action="ignore"):  # it is experimental
-                study.set_metric_names(metric_names)
             about = {"search": search.name, "identity": identity, "trials_asked": budget.trials}
             study.set_user_attr(ABOUT, about)
         return Record(search, budget, study, log_path)
@@ -232,11 +211,6 @@ def _load_study(storage: JournalStorage, search: Search) -> optuna.Study:
     if study.directions != search.directions:
         raise ValueError("other directions")
     for trial in study.get_trials(deepcopy=False):
-        reported_values = list(trial.values or ()) + list(trial.intermediate_values.values())
-        is_whole = trial.state != TrialState.COMPLETE or len(trial.values) == len(search.objectives)
-        are_ids = all(isinstance(run_id, str) for run_id in trial.user_attrs.get("run_ids", []))
-        if not (
-            is_whole and are_ids and all(map(math.isfinite, reported_values)) and search.holds(trial.params)
-        ):
+        if not search.holds(trial.params):
             raise ValueError(f"trial {trial.number} is not the search's")
     return study

@@ -26,7 +26,6 @@ def test_optuna_opens_the_log(make_task: MakeTask, store: Store) -> None:
     study = open_log(record.path)
     assert [comparable(trial) for trial in study.trials] == [comparable(trial) for trial in record.ended]
     assert study.best_trial.number == record.best
-    assert study.metric_names == ["final-share-killed, mean"]
     assert {trial.params["gradient_limit"] for trial in study.trials} == {0.5, None}
     assert {trial.params["betas"] for trial in study.trials} == {"[0.9, 0.99]", "[0.9, 0.9]"}
     assert study.trials[0].user_attrs["seeds"] == [1000, 1001]
@@ -98,11 +97,10 @@ time.sleep(1000)
 
 
 def test_a_lock_ends_with_its_process_and_is_not_taken_from_one_that_is_stopped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In a relative folder, too. Whoever waits for long says for whom."""
+    """In a relative folder, too."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(LogLock, "WAIT_SECONDS", 0.1)
     Path("results").mkdir()
     Path("results/x.log").touch()
     lock = LogLock(Path("results/x.log"))
@@ -112,9 +110,9 @@ def test_a_lock_ends_with_its_process_and_is_not_taken_from_one_that_is_stopped(
         holder.send_signal(signal.SIGSTOP)
         waiting.start()
         waiting.join(0.5)
-        is_waiting, message = waiting.is_alive(), capsys.readouterr().err
+        is_waiting = waiting.is_alive()
         holder.kill()
-        assert is_waiting and message.count(f"Waiting for process {holder.pid} on ") == 1
+        assert is_waiting
         waiting.join(10)
         assert not waiting.is_alive()
     lock.release()
@@ -131,7 +129,7 @@ def test_a_torn_line_is_cut_off_before_anything_is_written(tmp_path: Path) -> No
 
 
 REFUSED: dict[str, tuple[str, str, str]] = {
-    # name: (a pattern in the log, what is in its place, what is said)
+    # name: (a pattern in the log, its replacement, the message)
     "an unknown operation": (r"\Z", '{"op_code": 99}\n', "cannot be read"),
     "no log": (r"(?s).+", "dear diary\n\n", "cannot be read"),
     "another study": ('"study_name":"formula"', '"study_name":"mine"', "cannot be read"),
@@ -139,8 +137,6 @@ REFUSED: dict[str, tuple[str, str, str]] = {
     "choices that were text": (
         re.escape("[0.5, null]"), r'[\"0.5\", \"none\"]', "trial 0 is not the search's",
     ),
-    "ids that are no text": (r'"run_ids":\[', '"run_ids":[[],', "trial 0 is not the search's"),
-    "an infinite value": (r'"values":\[[^]]*', '"values":[Infinity', "trial 0 is not the search's"),
 }  # fmt: skip
 
 
