@@ -41,6 +41,7 @@ from pneuma.figures.search import draw_search
 from pneuma.figures.shares import one_action_page
 from pneuma.figures.style import MOST_IN_A_PANEL
 from pneuma.figures.summary import summary_page
+from pneuma.figures.words import capital
 from pneuma.presets import BASES, WORLDS
 from pneuma.search.log import read_published
 from pneuma.search.spec import load_search
@@ -81,19 +82,19 @@ OF_OWN_GAME: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         },
     },
 }
-"""The conditions of the thesis's own game that a figure shows in the published code's world, by its names."""
+"""The conditions of the thesis's own game that a figure shows, by title, with the figure's names for them."""
 OWN_QUANTITIES = ("return", "entropy")
 THESIS_QUANTITIES = ("return", "share_killed")
 SEARCHES = {("ppo", "arena"): (), ("ppo", "text"): ("values",), ("godot", None): ("values",)}
 """The published searches that a page shows, each with its world if it has several; () is all its pictures."""
 ELSEWHERE = {"CartPole": "cartpole", "Acrobot": "acrobot", "MinAtar's Breakout": "breakout"}
-"""Studies that ask the same of other environments, by the titles of their panels."""
+"""Studies of the same question in other environments, by the titles of their panels."""
 WHOLE = ("architecture", "activation", "actor-size", "breakout", "cartpole", "robustness")
-"""Studies of which another figure shows every condition, or a table all that there is to see."""
+"""Studies without a figure, because another figure shows every condition, or a table shows everything."""
 EARLIER: Mapping[str, tuple[str, dict[str, Any]]] = {"fig-6-2": ("one-environment", {"slots": 1})}
 """Figures that show earlier runs too: the preset and the changed fields that these have."""
 FORKS, FORK_OUTCOMES = "-forks-", ("final-share-killed", "final-return")
-"""What names of forks have in them, and what is shown of them."""
+"""A part of the names of forks, and their outcomes that are shown."""
 IN_ONE_ACTION = ("betas-by-clip", "betas-longer")
 """Studies whose figure shows when runs come to stay in one action."""
 BESIDE = {"published-logs": "author-logs"}
@@ -152,10 +153,9 @@ def _is_drawn_by_pneuma(path: Path) -> bool:
 
 def _draw_verdicts(folder: Path, results: Path) -> list[Path]:
     """Draw the verdicts on the thesis's claims; nothing where no study is published."""
-    store = Store(results)
-    if not store.published(shipped=False):
+    index = _published(results)
+    if not index.tables:
         return []
-    index = RunIndex(store, stored=False, shipped=False)
     verdicts = [verdict for claims in shipped_claims() for verdict in judge(claims, index)]
     return draw_verdicts(verdicts_by_claim(verdicts), folder)
 
@@ -196,8 +196,8 @@ def _write_settings(folder: Path) -> Path:
 def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str) -> list[Path]:
     """Draw all figures of a study; return the files written."""
     index, pages = _published(results), []
-    for figure, (of, _) in THESIS_FIGURES.items():
-        if of == study:
+    for figure, (figure_study, _) in THESIS_FIGURES.items():
+        if figure_study == study:
             curves = find_curves(thesis_columns(index, figure), THESIS_QUANTITIES)
             pages.append(curves_page(curves, basename=figure))
     if study == OWN_GAME:
@@ -215,24 +215,27 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str
 
 
 def _elsewhere(index: RunIndex) -> Page:
-    found = {title: study_runs(index, study, None) for title, study in ELSEWHERE.items()}
-    columns = {title: data for title, data in found.items() if data}
-    title, first = next(iter(columns.items()))
-    named = first.study.model_copy(update={"title": "tanh or ReLU, and Adam's betas, in other environments"})
-    return curves_page(find_curves({**columns, title: replace(first, study=named)}), basename="elsewhere")
+    columns: dict[str, StudyData] = {}
+    for title, study in ELSEWHERE.items():
+        data = study_runs(index, study, None)
+        if data:
+            headline = {"title": "tanh or ReLU, and Adam's betas, in other environments"}
+            columns[title] = replace(data, study=data.study.model_copy(update=headline))
+    return curves_page(find_curves(columns), basename="elsewhere")
 
 
 def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
     """Return a study over the worlds of its tables: curves if they fit, or else its summary; and more."""
     worlds = {table.about.get("world") for table in index.tables.values() if table.about["study"] == study}
-    found = {_title(world): study_runs(index, study, world) for world in [None, *WORLDS] if world in worlds}
-    shown = dict.fromkeys(name for data in found.values() if data for name in data.runs["condition"])
     columns: dict[str, StudyData] = {}
-    for title, of_world in found.items():
-        if of_world:
-            columns[title] = of_world.of_conditions([name for name in shown if name in of_world.fields])
+    for world in [None, *WORLDS]:
+        data = study_runs(index, study, world) if world in worlds else None
+        if data:
+            trained = [name for name in data.conditions if data.of_condition(name)]
+            columns[_title(world)] = data.of_conditions(trained)
     if not columns:  # tables of changed fields alone
         return []
+    shown = {name for data in columns.values() for name in data.conditions}
     data = next(iter(columns.values()))
     if logs:
         every = open_study(index, Query(logs))
@@ -243,15 +246,15 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
         return [curves_page(answer, study)]
     if FORKS in study:  # runs end episodes at unlike steps: curves of all of them have holes
         columns = {
-            title: replace(each, study=each.study.model_copy(update={"outcomes": FORK_OUTCOMES}))
-            for title, each in columns.items()
+            title: replace(data, study=data.study.model_copy(update={"outcomes": FORK_OUTCOMES}))
+            for title, data in columns.items()
         }
         data = next(iter(columns.values()))
     if len(data.study.outcomes) > 1:
-        several = len(columns) > 1
         pages = []
-        for one in columns.values():
-            pages.append(summary_page(show_outcomes({"": one}), study + f"-{one.world}" * several))
+        for data in columns.values():
+            basename = f"{study}-{data.world}" if len(columns) > 1 else study
+            pages.append(summary_page(show_outcomes({"": data}), basename))
     elif data.study.outcomes or len(shown) > MOST_IN_A_PANEL:
         pages = [summary_page(show_outcomes(columns), basename=study)]
     else:
@@ -260,11 +263,7 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
 
 
 def _title(world: str | None) -> str:
-    return _capital(WORLDS[world].title if world else "")
-
-
-def _capital(words: str) -> str:
-    return words[:1].upper() + words[1:]
+    return capital(WORLDS[world].title) if world else ""
 
 
 def study_runs(
@@ -316,13 +315,15 @@ def _own_columns(index: RunIndex, figure: str) -> dict[str, StudyData]:
     if figure not in OF_OWN_GAME or not (data := study_runs(index, OWN_GAME, None)):
         return {}
     columns = {}
-    for said, names in OF_OWN_GAME[figure].items():
-        shown = data.renamed(names)
+    for clip_text, names in OF_OWN_GAME[figure].items():
+        renamed = data.renamed(names)
         labels = {
-            name: label.partition(";")[0] for name, label in shown.study.labels.items() if name != "tanh"
+            name: label.partition(";")[0] for name, label in renamed.study.labels.items() if name != "tanh"
         }
-        title = _capital(said) if figure == OWN_GAME else ", ".join(filter(None, [_title("godot"), said]))
-        columns[title] = replace(shown, study=shown.study.model_copy(update={"labels": labels}))
+        title = ", ".join(filter(None, [_title("godot"), clip_text]))
+        if figure == OWN_GAME:
+            title = capital(clip_text)
+        columns[title] = replace(renamed, study=renamed.study.model_copy(update={"labels": labels}))
     return {title: data for title, data in columns.items() if len(data.runs)}
 
 

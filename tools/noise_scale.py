@@ -22,7 +22,7 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.origin import lines_of_runs
-from pneuma.figures.words import headline_of
+from pneuma.figures.words import capital, headline_of
 from pneuma.store.index import RunIndex
 from pneuma.store.store import Store
 from pneuma.study.plan import Query
@@ -43,19 +43,19 @@ def noise_cells(data: StudyData) -> pd.DataFrame:
             slots, horizon, rate = (runs[0].fields[key] for key in ("slots", "horizon", "learning_rate"))
             samples, killed = slots * horizon, outcome_values(data, name, OUTCOME)
             settings = {"ratio": rate / samples, "slots": slots, "horizon": horizon, "rate": rate}
-            found = {"updates": STEPS // samples, "runs": len(runs), "mean": killed.mean(), "killed": killed}
-            rows.append({**settings, **found})
+            outcomes = {"runs": len(runs), "mean": killed.mean(), "killed": killed}
+            rows.append({**settings, "updates": STEPS // samples, **outcomes})
     return pd.DataFrame(rows).sort_values("ratio", ascending=False, kind="stable")
 
 
 def correlations(cells: pd.DataFrame) -> list[str]:
     """Return in words how kills go with the ratio."""
-    found = []
+    sentences = []
     for words, least in (("", 0), (f" with {FEW_UPDATES} updates or more", FEW_UPDATES)):
-        of = cells[cells["updates"] >= least]
-        correlation = f"{of['ratio'].corr(of['mean'], method='spearman'):.2f}".replace("-", "−")
-        found.append(f"Spearman's correlation over {len(of)} conditions{words}: {correlation}.")
-    return found
+        enough = cells[cells["updates"] >= least]
+        correlation = f"{enough['ratio'].corr(enough['mean'], method='spearman'):.2f}".replace("-", "−")
+        sentences.append(f"Spearman's correlation over {len(enough)} conditions{words}: {correlation}.")
+    return sentences
 
 
 def open_noise_scale(index: RunIndex) -> StudyData:
@@ -81,7 +81,7 @@ def noise_page(data: StudyData) -> Page:
     words = find_outcome(OUTCOME).words
     few = cells["updates"][cells["updates"] < FEW_UPDATES]
     crossed = f"Crossed out: {few.iloc[0]} updates in all." if len(few) else ""
-    caption = [f"{words[:1].upper()}{words[1:]}.", *correlations(cells), crossed]
+    caption = [f"{capital(words)}.", *correlations(cells), crossed]
     headline = headline_of(data, "at the end of training")
     return Page(STUDY, [[panel]], 1.3 * style.PANEL_INCHES, headline, lines_of_runs(data), marks, caption)
 
