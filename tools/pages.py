@@ -1,4 +1,4 @@
-"""Pages hold what commands print and docstrings say. `make figures` writes it anew, and a test compares it.
+"""Pages contain output of commands and parts of docstrings. `make figures` updates it; a test compares it.
 
     <!-- pneuma study verify --format markdown -->
 
@@ -7,7 +7,7 @@
     <!-- end -->
     <!-- docstring pneuma.env.gym.PneumaEnv Actions -->
 
-    what stands in the docstring under this heading
+    the docstring's text under this heading
 
     <!-- end -->
 
@@ -55,7 +55,7 @@ _BLOCK = re.compile(
 
 
 def rewrite(pages: Sequence[Path] = PAGES) -> list[Path]:
-    """Write all blocks of pages anew; return the pages that this changed."""
+    """Write all blocks of pages again; return the pages that this changed."""
     changed = renewed(pages)
     for page, text in changed.items():
         page.write_text(text, encoding="utf-8")
@@ -63,7 +63,7 @@ def rewrite(pages: Sequence[Path] = PAGES) -> list[Path]:
 
 
 def renewed(pages: Sequence[Path] = PAGES) -> dict[Path, str]:
-    """Return the text of each page that does not hold what its commands print now.
+    """Return the new text of each page whose commands now print something else.
 
     Commands read a results folder of published tables without runs.
 

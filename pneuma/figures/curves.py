@@ -150,7 +150,7 @@ def _panel(answer: CurvesAnswer, column: Column, quantity_name: str, looks: Look
 
 
 def _draw(answer: CurvesAnswer, column: Column, quantity_name: str, looks: Looks, axes: Axes) -> None:
-    """Draw bands, single runs and means of a quantity, the study beside, and the random player."""
+    """Draw bands, single runs and means of a quantity, the other study's runs, and the random player."""
     options, study_data, curves = answer.options, column.data, column.curves[quantity_name]
     beside_curves = column.beside_curves.get(quantity_name, [])
     axis_kind, bounds = QUANTITIES[quantity_name].kind, QUANTITIES[quantity_name].bounds
@@ -219,7 +219,7 @@ def _draw_beside(axes: Axes, curves: Sequence[Curve], column: Column, looks: Loo
     beside_data = column.beside
     title = beside_data.full_title
     if beside_data.study.name == column.data.study.name and beside_data.plan:
-        title = f"preset {beside_data.plan.preset}"  # what tells runs of one study apart
+        title = f"preset {beside_data.plan.preset}"  # the difference between runs of one study
     grey_count = sum(curve.run_count for curve in curves if curve.condition not in looks)
     opacity = min(1.0, MANY_RUNS / len(beside_data.runs))
     for curve in curves:
@@ -235,12 +235,12 @@ def _draw_beside(axes: Axes, curves: Sequence[Curve], column: Column, looks: Loo
 
 
 def _single_marker(curve: Curve) -> str:
-    """Return a marker for runs with one point, of which a line shows nothing."""
+    """Return a marker for runs with one point, which a line cannot show."""
     return "o" if len(curve.runs.dropna(how="all")) == 1 else ""
 
 
 def _shows_runs(curve: Curve, band: str) -> bool:
-    """Return whether every run is drawn: if the band says so, runs are few, or it rarely covers the mean."""
+    """Return whether every run is drawn: with the band `runs`, and where runs are too few for a band."""
     run_count = curve.run_count
     if band in (NO_BAND, RUNS):
         return band == RUNS

@@ -57,7 +57,7 @@ RANDOM_LOOK: Any = {"color": GREY, "linestyle": (0, (1, 2)), "linewidth": 0.9, "
 ROW_INCHES, LEAST_ROW_INCHES, LONGEST_INCHES = 0.28, 0.1, 7.6
 """Heights in inches: of a row, default and least, and of all rows that fit a page."""
 LEAST_PANEL_HEIGHT = 1.25
-"""In inches, with title and labels; in less, the label of an axis lies on others."""
+"""In inches, with title and labels; in a lower panel labels of axes overlap."""
 DEFAULT_LOOK = Look()
 
 
@@ -91,12 +91,12 @@ class Page:
         basename: of its files, without an ending.
         grid: panels, row by row. A title, label or row that its neighbour has too is written once.
         inches: height of a row of panels with their axes.
-        runs: of its origin, as `lines_of_runs` returns them.
-        entries: artists of the legend that are in no panel, by their words.
+        runs: lines of its origin, from `lines_of_runs`.
+        entries: artists of the legend that are not in panels, by their labels.
         caption: notes, the most important first.
-        across: most panels beside each other on a page of the default width. Columns that do not fit go
-            below the others.
-        answer: what it shows; None if it is no question's.
+        across: most panels side by side on a page of the default width. Columns that do not fit go below
+            the others.
+        answer: what it shows, if that is an answer.
     """
 
     basename: str
@@ -294,7 +294,7 @@ def _add_legend(figure: Figure, artists: Mapping[str, Any], width: float) -> Leg
 
 
 def _legend_entries(figure: Figure, page_entries: Mapping[str, Any]) -> dict[str, Any]:
-    """Return one artist for each label in panels, then some more, and the random player's level last."""
+    """Return one artist for each label in panels, then the page's own, and the random player's level last."""
     entries: dict[str, Any] = {}
     for axes in figure.axes:
         for artist, label in zip(*axes.get_legend_handles_labels(), strict=True):

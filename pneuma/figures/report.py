@@ -63,7 +63,7 @@ def gather_report(index: RunIndex, study_names: Sequence[str], say: Say) -> dict
     if is_of_thesis:
         try:
             contents["claims"], contents["note"] = _judged_claims(index, selected)
-        except UserError as error:  # a damaged published table: the page says so, and shows the rest
+        except UserError as error:  # a damaged published table: the page names it, and shows the rest
             contents["unjudged"] = without_folder(index, str(error))
             say(f"Note: {error}; no claim is judged.")
     sections = []

@@ -30,15 +30,15 @@ from pneuma.figures.words import capital
 from pneuma.search.log import Record
 
 TABLES = {"table-6-1": ("s", ":"), "table-6-2": ("D", "--")}
-"""The thesis's bases, whose trials and values are marked, with the marker and the line of each."""
+"""The thesis's bases: the marker of their trials and the line at their values."""
 TABLE_LABELS = {"table-6-1": "Table 6.1", "table-6-2": "Table 6.2"}
 LATE_BLUES = ListedColormap(colormaps["Blues"](np.linspace(0.2, 1, 256)))
-"""Colours of trials in their order; of which the first is no white."""
+"""Colours of trials in their order; the first is not white."""
 COLUMNS, ROW_INCHES = 4, 1.75
 LETTERS_ACROSS = 24
 """Most letters of choices that are written level below a panel."""
 LEAST_TRIALS, BEST_TRIALS, BEST_SHARE = 10, 5, 0.1
-"""Share of the trials that importances treat as the best, though never fewer than five trials."""
+"""Importances need this many trials, and treat this share as the best, but at least this number of trials."""
 
 
 def draw_search(
@@ -76,13 +76,13 @@ def draw_search(
 
 @contextmanager
 def _optuna_in_our_style() -> Iterator[None]:
-    """Let Optuna, which asks for the style `ggplot`, change nothing of the present one."""
+    """Keep the present style, where Optuna would use the style `ggplot`."""
     library: Any = matplotlib.style.library
     ggplot_style = library["ggplot"]
     plt.rcParams |= {"figure.constrained_layout.use": True, "figure.figsize": (WIDTH, WIDTH / 2)}
     library["ggplot"] = {}
     try:
-        with warnings.catch_warnings(action="ignore"):  # of what is experimental, and of low targets
+        with warnings.catch_warnings(action="ignore"):  # experimental features, and low targets
             yield
     finally:
         library["ggplot"] = ggplot_style

@@ -1,8 +1,8 @@
 """What the sampler and the pruner of a search decide, always the same from the same log.
 
 They work on a copy of the study in memory, in which the trials of earlier generations have ended. The sampler
-has a seed of the trial's own. So a decision depends neither on the number of workers nor on how often the
-search was stopped. Whoever writes it again writes the same.
+gets a seed for each trial. So a decision depends neither on the number of workers nor on how often the search
+was stopped, and every process that repeats it writes the same.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pneuma.study.plan import Cell
 from pneuma.values import format_json
 
 STUDY_ATTRIBUTES = "pneuma:study"
-"""The attribute of a trial with what its sampler has noted of the whole study."""
+"""The attribute of a trial with the attributes that its sampler gave the whole study."""
 
 
 def make_cells(record: Record, trial_number: int, params: Mapping[str, Any]) -> list[Cell]:
@@ -100,7 +100,7 @@ def prune(record: Record, trial: FrozenTrial, reports: Mapping[int, float]) -> t
     """Ask the pruner at each report of a trial, with the trials of earlier generations to compare with.
 
     Returns:
-        Whether the trial is stopped, and what the pruner has noted of it.
+        Whether the trial is stopped, and the attributes that the pruner gave it.
     """
     pruner = record.search.pruner
     if pruner is None:
@@ -145,9 +145,9 @@ def _as_suggested(trial: FrozenTrial, system_attributes: dict[str, Any]) -> Froz
 
 @contextmanager
 def _explained(record: Record, component: str) -> Iterator[None]:
-    """Explain in a line what a sampler or pruner, which may be anybody's, cannot do."""
+    """Turn any error of a sampler or pruner, which may be a user's, into a message of one line."""
     try:
-        with warnings.catch_warnings(action="ignore"):  # of what is experimental
+        with warnings.catch_warnings(action="ignore"):  # experimental features
             yield
     except Exception as error:
         raise UserError(

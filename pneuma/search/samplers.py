@@ -49,7 +49,7 @@ class Choice(Table):
         arguments = {**DEFAULTS.get(self.name, {}), **self.arguments}
         if seed is not None and "seed" in inspect.signature(component_class).parameters:
             arguments["seed"] = seed
-        with warnings.catch_warnings(action="ignore"):  # of arguments that are experimental
+        with warnings.catch_warnings(action="ignore"):  # experimental arguments
             return component_class(**arguments)
 
 

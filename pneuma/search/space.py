@@ -32,7 +32,7 @@ class Parameter:
 
     Attributes:
         name: the field's name.
-        distribution: it as Optuna has it.
+        distribution: Optuna's distribution of it.
         choices: values of the field, by the parameters that stand for them; empty for a range.
         when: earlier parameters or other fields, with the values for which this one is searched.
     """
@@ -127,7 +127,7 @@ def _read_space(tables: Any) -> Any:
             space[parameter_name] = _read_parameter(parameter_name, parameter_table)
         except ArithmeticError:
             raise wrong(f"{parameter_name}: step is too small for this range", parameter_name) from None
-        except Exception as error:  # of the fields, or of Optuna's checks
+        except Exception as error:  # from the fields or from Optuna's checks
             raise wrong(f"{parameter_name}: {error}", parameter_name) from None
         for condition in space[parameter_name].when:
             if condition in tables and condition not in space:

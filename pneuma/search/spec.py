@@ -91,7 +91,7 @@ class Search(Table):
     pruner: Pruner | None = None
     presets: Annotated[dict[Annotated[str, OneOf(PRESETS)], Budget], MinLen(1)]
 
-    # what its file has no key for
+    # not in its file
     name: str = Field("", exclude=True)
     path: Path = Field(Path(), exclude=True)
     world: str = Field(TEXT, exclude=True)

@@ -1,8 +1,8 @@
 """The loop of a search: generations of trials are suggested together, trained, and reported in order.
 
-The log is all that it goes by (Akiba et al. 2019 describe ask and tell). A new trial is one line of the log.
-What follows is written again, alike, by whoever continues a search that was killed. Several processes may run
-the same search: the first to come to a result writes it, and the others continue from there.
+It depends on the log alone (Akiba et al. 2019 describe ask and tell). A new trial is one line of the log.
+Whoever continues a search that was killed writes the same lines after it. Several processes may run the same
+search: the first that has a result writes it, and the others continue from there.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from optuna.trial import TrialState
 from pneuma.analysis.outcomes import check_outcome
 from pneuma.config import Run, round_up
 from pneuma.engines.loop import EVALUATIONS, evaluation_steps
-from pneuma.errors import UserError
+from pneuma.errors import Say, UserError
 from pneuma.files import write_error
 from pneuma.search.decisions import make_cells, prune, suggest
 from pneuma.search.log import Record, open_record
@@ -30,7 +30,6 @@ from pneuma.training.execute import CellResult, check_environments
 
 Train = Callable[[Plan, Mapping[str, int]], Sequence[CellResult]]
 """Trains runs of a plan, by id, up to a step each, or to the end if that is 0."""
-Say = Callable[[str], None]
 
 
 class Unfinished(Exception):
@@ -89,7 +88,7 @@ def _run_generation(record: Record, store: Store, trial_numbers: range, train: T
         run_ids = trial.user_attrs.get("run_ids")
         if run_ids:
             cells_by_trial[trial_number] = make_cells(record, trial_number, trial.params)
-        elif run_ids is not None:  # it has a note of why it can have no runs
+        elif run_ids is not None:  # its note has the reason why it can have no runs
             record.study.tell(trial_number, state=TrialState.FAIL, skip_if_finished=True)
     for pause in _pauses(record.search) + [EVALUATIONS]:
         running = [
@@ -119,7 +118,7 @@ def _run_generation(record: Record, store: Store, trial_numbers: range, train: T
 
 
 def _refuse_unfinished(results: Sequence[CellResult], step_by_run: Mapping[str, int]) -> None:
-    """Raise `Unfinished` if a run is not where `step_by_run` says."""
+    """Raise `Unfinished` if a run has not reached its step."""
     for result in results:
         cell, status = result.cell, result.status
         step = step_by_run.get(cell.run_id)

@@ -17,7 +17,7 @@ from pneuma.study.plan import Cell
 def read_rows(store: Store, cells: Sequence[Cell], step: int | None = None) -> list[Row]:
     """Return the rows of runs: as they are at a step, or at their end.
 
-    A run that diverged up to that step has diverged.
+    A run that diverged by that step counts as diverged.
     """
     rows = []
     for cell in cells:
