@@ -85,9 +85,9 @@ def test_panels_and_legend_do_not_overlap_at_the_least_height(
     study: HandMade, tmp_path: Path, figures: list[Figure]
 ) -> None:
     """At 3.25 by 2.4 inches two panels overlapped."""
-    with pytest.raises(UserError, match=r"height='2.4': at least 3.1 inches for 2 panels$"):
+    with pytest.raises(UserError, match=r"height='2.4': at least 3.2 inches for 2 panels$"):
         save_page(study.page(), tmp_path, PNG, look=Look(3.25, 2.4, plain=True))
-    for quantities, height in (((), 3.1), (("return",), 2.3)):
+    for quantities, height in (((), 3.2), (("return",), 2.4)):
         save_page(study.page(*quantities), tmp_path, PNG, look=Look(3.25, height, plain=True))
         assert figures[-1].get_size_inches().tolist() == [3.25, height]
         tight = [axes.get_tightbbox() for axes in figures[-1].axes]
