@@ -9,8 +9,11 @@ unpickled. DIGEST is of all that the suggestions depend on: the file, seeds, ste
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
+import socket
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -22,7 +25,7 @@ from optuna.storages.journal._file import BaseJournalFileLock
 from optuna.trial import FrozenTrial, TrialState
 
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION
-from pneuma.errors import UserError
+from pneuma.errors import UserError, print_aside
 from pneuma.files import checksum, names_in, stored_file
 from pneuma.schema import read_toml
 from pneuma.search.spec import Budget, Search, load_search
@@ -48,6 +51,9 @@ class LogLock(BaseJournalFileLock):
     Whoever gets it removes a line that a killed process has not finished: Optuna cannot read what follows.
     """
 
+    WAIT_SECONDS = 10.0
+    """After this time it prints for whom it waits."""
+
     def __init__(self, log_path: Path) -> None:
         self._log = log_path.resolve()
         self._file: BinaryIO
@@ -55,8 +61,16 @@ class LogLock(BaseJournalFileLock):
     def acquire(self) -> bool:
         lock_path = self._log.with_name(f".{self._log.name}.lock")
         self._file = open(lock_path, "a+b", opener=open_lock)  # noqa: SIM115 (`release` closes it)
+        message_time = time.monotonic() + self.WAIT_SECONDS
         while not take_lock(self._file.fileno()):
-            pass  # another process writes a line
+            if time.monotonic() > message_time:
+                message_time = math.inf
+                self._file.seek(0)
+                holder = self._file.read().decode(errors="replace") or "another process"
+                print_aside(f"Waiting for {holder}, which writes {self._log}.")
+        self._file.truncate(0)
+        self._file.write(f"process {os.getpid()} on {socket.gethostname()}".encode())
+        self._file.flush()
         with open(self._log, "r+b") as log_file:
             log_file.seek(max(log_file.seek(0, os.SEEK_END) - 1, 0))
             if log_file.read() not in (b"", b"\n"):

@@ -97,10 +97,11 @@ time.sleep(1000)
 
 
 def test_a_lock_ends_with_its_process_and_is_not_taken_from_one_that_is_stopped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In a relative folder, too."""
+    """In a relative folder, too. Whoever waits for long prints for whom."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(LogLock, "WAIT_SECONDS", 0.1)
     Path("results").mkdir()
     Path("results/x.log").touch()
     lock = LogLock(Path("results/x.log"))
@@ -110,9 +111,9 @@ def test_a_lock_ends_with_its_process_and_is_not_taken_from_one_that_is_stopped(
         holder.send_signal(signal.SIGSTOP)
         waiting.start()
         waiting.join(0.5)
-        is_waiting = waiting.is_alive()
+        is_waiting, message = waiting.is_alive(), capsys.readouterr().err
         holder.kill()
-        assert is_waiting
+        assert is_waiting and message.count(f"Waiting for process {holder.pid} on ") == 1
         waiting.join(10)
         assert not waiting.is_alive()
     lock.release()
