@@ -77,11 +77,13 @@ def compare(
         return _compare_in_environments(study_data, data_by_env, a, b, outcomes or [OUTCOME])
     claims = [] if outcomes else _claims_about(study_data, a, b)
     claimed_outcomes: list[str] = []
-    claim_notes = []
     for claim in claims:
         claimed_outcomes += claim.outcome
+    claim_notes = []
+    if claims:
+        claim_names = " and ".join(claim.name for claim in claims)
         claim_notes.append(
-            f"The claim {claim.name} compares these conditions; its outcomes come first (see study verify)."
+            f"Claims about these conditions: {claim_names}. Their outcomes come first (see study verify)."
         )
     pairs = {"": (_group(study_data, a), _group(study_data, b))}
     answer = _compare_pairs(study_data, pairs, [a, b], outcomes, claimed_outcomes)

@@ -101,7 +101,10 @@ def status(name: SearchName, location: Location) -> Result:
 def plot(
     name: SearchName, location: Location, out: opt.PlotFolder = None, formats: opt.Formats = None
 ) -> Result:
-    """Draw a search: history, importances, all parameters, and the best trials or Pareto front."""
+    """Draw a search: history, all parameters, importances, and the Pareto front of two objectives.
+
+    Importances need two parameters and ten complete trials.
+    """
     file_formats = read_formats(formats, out)
     from pneuma.figures.search import draw_search
 

@@ -174,7 +174,7 @@ def test_a_comparison_shows_the_outcomes_of_the_claim_on_it_first() -> None:
     """The claim tanh-better is on tanh and ReLU, whichever is named first; none is on tanh and LeakyReLU."""
     words = ("study", "compare", "activation")
     code, out, _ = call(*words, "relu", "tanh")
-    assert code == 0 and "The claim tanh-better compares these conditions" in out
+    assert code == 0 and "Claims about these conditions: tanh-better" in out
     outcomes = [row["outcome"] for row in described(*words, "relu", "tanh", "--json")["comparisons"]]
     assert outcomes[:2] == ["final-return", "late-share-killed"]
     assert "claim" not in call(*words, "tanh", "leaky-relu").out
