@@ -258,15 +258,18 @@ def refuse_flat_pictures(run: Run, space: spaces.Space[Any]) -> None:
     """Refuse a run whose policy would flatten pictures: a multilayer perceptron, as is the default."""
     if run.policy and not run.policy.startswith("Mlp"):
         return
-    if any(_is_picture(leaf_space) for leaf_space in _leaf_spaces(space)):
+    dimensions = [len(leaf.shape or ()) for leaf in _leaf_spaces(space) if _is_picture(leaf)]
+    if dimensions:
         policy_name = "MultiInputPolicy" if isinstance(space, spaces.Dict) else "CnnPolicy"
-        remedy = f'set policy = "{policy_name}", or wrappers = ["FlattenObservation"]'
+        remedy = 'wrappers = ["FlattenObservation"]'
+        if min(dimensions) == 3:  # to Stable-Baselines3, a picture has channels
+            remedy = f'set policy = "{policy_name}", or {remedy}'
         raise UserError(f"{run.env}: its observations are pictures, which MlpPolicy would flatten: {remedy}")
 
 
 def _is_picture(space: spaces.Space[Any]) -> bool:
-    """Return whether a space is of pictures, as Stable-Baselines3's `is_image_space` decides it."""
-    if not isinstance(space, spaces.Box) or space.dtype != np.uint8 or len(space.shape) != 3:
+    """Return whether a space is of pictures, by Stable-Baselines3's rule, with or without channels."""
+    if not isinstance(space, spaces.Box) or space.dtype != np.uint8 or len(space.shape) not in (2, 3):
         return False
     return bool((space.low == 0).all() and (space.high == 255).all())
 

@@ -169,7 +169,7 @@ def test_a_policy_for_pictures_sees_pictures() -> None:
     [
         (PICTURE, 'flatten: set policy = "CnnPolicy", or wrappers = ["FlattenObservation"]'),
         (spaces.Dict(seen=PICTURE, speed=VECTOR), 'flatten: set policy = "MultiInputPolicy", or wrappers'),
-        (spaces.Box(0, 255, (36, 36), np.uint8), ""),  # without channels the library knows no picture
+        (spaces.Box(0, 255, (36, 36), np.uint8), 'flatten: wrappers = ["FlattenObservation"]'),
         (spaces.Box(0, 255, (128,), np.uint8), ""),  # the memory of an Atari game
         (VECTOR, ""),
     ],
