@@ -102,6 +102,12 @@ class Policy:
     choices: np.ndarray | None = None
     scaling: Scaling | None = None
 
+    def __repr__(self) -> str:
+        """Return the sizes of the networks, not their numbers, in one line."""
+        actor = layer_widths(self.actor).tolist()
+        critic = layer_widths(self.critic).tolist() if self.critic else "none"
+        return f"Policy({self.activation}, actor {actor}, critic {critic})"
+
     @property
     def features(self) -> int:
         return int(self.actor[0][0].shape[-2])

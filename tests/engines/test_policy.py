@@ -108,6 +108,7 @@ def test_stable_baselines3_evaluates_a_stored_policy() -> None:
     policy = Policy("tanh", (lean,), (value,))
     returns, _ = evaluate_policy(policy, env, n_eval_episodes=3, return_episode_rewards=True, warn=False)
     assert min(np.array(returns)) > 100
+    assert repr(policy) == "Policy(tanh, actor [4, 2], critic [4, 1])"
     actions, state = policy.predict(np.array([[0.0, 0, 1, 1], [0, 0, -1, 0]], np.float32), deterministic=True)
     assert (actions.tolist(), state) == ([1, 0], None)
     assert policy.predict(np.array([0.0, 0, 1, 1], np.float32), deterministic=True)[0] == 1
