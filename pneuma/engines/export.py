@@ -118,6 +118,8 @@ def observation_space(policy: Policy, run: Run) -> spaces.Box:
     if is_gymnasium_id(run.env):
         env = make_env(run)
         env.close()
+        if isinstance(env.action_space, spaces.MultiBinary):
+            raise UserError(f"cannot be exported: a .zip has no policy like this for {env.action_space}")
         if np.any(getattr(env.action_space, "start", 0)):
             raise UserError(
                 f"cannot be exported: a .zip counts actions from 0, but those of {run.env} begin later"

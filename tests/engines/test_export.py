@@ -18,8 +18,9 @@ from pneuma.config import ACTIVATIONS, Run, make_run
 from pneuma.engines.export import observation_space, to_sb3
 from pneuma.engines.normalization import Scaling
 from pneuma.engines.policy import Policy
+from pneuma.errors import UserError
 
-from .trained import random_layers
+from .trained import CORRIDOR, random_layers, run_of
 
 FEATURES = 60
 """What the shipped level's 14 monsters make of an observation of the thesis's layout."""
@@ -110,6 +111,16 @@ def test_the_zip_needs_nothing_of_pneuma(monkeypatch: pytest.MonkeyPatch) -> Non
     model = PPO.load(io.BytesIO(data), device="cpu")
     chosen, _ = model.predict(observations, deterministic=True)
     assert chosen.tolist() == expected
+
+
+def test_what_stable_baselines3_would_not_load_with_its_environment_is_refused() -> None:
+    for arguments, reason in (
+        ({"kind": "bits"}, r"no policy like this for MultiBinary\(3\)"),
+        ({"first": 1}, "counts actions from 0"),
+    ):
+        run = run_of(**CORRIDOR, engine="sb3", env_kwargs=arguments)
+        with pytest.raises(UserError, match=reason):
+            observation_space(random_policy(run, 2), run)
 
 
 # --- What an environment may be made of ------------------------------------------------------------
