@@ -133,7 +133,7 @@ def _folder_files(folder: Path) -> list[Path]:
 def _read_layer(table_path: Path) -> np.ndarray:
     """Return the code of each tile, (rows, columns)."""
     codes = _read_table(table_path, read_text(table_path).splitlines(), first_row=1)
-    return _without_turns(codes).astype(np.int64)
+    return _without_turns(table_path, codes)
 
 
 def _read_objects(table_path: Path) -> list[tuple[int, float, float]]:
@@ -144,13 +144,16 @@ def _read_objects(table_path: Path) -> list[tuple[int, float, float]]:
     objects = _read_table(table_path, text_lines, first_row=2)
     if objects.shape[1] != 3:
         raise UserError(f"{table_path}: row 2 has {objects.shape[1]} numbers, not 3")
-    objects[:, 0] = _without_turns(objects[:, 0])
+    objects[:, 0] = _without_turns(table_path, objects[:, 0])
     return [(int(object_code), x, y) for object_code, x, y in objects.tolist()]
 
 
-def _without_turns(codes: np.ndarray) -> np.ndarray:
-    """Return codes without the highest four of their 32 bits, by which Tiled turns pictures."""
-    return np.where(codes == EMPTY, EMPTY, codes % 2**28)
+def _without_turns(table_path: Path, codes: np.ndarray) -> np.ndarray:
+    """Return codes, int64, without the highest four of their 32 bits, by which Tiled turns pictures."""
+    is_wrong = (codes % 1 != 0) | (codes < -(2**31)) | (codes >= 2**32)
+    if is_wrong.any():
+        raise UserError(f"{table_path}: code {codes[is_wrong][0]:.12g} is not a whole number of 32 bits")
+    return np.where(codes == EMPTY, EMPTY, codes % 2**28).astype(np.int64)
 
 
 def _read_table(table_path: Path, text_lines: Sequence[str], first_row: int) -> np.ndarray:

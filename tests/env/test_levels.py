@@ -87,6 +87,8 @@ def test_a_header_says_where_the_land_ends_and_any_obstacle_blocks(tmp_path: Pat
     [
         ({"ground": "1,1,1,1\n1,x,1,1\n"}, "ground.csv: row 2: could not convert string to float: 'x'"),
         ({"ground": "1,1,1,1\n1,1,1\n"}, "ground.csv: row 2 has 3 numbers, row 1 has 4"),
+        ({"ground": "1,1.5,1,1\n"}, "ground.csv: code 1.5 is not a whole number of 32 bits"),
+        ({"objects": "code,x,y\n4294967696,0,0\n"}, "objects.csv: code 4294967696 is not a whole"),
         ({"ground": ""}, "ground.csv: contains no numbers"),
         ({"objects": "code,x,y\n400,0\n"}, "objects.csv: row 2 has 2 numbers, not 3"),
         ({"objects": "code,x,y\n400,0,nan\n"}, "objects.csv: row 2 has a number that is not finite"),
