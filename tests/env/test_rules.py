@@ -10,7 +10,7 @@ import pytest
 
 from pneuma.env.fields import ENVIRONMENTS, make_env_config
 from pneuma.env.players import Hunter
-from pneuma.env.rules import ATTACK, DOWN, LEFT, RIGHT, UP
+from pneuma.env.rules import ATTACK, DOWN, FLAME, LEFT, RIGHT, UP
 from pneuma.env.worlds import Worlds
 
 from .arena import GODOT, begin, play, stage
@@ -32,6 +32,18 @@ def test_a_blow_knocks_back_60_px_away_from_the_hilt(arena: str) -> None:
     for ticks, position in ((1, (85.2, -27.6)), (29, (120.0, -74.0)), (1, (117.5, -71.5))):  # it comes back
         pair.play(*[ATTACK] * ticks)
         assert pair.monster("x", "y") == pytest.approx(position)
+
+
+def test_a_monster_enters_the_swords_box_again_after_a_flame(arena: str) -> None:
+    # Left of the hilt, it is knocked back against the player and stays in the box: one hit by two swings, one
+    # by the flame, and one by the third swing.
+    pair = stage(arena, (40.0, 14.0), still=True, blow="entry", magic=True)
+    hits = []
+    for action in (ATTACK, ATTACK, FLAME, ATTACK):
+        for _ in range(3):
+            pair.play(action)
+            hits += pair.player("hits")
+    assert hits == [1, 0, 0, 0, 0, 0, 1, 0, 0, 1, 0, 0]
 
 
 @pytest.mark.parametrize(
