@@ -96,6 +96,10 @@ class OwnCodeError(UserError):
     """An error of a user's own code, which is not retried because it would occur again."""
 
 
+class RunWarning(UserWarning):
+    """An oddity of a run that is trained anyway; reported once per run, and stored with it."""
+
+
 def install_extra(extra_name: str) -> str:
     """Return the command that installs an extra from Pneuma's folder; PyPI's `pneuma` is another project."""
     return f"pip install -c constraints.txt -e '.[{extra_name}]' in Pneuma's folder"

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from typing import Any
@@ -27,7 +28,7 @@ from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run
 from pneuma.engines.normalization import Normalization, Scaling
 from pneuma.engines.records import episode_row
-from pneuma.errors import OwnCodeError, UserError, install_extra
+from pneuma.errors import OwnCodeError, RunWarning, UserError, install_extra
 from pneuma.own_modules import load_module
 
 EXTRAS = ("minatar", "minigrid")
@@ -80,10 +81,11 @@ class GymnasiumSlots:
     def __init__(self, run: Run, seeds: Sequence[int], training: bool = False) -> None:
         self.run = run
         self.envs = [make_env(run) for _ in seeds]
-        observation_space = self.envs[0].observation_space
+        self._space = self.envs[0].observation_space
         self.action_space: Any = self.envs[0].action_space
-        self._flatten = flattening(run, observation_space)
-        self.raw_observations = np.zeros((len(seeds), spaces.flatdim(observation_space)), np.float32)
+        self._flatten = flattening(run, self._space)
+        self._may_warn = training  # once, and not in evaluations, too
+        self.raw_observations = np.zeros((len(seeds), spaces.flatdim(self._space)), np.float32)
         self.terminal = np.zeros_like(self.raw_observations)
         self.returns = np.zeros(len(seeds))
         self.lengths, self.episodes = np.zeros((2, len(seeds)), np.int64)
@@ -160,6 +162,11 @@ class GymnasiumSlots:
         row[:] = flat_observation
         if not math.isfinite(row.sum()):
             raise ValueError("its observation is not finite")
+        difference = self._may_warn and _difference_from_space(flat_observation, self._space)
+        if difference:
+            self._may_warn = False
+            message = f"{self.run.env}: an observation is not of its declared space: {difference}"
+            warnings.warn(message, RunWarning, stacklevel=2)
 
     def _end(self, slot: int, ending: str) -> None:
         self.terminal[slot] = self.raw_observations[slot]
@@ -213,6 +220,20 @@ class GymnasiumSlots:
         for array_name, array in self.saved_state().items():
             if not np.array_equal(array, saved[array_name]):
                 raise ValueError(f"{self.run.env} reaches another state by the same seed and actions")
+
+
+def _difference_from_space(flat_observation: np.ndarray, space: spaces.Space[Any]) -> str:
+    """Return how an observation differs from its space, if that is a `Box`; else empty."""
+    if not isinstance(space, spaces.Box):
+        return ""
+    if not np.can_cast(flat_observation.dtype, space.dtype):
+        return f"{flat_observation.dtype} in place of {space.dtype}"
+    low, high = space.low.reshape(-1), space.high.reshape(-1)
+    outside = (flat_observation < low) | (flat_observation > high)
+    if not outside.any():
+        return ""
+    index = int(outside.argmax())
+    return f"number {index} is {flat_observation[index]:g}, and not from {low[index]:g} to {high[index]:g}"
 
 
 def actions_in_space(space: spaces.Space[Any], actions: np.ndarray) -> Sequence[Any]:

@@ -21,14 +21,15 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Mapping
-from contextlib import closing
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from typing import Any, TextIO
 
 from pneuma.config import ENGINES, Run, is_gymnasium_id
 from pneuma.engines.loop import Progress, Result, train_run
 from pneuma.engines.records import WORLD_COLUMNS, CheckpointError
-from pneuma.errors import OwnCodeError, UserError
+from pneuma.errors import OwnCodeError, RunWarning, UserError
 from pneuma.files import is_storage_problem, to_json
 from pneuma.store.checkpoints import RunCheckpoints, table_files
 from pneuma.store.locks import LOCK_FILE
@@ -127,12 +128,15 @@ class Worker:
         checkpoints = RunCheckpoints(self._job.store, run_id, seconds, note)
         while True:
             try:
-                return self._train_once(run_id, run, checkpoints)
+                with _first_warning(note) as warning:
+                    return self._train_once(run_id, run, checkpoints, warning)
             except CheckpointError as error:
                 if not checkpoints.give_up(error):
                     raise
 
-    def _train_once(self, run_id: str, run: Run, checkpoints: RunCheckpoints) -> Status:
+    def _train_once(
+        self, run_id: str, run: Run, checkpoints: RunCheckpoints, warning: Sequence[str]
+    ) -> Status:
         executor_config = self._job.config
         checkpoint = checkpoints.latest()
         first_step = checkpoint.step if checkpoint else 0
@@ -164,6 +168,8 @@ class Worker:
             result = train_run(run, update, checkpoint)
         if result.status != "stopped":
             provenance = finished_provenance([*checkpoints.attempts, attempt.so_far(result.step)])
+            if warning:
+                provenance["warning"] = warning[0]
             if executor_config.project:
                 provenance["project"] = executor_config.project
             provenance["packages"] |= packages_of(run)
@@ -190,6 +196,25 @@ def describe(error: Exception) -> str:
     if isinstance(error, MemoryError):
         return f"memory ran out ({error or 'MemoryError'})"
     return f"{type(error).__name__}: {error}"
+
+
+@contextmanager
+def _first_warning(say: Callable[[str], None]) -> Iterator[list[str]]:
+    """Print the first `RunWarning` of training, and yield a list with its text; a replay warns again."""
+    warning_texts: list[str] = []
+    with warnings.catch_warnings():
+        show_warning = warnings.showwarning
+
+        def collect(message: Warning | str, category: type[Warning], *location: Any) -> None:
+            if not issubclass(category, RunWarning):
+                show_warning(message, category, *location)
+            elif not warning_texts:
+                warning_texts.append(str(message))
+                say(warning_texts[0])
+
+        warnings.showwarning = collect  # type: ignore[assignment]
+        warnings.simplefilter("always", RunWarning)
+        yield warning_texts
 
 
 def _listen(lines: TextIO, orders: queue.Queue[str], stop: threading.Event) -> None:

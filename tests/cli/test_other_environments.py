@@ -76,6 +76,23 @@ steps = 256
 """
 
 
+def test_an_observation_outside_its_space_is_one_warning_a_run_and_stored(tmp_path: Path) -> None:
+    mine, at = tmp_path / "odd.toml", ("--results", tmp_path / "results")
+    double = '[conditions.double]\nenv_kwargs = { kind = "double" }\n[presets'
+    mine.write_text(ANY_ACTIONS.replace("numbers", "low").replace("[presets", double))
+    called = call("study", "run", mine, *at, "--quiet")
+    reasons = {"low": "number 0 is 4, and not from -1 to 3", "double": "float64 in place of float32"}
+    expected = {
+        f"{name} seed 0: Corridor-v0: an observation is not of its declared space: {reason}"
+        for name, reason in reasons.items()
+    }
+    lines = [line for line in called.err.splitlines() if "declared space" in line]
+    assert called.code == 0 and set(lines) == expected and len(lines) == 2
+    runs = [described("run", "show", run["run_id"], *at, "--json") for run in _runs(*at)]
+    stored = {run["provenance"].get("warning") for run in runs}
+    assert stored == {None} | {line.partition(" seed 0: ")[2] for line in expected}
+
+
 def test_an_engine_that_is_left_open_is_one_that_can_train_what_an_action_is(tmp_path: Path) -> None:
     mine, at = tmp_path / "any.toml", ("--results", tmp_path / "results")
     mine.write_text(ANY_ACTIONS)

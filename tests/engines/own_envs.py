@@ -32,6 +32,8 @@ CHANCES: dict[str, Callable[[], float]] = {
 BOX = spaces.Box(-1, 5, (2,), np.float64)
 OBSERVED: dict[str, spaces.Space[Any]] = {
     "dict": spaces.Dict({"b": BOX, "a": spaces.Discrete(6)}),
+    "low": spaces.Box(-1, 3, (2,), np.float64),
+    "double": spaces.Box(-1, 3, (2,), np.float32),
     "text": spaces.Dict({"a": BOX, "mission": spaces.Text(9)}),
     "picture": spaces.Box(0, 255, (36, 36, 3), np.uint8),
     "small picture": spaces.Box(0, 255, (8, 8, 3), np.uint8),
