@@ -221,7 +221,10 @@ class Study(Table):
         if not isinstance(run, Mapping) or "n_timesteps" not in run or not isinstance(presets, Mapping):
             return study_table
         run, presets = dict(run), dict(presets)
-        steps = run.pop("n_timesteps")
+        try:
+            steps = read_field(Run, "steps", run.pop("n_timesteps"))
+        except UserError as error:
+            raise wrong(f"[run] n_timesteps: {error}", "run") from None
         for preset_name, table in presets.items():
             if isinstance(table, Mapping):
                 presets[preset_name] = {"steps": steps, **table}

@@ -72,6 +72,7 @@ SAC = 'title = "SAC"\n[run]\nalgorithm = "sac"\nenv = "Pendulum-v1"\n'
         (HEAD, "slots = 4\nn_envs = 8\n", r"line 5: \[run\] n_envs and slots both set slots"),
         (HEAD, "policy = 'Cnn'\n", 'policy = "Cnn" is not allowed: a policy of the learner'),
         (HEAD, "normalize = 'rewards'\n", "normalize = 'rewards' is not allowed: true or false"),
+        (HEAD, "n_timesteps = 0.5\n", r"\[run\] n_timesteps: steps = 0.5 is not allowed: must be a whole"),
         (HEAD, "policy_kwargs = '__import__(\"os\").abort()'\n", "policy_kwargs = .* is not allowed"),
         (
             HEAD, "seed = 1\nn_steps = 1\nx = 2\n",  # all at once, each with its line
