@@ -110,6 +110,14 @@ def _publish_changed(
     store.write(path, changed.replace(no_checksum.encode(), f"sha256:{checksum(changed)}".encode()))
 
 
+STEPS, SHARES = pa.array([500, 1000]), pa.array([0.5, 0.5])
+
+
+def _evaluations(**columns: pa.Array) -> Callable[[pa.Table], pa.Table]:
+    evaluations = pa.StructArray.from_arrays(list(columns.values()), names=list(columns))
+    return _put("evaluations", pa.ListArray.from_arrays(pa.array([0, 2], pa.int32()), evaluations))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -117,6 +125,23 @@ def _publish_changed(
         (_put("entropy", pa.array([["x"] * 200])), "column entropy is invalid"),
         (_put("signs", "["), "Expecting value: line 1 column 2 (char 1)"),
         (lambda table: table.drop_columns(["evaluations"]), "column evaluations is missing"),
+        (_put("config_id", pa.array(["x"])), "column config_id is invalid"),
+        (_put("steps", pa.array([0])), "column steps is invalid"),
+        (_evaluations(a=SHARES), "column evaluations is invalid"),
+        (_evaluations(step=STEPS, share_killed=pa.array(["x", "y"])), "column evaluations is invalid"),
+        (_evaluations(step=STEPS, share_killed=pa.array([True, True])), "column evaluations is invalid"),
+        (_evaluations(step=pa.array([0, float("inf")])), "column evaluations is invalid"),
+        (_evaluations(step=pa.nulls(2, pa.int64())), "column evaluations is invalid"),
+        (_put("fields", '{"steps": 1000, "parent": ["a"]}'), 'parent = ["a"]'),
+        (_put("fields", '{"steps": 1000, "reward": [{"a": 1}]}'), 'reward = [{"a": 1}]'),
+        (_put("fields", f'{{"slots": 1{400 * "0"}}}'), f"the number 1{19 * '0'} … is too large"),
+        (_put("provenance", '{"wall_seconds": 1e999}'), "the number 1e999 is not finite"),
+        (_put("provenance", '{"wall_seconds": NaN}'), "the number NaN is not finite"),
+        (_put("provenance", '{"a": ' + 200_000 * "["), "is nested too deeply"),
+        (
+            _put("signs", f'{{"unit": 1, "signs": {{"fall": [1{400 * "0"}, 1]}}}}'),
+            f"the number 1{19 * '0'} … is too large",
+        ),
     ],
 )
 def test_untrusted_an_invalid_row_is_one_line_that_names_its_file(

@@ -10,15 +10,19 @@ exact. Single updates and episodes are only exported.
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
+from pneuma.config import Run, as_fields
 from pneuma.files import parse_json
 from pneuma.store.quantities import ACTION_QUANTITIES, TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.store.series import (
@@ -99,11 +103,19 @@ def decode_row(encoded_row: bytes) -> Row:
     return read_row(row_table)
 
 
+_PATTERNS = {
+    "run_id": "[0-9a-f]{16}",
+    "config_id": "[0-9a-f]{16}",
+    "status": "done|diverged",
+    "steps": r"[1-9]\d*",
+}
+
+
 def sound_rows(table: pa.Table) -> pa.Table:
     """Return the columns of rows that are read.
 
     Raises:
-        ValueError: if one of them is missing, or has another type.
+        ValueError: if one of them is missing, or is not as `encode_row` writes it.
     """
     column_names = []
     for column in table.schema:
@@ -114,10 +126,54 @@ def sound_rows(table: pa.Table) -> pa.Table:
     for column_name in REQUIRED_CELLS:
         if column_name not in column_names:
             raise ValueError(f"column {column_name} is missing")
+        pattern = _PATTERNS.get(column_name)
+        cells = table[column_name].to_pylist() if pattern else []
+        has_wrong_cell = any(not re.fullmatch(pattern or "", str(cell)) for cell in cells)
+        if has_wrong_cell or table[column_name].null_count:
+            raise ValueError(f"column {column_name} is invalid")
+    if not _are_evaluations(table[EVALUATIONS]):
+        raise ValueError(f"column {EVALUATIONS} is invalid")
     return table.select(column_names)
 
 
+def _are_evaluations(column: pa.ChunkedArray) -> bool:
+    """Return whether a column has lists of structs of numbers with a finite step, or lists of nothing."""
+    if not (pa.types.is_list(column.type) and pa.types.is_struct(column.type.value_type)):
+        return bool(column.type == pa.list_(pa.null()))
+    types = {field.name: field.type for field in column.type.value_type}
+    numbers = {pa.int64(), NUMBER}
+    if types.get("step") not in numbers or not set(types.values()) <= {*numbers, pa.null()}:
+        return False
+    steps = pc.struct_field(pc.list_flatten(column), "step")
+    return not steps.null_count and pc.all(pc.is_finite(steps), min_count=0).as_py()
+
+
 # --- Reading ----------------------------------------------------------------------------------------
+
+FORK_TYPES: dict[str, tuple[type, ...]] = {"parent": (str,), "fork_step": (int,)}
+"""Fields that published runs may have which an earlier version forked from others: no run has them now."""
+_TYPES_BY_DEFAULT = {str: (str,), list: (list,), type(None): (int, float, list)}
+
+
+@cache
+def _field_types() -> dict[str, tuple[type, ...]]:
+    """Return the types that the value of a field may have, by those of its default."""
+    types_by_field = dict(FORK_TYPES)
+    for field_name, default in as_fields(Run()).items():
+        types_by_field[field_name] = _TYPES_BY_DEFAULT.get(type(default), (int, float))
+    return types_by_field
+
+
+def _read_fields(fields_text: str) -> dict[str, Any]:
+    """Read a configuration, with each field of a type that it may have."""
+    fields, types_by_field = parse_json(fields_text), _field_types()
+    for field_name, value in fields.items():
+        is_sound = value is None or isinstance(value, types_by_field.get(field_name, (str, int, float, list)))
+        if isinstance(value, list) and any(isinstance(element, list | dict) for element in value):
+            is_sound = False
+        if not is_sound:
+            raise ValueError(f"{field_name} = {json.dumps(value)[:40]}")
+    return fields
 
 
 def read_row(table: pa.Table, row_index: int = 0, published: bool = False) -> Row:
@@ -133,7 +189,7 @@ def read_row(table: pa.Table, row_index: int = 0, published: bool = False) -> Ro
         budget=cells["steps"],
         end=cells["end"],
         status=cells["status"],
-        fields=parse_json(cells["fields"]),
+        fields=_read_fields(cells["fields"]),
         provenance=parse_json(cells["provenance"]),
         signs=unpack_signs(cells["signs"]),
     )
@@ -199,7 +255,8 @@ class Row:
     @property
     def wall_seconds(self) -> float | None:
         """Seconds of training, without loading and compiling if these were timed; None if unknown."""
-        return self.provenance.get("training_seconds", self.provenance.get("wall_seconds")) or None
+        seconds = self.provenance.get("training_seconds", self.provenance.get("wall_seconds"))
+        return float(seconds) if isinstance(seconds, int | float) and seconds > 0 else None
 
     @cached_property
     def _columns(self) -> frozenset[str]:
@@ -231,9 +288,11 @@ class Row:
         return self._points(curve_column(quantity, windows[0]) if windows else "")
 
     def _points(self, column: str) -> np.ndarray:
-        if column not in self._columns:
-            return np.full(GRID_POINTS, np.nan)
-        return self.table[column][0].values.to_numpy(zero_copy_only=False).astype(float)
+        if column in self._columns:
+            points = self.table[column][0].values
+            if len(points) == GRID_POINTS:
+                return points.to_numpy(zero_copy_only=False).astype(float)
+        return np.full(GRID_POINTS, np.nan)
 
     def curve_points(self, quantity: str) -> Series:
         """Return the points of a curve that have a value; empty if there is no such curve."""
