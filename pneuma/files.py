@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import io
 import json
 import math
 import os
 import re
+import stat
 import time
 import uuid
 from collections.abc import Iterator, Mapping
@@ -70,6 +72,14 @@ def stored_file(path: Path) -> Iterator[None]:
         raise UserError(f"{unreadable_file}: cannot be read ({_reason(error)})") from None
 
 
+def read_stored(path: Path) -> bytes:
+    """Return the contents of a file; OSError for a pipe, whose end may never come."""
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(errno.EINVAL, "is not a regular file", str(path))
+        return file.read()
+
+
 def _reason(error: Exception) -> str:
     """Return why something cannot be read, in one line."""
     if isinstance(error, OSError) and error.strerror:
@@ -84,7 +94,7 @@ def _reason(error: Exception) -> str:
 def read_text(path: Path) -> str:
     """Return the text of a user's file, with all line ends as one character."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return io.TextIOWrapper(io.BytesIO(read_stored(path)), encoding="utf-8-sig").read()
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError:
@@ -236,7 +246,7 @@ def dump_checksummed(document: Mapping[str, Any]) -> bytes:
 def load_checksummed(path: Path) -> dict[str, Any] | None:
     """Return what `dump_checksummed` wrote; None if it is missing, damaged or of another schema."""
     try:
-        contents = path.read_bytes()
+        contents = read_stored(path)
         document_start, _, checksum_text = contents.rpartition(_CHECKSUM_LINE.encode())
         without_checksum = document_start + _END.encode()
         if checksum_text.decode() != f'{checksum(without_checksum)}"{_END}':

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +27,7 @@ from pneuma.store.tables import from_ipc, from_parquet
 from pneuma.study.plan import Query
 
 from .analysis.published_runs import publish, save_run
+from .cli.calls import call
 from .hand_made import save_listing, study_of
 
 RUN = "a0" * 8
@@ -91,6 +93,23 @@ def test_untrusted_odd_numbers_are_numbers(store: Store, name: str, change: Any)
     assert diagnose(run) is not None
     assert all(isinstance(outcome(run, outcome_name), float) for outcome_name in OUTCOMES)
     assert len(export_records(data, "curves", store).table) and encode_published([run], {})
+
+
+def test_untrusted_a_pipe_in_the_place_of_a_file_is_not_waited_for(store: Store, tmp_path: Path) -> None:
+    clone = Store(tmp_path / "clone")
+    table_path = publish(study_of(store, ONE), clone)
+    status_path = store.run_folder(RUN) / "status.json"
+    record_paths = [path for path in status_path.parent.iterdir() if path != status_path]
+    for paths in ([*record_paths, table_path], [status_path], [store.listing_path("mine")]):
+        for path in paths:
+            path.unlink()
+            os.mkfifo(path)
+        assert call("study", "summary", "mine", "--results", store.root).code == 2
+        assert "damaged" in call("run", "show", RUN, "--results", store.root).out
+    assert call("study", "summary", "mine", "--results", clone.root).code == 2
+    os.mkfifo(tmp_path / "mine.toml")
+    message = call("study", "plan", tmp_path / "mine.toml", "--results", clone.root).err
+    assert "mine.toml: cannot be read: is not a regular file" in message
 
 
 def _publish_changed(

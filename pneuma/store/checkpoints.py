@@ -28,7 +28,7 @@ from pneuma.engines.records import (
     Row,
 )
 from pneuma.errors import StorageError, UserError
-from pneuma.files import SCHEMA, checksum
+from pneuma.files import SCHEMA, checksum, read_stored
 from pneuma.store.provenance import Attempt
 from pneuma.store.store import CHECKPOINTS, CheckpointFile, Store, checkpoint_files
 from pneuma.store.tables import from_parquet, to_parquet
@@ -127,7 +127,7 @@ def file_name(step: int, encoded_checkpoint: bytes) -> str:
 def read_checkpoint(checkpoint_file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, Any]]] | None:
     """Read a checkpoint and its attempts; None if it is damaged or belongs to another run."""
     try:
-        encoded_checkpoint = checkpoint_file.path.read_bytes()
+        encoded_checkpoint = read_stored(checkpoint_file.path)
         if checksum(encoded_checkpoint)[:16] != checkpoint_file.digest:
             return None
         checkpoint, metadata = decode(encoded_checkpoint)

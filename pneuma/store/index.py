@@ -14,7 +14,7 @@ import pyarrow as pa
 from pneuma.algorithms import find_algorithm
 from pneuma.config import Run
 from pneuma.errors import UserError
-from pneuma.files import stored_file
+from pneuma.files import read_stored, stored_file
 from pneuma.store.published import Published
 from pneuma.store.row_builder import UNKNOWN, stored_row
 from pneuma.store.rows import Row
@@ -157,4 +157,4 @@ def _read_table(table_path: Path) -> Published:
 
 @lru_cache(maxsize=100)
 def _read_version(table_path: Path, *_version: int) -> Published:
-    return Published(table_path, table_path.read_bytes())
+    return Published(table_path, read_stored(table_path))

@@ -41,6 +41,7 @@ from pneuma.files import (
     load_checksummed,
     names_in,
     parse_json,
+    read_stored,
     replace_files,
     stale_files,
     to_json,
@@ -361,7 +362,7 @@ def read_sound(folder: Path, file_name: str, expected_checksum: str | None) -> b
     if not expected_checksum or not _FILE_NAME.fullmatch(file_name):
         return None
     try:
-        contents = (folder / file_name).read_bytes()
+        contents = read_stored(folder / file_name)
     except OSError:
         return None
     if checksum(contents) != expected_checksum:
