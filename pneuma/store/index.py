@@ -18,7 +18,7 @@ from pneuma.files import read_stored, stored_file
 from pneuma.store.published import Published
 from pneuma.store.row_builder import UNKNOWN, stored_row
 from pneuma.store.rows import Row
-from pneuma.store.store import FINISHED, Identity, Store
+from pneuma.store.store import FINISHED, Identity, Store, checked_listing
 from pneuma.store.stored_runs import stored_settings
 from pneuma.study.identity import config_id
 from pneuma.study.shipped import list_studies
@@ -90,9 +90,7 @@ class RunIndex:
         """Return the record of a study without a file, from here or from its published table."""
         listing = self.store.listing(study_name) if self._stored else None
         if listing is None and study_name in self.tables:
-            listing = self.tables[study_name].about.get("listing")
-        if listing and listing["study"] != study_name:  # names of figures come from the record
-            return None
+            listing = checked_listing(self.tables[study_name].about.get("listing"), study_name)
         return listing
 
     def listings(self) -> list[str]:

@@ -11,12 +11,24 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from pydantic import TypeAdapter, ValidationError
+from typing_extensions import TypedDict
+
+from pneuma.config import Steps
 from pneuma.errors import UserError
 from pneuma.files import dump_checksummed, load_checksummed, names_in
 from pneuma.store.store import Store
 from pneuma.study.plan import Plan, Query
-from pneuma.study.spec import LAST
+from pneuma.study.spec import LAST, Seeds
 from pneuma.values import read_settings, setting_words
+
+
+class _Note(TypedDict):
+    preset: str
+    seeds: Seeds | None
+    steps: Steps | None
+    conditions: tuple[str, ...]
+    settings: list[str]
 
 
 def note_query(store: Store, plan: Plan) -> None:
@@ -41,23 +53,13 @@ def forget_query(store: Store, study: str, world: str) -> None:
 
 def last_query(store: Store, study: str, world: str) -> Query | None:
     """Return the last query of a study in a world; None without one that this version can read."""
-    query_note = _notes(store, study).get(world)
-    if query_note is None:
-        return None
-    seeds = query_note["seeds"]
     try:
+        query_note = TypeAdapter(_Note).validate_python(_notes(store, study).get(world))
         settings = read_settings(query_note["settings"])
-    except UserError:
+    except (ValidationError, UserError):
         return None
-    return Query(
-        study=study,
-        world=world,
-        preset=query_note["preset"],
-        seeds=None if seeds is None else tuple(seeds),
-        steps=query_note["steps"],
-        conditions=tuple(query_note["conditions"]),
-        settings=settings,
-    )
+    query_fields: dict[str, Any] = {**query_note, "settings": settings}
+    return Query(study=study, world=world, **query_fields)
 
 
 def on_top_of_last(store: Store, study: str, world: str, query: Query) -> Query:

@@ -27,8 +27,13 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, NotRequired
+
+from annotated_types import MinLen
+from pydantic import StringConstraints, TypeAdapter, ValidationError
+from typing_extensions import TypedDict
 
 from pneuma.config import WORLD_FIELDS, Run, as_fields, is_gymnasium_id
 from pneuma.errors import Hint, StorageError, UserError
@@ -105,14 +110,57 @@ class Status:
         return self.name == "crashed"
 
 
+class _Manifest(TypedDict):
+    status: Literal["planned", "running", "partial", "done", "diverged", "crashed", "killed", "damaged"]
+    step: int
+    files: dict[str, str]
+    config_id: NotRequired[str]
+    seed: NotRequired[int]
+    steps: NotRequired[int]
+
+
+class _Listed(TypedDict):
+    run_id: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
+    condition: str
+    seed: int
+
+
+class _Listing(TypedDict):
+    study: Annotated[str, StringConstraints(pattern=r"^[^./\\\x00][^/\\\x00]*$")]
+    title: str
+    baseline: str
+    runs: Annotated[list[_Listed], MinLen(1)]
+    source: NotRequired[str]
+
+
+_adapter = cache(TypeAdapter)
+
+
+def _checked(document: object, document_type: type) -> Any:
+    try:
+        return _adapter(document_type).validate_python(document, strict=True)
+    except ValidationError:
+        return None
+
+
+def checked_listing(document: object, study: str) -> Any:
+    """Return a document if it is the record of this study; None if not."""
+    listing = _checked(document, _Listing)
+    if listing and listing["study"] == study:
+        return listing
+    return None
+
+
 class Store:
     def __init__(self, root: str | os.PathLike[str]) -> None:
         self.root = Path(root)
 
     def check_writable(self) -> None:
-        """Create the folder if needed, and check that it can be written."""
+        """Create the folder if needed; check that it can be written, and that no link leads out of it."""
         try:
             self.root.mkdir(parents=True, exist_ok=True)
+            for folder_name in ("runs", "studies", "searches"):
+                self._check_within(self.root / folder_name)
             with tempfile.TemporaryFile(dir=self.root):
                 pass
         except OSError as error:
@@ -260,11 +308,11 @@ class Store:
 
     def _stored(self, run_id: str) -> Status | None:
         """Return the stored status without checking files; None if there is none, or it is damaged."""
-        document = load_checksummed(self.run_folder(run_id) / "status.json")
+        document = _checked(load_checksummed(self.run_folder(run_id) / "status.json"), _Manifest)
         if document is None:
             return None
         identity = None
-        if "config_id" in document:
+        if document.keys() >= {"config_id", "seed", "steps"}:
             identity = Identity(document["config_id"], document["seed"], document["steps"])
         return Status(document["status"], document["step"], identity=identity, checksums=document["files"])
 
@@ -282,7 +330,7 @@ class Store:
 
     def listing(self, study: str) -> Any:
         """Return the runs of a study without a file; None if there is none, or its record is damaged."""
-        return load_checksummed(self.listing_path(study))
+        return checked_listing(load_checksummed(self.listing_path(study)), study)
 
     def listings(self) -> list[str]:
         """Return the names of the studies without a file that are recorded here."""

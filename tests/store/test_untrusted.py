@@ -18,6 +18,7 @@ from pneuma.engines.records import Checkpoint
 from pneuma.errors import UserError
 from pneuma.files import checksum, dump_checksummed
 from pneuma.store.checkpoints import encode, file_name, read_checkpoint
+from pneuma.store.last_queries import last_query
 from pneuma.store.store import Identity, Status, Store, checkpoint_files
 from pneuma.study.identity import run_id
 from pneuma.training.executors import local
@@ -80,6 +81,9 @@ def test_nothing_is_written_or_removed_through_a_link_that_leads_out(store: Stor
         store.write(store.run_folder(other) / "checkpoints" / "one", b"data")
     with pytest.raises(UserError, match=LEADS_OUT):
         store.remove(store.run_folder(other) / ".netrc.bak")
+    (store.root / "searches").symlink_to(elsewhere)
+    with pytest.raises(UserError, match=LEADS_OUT):
+        store.check_writable()
     assert os.listdir(elsewhere) == [".netrc.bak"]
     store.remove(store.run_folder(other))
     assert not store.run_folder(other).is_symlink() and elsewhere.is_dir()
@@ -132,6 +136,24 @@ def test_no_module_can_unpickle() -> None:
 
 
 # --- Contents ----------------------------------------------------------------------------------------
+
+
+def test_documents_with_wrong_types_and_sound_checksums_are_damaged_or_none(store: Store) -> None:
+    status_path, listing_path = store.run_folder(NAME) / "status.json", store.listing_path("mine")
+    change: Any
+    for change in ({"files": 5}, {"files": {"run.json": 3}}, {"step": "text"}, {"config_id": 3}):
+        status = {"status": "done", "step": 512, "files": {}, **change}
+        status_path.write_bytes(dump_checksummed(status))
+        assert store.status(NAME).name == "damaged", change
+    store.save_listing("mine", LISTING)
+    assert store.listing("mine") is not None
+    store.last_path("mine").parent.mkdir()
+    store.last_path("mine").write_bytes(dump_checksummed({"arena": {"preset": 3}}))
+    assert last_query(store, "mine", "arena") is None
+    for change in ({"runs": [5]}, {"runs": [{**LISTED, "run_id": "../.."}]}, {"study": "../a"}, {"title": 3}):
+        listing_path.write_bytes(dump_checksummed({"study": "mine", **LISTING, **change}))
+        assert store.listing("mine") is None, change
+
 
 CHECKPOINT = Checkpoint(64, {"weights": np.arange(3.0)})
 HISTORY: dict[str, Any] = {"attempts": []}
