@@ -17,6 +17,7 @@ from pneuma.api import evaluate, load_policy
 from pneuma.config import make_run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, VALUE_COLUMNS
+from pneuma.errors import UserError
 from pneuma.store.store import Store
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
@@ -111,6 +112,15 @@ def test_a_users_script_passes_strict_types(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "mypy", *options, str(script), str(page)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
+
+
+def test_a_policy_of_a_run_with_its_own_arguments_is_loaded_with_trust_alone(tmp_path: Path) -> None:
+    arguments = {"sutton_barto_reward": True}
+    run = make_run({"env": "CartPole-v1", "env_kwargs": arguments})
+    save_policy(Store(tmp_path), run, policy_of(), "0123456789abcdef")
+    with pytest.raises(UserError, match="would make CartPole-v1 with .*sutton"):
+        load_policy("0123", tmp_path)
+    assert load_policy("0123", tmp_path, trust=True)[1:] == ("CartPole-v1", arguments)
 
 
 def test_an_empty_variable_names_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
