@@ -89,6 +89,19 @@ def test_untrusted_an_output_is_no_link_and_replaces_only_its_like(tmp_path: Pat
         check_file(out, (".zip",), force=False)
 
 
+@pytest.mark.parametrize(
+    ("words", "name"), [(("run", "export", RUN), "x.zip"), (("report", "own.toml"), "x.html")]
+)
+def test_untrusted_a_command_replaces_a_file_of_anothers_by_force_alone(
+    mark: Path, words: tuple[str, ...], name: str
+) -> None:
+    save_run({"env": "CartPole-v1"})
+    Path(name).write_text("precious")
+    command = (*words, "--out", name, "--results", "results")
+    assert "--force replaces it" in call(*command).err and Path(name).read_text() == "precious"
+    assert call(*command, "--force").code == 0 and Path(name).read_bytes() != b"precious"
+
+
 def test_untrusted_a_folder_that_is_a_link_to_itself_is_one_line(mark: Path) -> None:
     Path("loop").symlink_to("loop")
     for words in (("study", "plot", "activation"), ("search", "plot", "ppo")):
