@@ -224,6 +224,11 @@ def _column_and_quantity(table: pd.DataFrame, column_option: str) -> tuple[str, 
     _find_column(table, "values", column)
     if quantity not in QUANTITIES:
         raise unknown_name(Message("quantity in ", Hint("values", column_option), ":"), quantity, QUANTITIES)
+    min_column, max_column = f"{column}__MIN", f"{column}__MAX"
+    if min_column in table and max_column in table and not table[min_column].equals(table[max_column]):
+        raise UserError(
+            Hint("values", column), f": holds means, as {min_column} shows; export all rows of single runs"
+        )
     return column, quantity
 
 

@@ -52,6 +52,10 @@ def find_logs(folders: Sequence[Path]) -> dict[tuple[str, ...], list[Path]]:
         paths = [path for path in folder.resolve().rglob("*tfevents*") if path.is_file()]
         if not paths:
             raise UserError(f"{folder}: contains no TensorBoard event files (events.out.tfevents…)")
+        for path in paths:
+            readable_path = os.fsencode(path).decode(errors="backslashreplace")
+            if readable_path != str(path):
+                raise UserError(f"{readable_path}: this name is not UTF-8; rename the file")
         event_files.update(paths)
     shared_folder = os.path.commonpath([path.parents[1] for path in event_files])
     files_by_folder: dict[tuple[str, ...], list[Path]] = {}

@@ -216,6 +216,12 @@ def test_two_runs_of_one_display_name_are_refused() -> None:
     assert "step 5 of ppo with seed 1 is not after the one before: distinguish the runs" in message
 
 
+def test_the_means_of_a_group_of_runs_are_refused() -> None:
+    tidy_export(f"Step,ppo{RETURN},ppo{RETURN}__MIN,ppo{RETURN}__MAX", "5,2,1,3")
+    message = refused("import", "csv", "wandb.csv", "--step", "Step", "--value", f"ppo{RETURN}")
+    assert "holds means" in message and "of single runs" in message
+
+
 # --- Monitors of Stable-Baselines3 ----------------------------------------------------------------
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import re
 import struct
 import warnings
@@ -141,6 +142,14 @@ def test_tags_of_evaluations_are_evaluations_the_last_written_of_a_step(tmp_path
     assert {name: row.evaluations(name).tolist() for name in row.evaluations_table.column_names} == {
         "step": [8, 16], "return": [1, 4], "share_killed": [1, 4], "success": [1, 4],
     }  # fmt: skip
+
+
+def test_a_name_that_is_not_utf_8_is_told(tmp_path: Path) -> None:
+    folder = os.fsencode(tmp_path / "logs") + b"/bad\xff_1"
+    os.makedirs(folder)
+    write_events(Path(os.fsdecode(folder)) / FILE, POINTS)
+    with pytest.raises(UserError, match=r"bad\\xff_1/.*: this name is not UTF-8"):
+        _import(tmp_path)
 
 
 # --- Which runs there are -------------------------------------------------------------------------
