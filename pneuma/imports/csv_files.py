@@ -304,7 +304,7 @@ def _read_episodes(path: Path, file_text: str) -> pd.DataFrame:
     """Return the episodes of a monitor: return r, length l, and end t in seconds since 1970."""
     header, _, episodes_text = file_text.partition("\n")
     try:
-        start_second = json.loads(header.removeprefix("#"))["t_start"]
+        start_second = float(json.loads(header.removeprefix("#"))["t_start"])
         episodes = pd.read_csv(io.StringIO(episodes_text))[list("rlt")].astype(float)
     except Exception as error:  # of a file that is not a monitor it may be any
         reason = str(error).partition("\n")[0]

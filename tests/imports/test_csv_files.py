@@ -262,6 +262,7 @@ def test_a_monitors_folder_names_its_run() -> None:
     [
         (HEADER + "1,10,1\n2,1", "", "a row lacks its return r, length l or time t"),
         ("# mine\nr,l,t\n1,10,1\n", "", "is not a monitor of Stable-Baselines3"),
+        ('#{"t_start": "x"}\nr,l,t\n1,10,1\n', "", "is not a monitor of Stable-Baselines3"),
         (HEADER + "1,10,1\n2,13,10,2\n", "", "is not a monitor of Stable-Baselines3"),
         (HEADER + "1,10,1\n", "--step l --value r", "leave out --step and --value"),
         (HEADER + "1,10,1\n", "--seed l", "--seed l: must be a number"),
