@@ -56,6 +56,9 @@ class RunCheckpoints:
         for folder in (self._folder, self._folder / CHECKPOINTS):
             for stale_path in folder.glob(".*.*"):
                 store.remove(stale_path)  # a temporary file of a process that was killed
+        for stale_path in self._folder.glob("*"):
+            if stale_path.is_dir() and stale_path.name != CHECKPOINTS:
+                store.remove(stale_path)  # a folder in the place of a file
 
     def latest(self) -> Checkpoint | None:
         """Return the latest sound checkpoint and report damaged ones; None to start from the beginning."""

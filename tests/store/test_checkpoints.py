@@ -99,6 +99,17 @@ def test_attempts_before_a_kill_come_with_the_checkpoint(store: Store) -> None:
     assert [attempt["step"] for attempt in run_checkpoints.attempts] == [256, 512]
 
 
+def test_folders_in_the_place_of_files_are_removed(store: Store) -> None:
+    folder = store.run_folder(NAME)
+    checkpoint = "0000000000256-0123456789abcdef.safetensors"
+    for place in (".x.y", "metrics.parquet", f"checkpoints/{checkpoint}", "checkpoints/.x.y"):
+        (folder / place / "within").mkdir(parents=True)
+    run_checkpoints = begin(store)
+    assert run_checkpoints.latest() is None
+    run_checkpoints.finish()
+    assert list(folder.iterdir()) == []
+
+
 def test_what_a_killed_write_left_is_removed_by_the_next_process(store: Store) -> None:
     folder = store.run_folder(NAME)
     temporary_files = [folder / f".row.arrow.{'a' * 32}", folder / "checkpoints" / f".256.{'b' * 32}"]
