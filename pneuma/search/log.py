@@ -225,6 +225,11 @@ def _load_study(storage: JournalStorage, search: Search) -> optuna.Study:
     if study.directions != search.directions:
         raise ValueError("other directions")
     for trial in study.get_trials(deepcopy=False):
-        if not search.holds(trial.params):
+        reported_values = list(trial.values or ()) + list(trial.intermediate_values.values())
+        is_whole = trial.state != TrialState.COMPLETE or len(trial.values) == len(search.objectives)
+        are_ids = all(isinstance(run_id, str) for run_id in trial.user_attrs.get("run_ids", []))
+        if not (
+            is_whole and are_ids and all(map(math.isfinite, reported_values)) and search.holds(trial.params)
+        ):
             raise ValueError(f"trial {trial.number} is not the search's")
     return study

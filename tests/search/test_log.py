@@ -138,6 +138,8 @@ REFUSED: dict[str, tuple[str, str, str]] = {
     "choices that were text": (
         re.escape("[0.5, null]"), r'[\"0.5\", \"none\"]', "trial 0 is not the search's",
     ),
+    "ids that are no text": (r'"run_ids":\[', '"run_ids":[[],', "trial 0 is not the search's"),
+    "an infinite value": (r'"values":\[[^]]*', '"values":[Infinity', "trial 0 is not the search's"),
 }  # fmt: skip
 
 
