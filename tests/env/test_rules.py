@@ -38,7 +38,7 @@ def test_a_blow_knocks_back_60_px_away_from_the_hilt(arena: str) -> None:
 
 
 def test_a_monster_enters_the_swords_box_again_after_a_flame(arena: str, tmp_path: Path) -> None:
-    # Left of the hilt, it is knocked back against the player and stays in the box. Swings and flame last a tick.
+    # Left of the hilt, it is knocked back against the player and stays in the box. All strikes last one tick.
     short = characters_file(tmp_path, "[spells.flame]\ncast = 0.017\n")
     swings: dict[str, Any] = {"blow": "entry", "attack_ticks": 1, "magic": True, "characters": short}
     pair = stage(arena, (40.0, 14.0), still=True, ticks=1, **swings)
