@@ -82,6 +82,7 @@ SEEN: dict[str, tuple[np.ndarray, np.ndarray, dict[str, Any], dict[str, Any]]] =
         healthy(), after(np.full(20, 0.2), 15, 0.1), {},
         {"collapsed": True, "signs": ("fall",), "onset_step": 7500},
     ),
+    "a fall to more than half": (healthy(), after(np.full(20, 0.4), 15, 0.22), {}, {"collapsed": False}),
     "a fall by less": (healthy(), after(np.full(20, 0.19), 15, 0.095), {}, {"collapsed": False}),
     "healthy": (healthy(), learning(), {}, {"collapsed": False, "onset_step": None, "signs": ()}),
     "certain of several actions": (healthy() * (0, 1, 1), learning(), {}, {"collapsed": False}),
