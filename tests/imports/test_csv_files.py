@@ -170,6 +170,8 @@ def test_an_empty_condition_and_two_columns_of_one_name_are_refused() -> None:
     write("none.csv", "step,return,condition\n8,5,\n")
     message = refused("import", "csv", "none.csv", *words, "--condition", "condition")
     assert "row 2: '' in column condition must be a condition" in message
+    Path("runs.csv").write_bytes(b"step,return\n8,\xff\n")
+    assert refused("import", "csv", "runs.csv", *words) == "runs.csv: is not UTF-8 text; save it as UTF-8"
 
 
 def test_another_selection_of_a_studys_runs_needs_its_name() -> None:

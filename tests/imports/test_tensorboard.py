@@ -240,3 +240,11 @@ def test_a_second_writer_takes_nothing_from_the_first(tmp_path: Path) -> None:
     assert not run.points["superseded"].any()
     row = stored_row(Store(tmp_path / "results"), run.run_id)
     assert row.curve("return")[[9, 14, 19, 199]].tolist() == [1, 0.5, 2, 20]  # at 100, 150, 200, 2,000
+
+
+def test_points_that_a_restart_wrote_again_are_counted(tmp_path: Path) -> None:
+    returns = [(RETURN, 100 * k, float(k)) for k in range(1, 21)]
+    write_events(tmp_path / "logs" / "a_1" / FILE, returns)
+    write_events(tmp_path / "logs" / "a_1" / f"{FILE}.2", returns[17:], after=20)
+    (run,), notes = _import(tmp_path)
+    assert (run.steps, notes) == (2000, ["a_1: left out 3 points that a restart superseded"])
