@@ -245,6 +245,11 @@ def test_each_monitor_is_a_run_unless_one_run_is_named() -> None:
     one = ("--condition", "ppo", "--seed", "0", "--name", "one")
     printed("import", "csv", *names, *one)  # by their clock: 1, 2, 3, 1, 2, 3
     assert curves("one")["ppo", 0] == {10: 1, 20: 1.5, 30: 2, 40: 1.75, 50: 1.8, 60: 2}
+    write(
+        names[1], f"{HEADER.replace('1000.0', '990.0')}8,10,10.5\n"
+    )  # half a second after the others' start
+    printed("import", "csv", *names, *one[:4], "--name", "later")
+    assert curves("later")["ppo", 0] == {10: 8, 20: 4.5, 30: 4, 40: 3.25, 50: 3.2}
     write(names[1], f"{HEADER}2,10,8\n2,10,3\n")
     message = refused("import", "csv", *names, *one)
     assert message.startswith(f"{names[1]}: its clock restarts")

@@ -138,7 +138,9 @@ def test_no_module_can_unpickle() -> None:
 # --- Contents ----------------------------------------------------------------------------------------
 
 
-def test_documents_with_wrong_types_and_sound_checksums_are_damaged_or_none(store: Store) -> None:
+def test_documents_with_wrong_types_and_sound_checksums_are_damaged_or_none(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
     status_path, listing_path = store.run_folder(NAME) / "status.json", store.listing_path("mine")
     change: Any
     for change in ({"files": 5}, {"files": {"run.json": 3}}, {"step": "text"}, {"config_id": 3}):
@@ -153,6 +155,10 @@ def test_documents_with_wrong_types_and_sound_checksums_are_damaged_or_none(stor
     for change in ({"runs": [5]}, {"runs": [{**LISTED, "run_id": "../.."}]}, {"study": "../a"}, {"title": 3}):
         listing_path.write_bytes(dump_checksummed({"study": "mine", **LISTING, **change}))
         assert store.listing("mine") is None, change
+    with monkeypatch.context() as another_version:
+        another_version.setattr("pneuma.files.SCHEMA", 2)
+        store.save_listing("mine", LISTING)
+    assert store.listing("mine") is None
 
 
 CHECKPOINT = Checkpoint(64, {"weights": np.arange(3.0)})
