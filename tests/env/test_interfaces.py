@@ -192,6 +192,13 @@ def test_both_autoreset_modes_do_what_gymnasiums_vector_does(pit: str, mode: Aut
     assert (ends > 10).all()
 
 
+def test_xp_outlives_an_unseeded_reset_and_not_a_seeded_one() -> None:
+    env = PneumaEnv(GODOT)
+    env.reset(seed=0)
+    env.worlds.players["xp"] = -7.0
+    assert (env.reset()[0][3], env.reset(seed=0)[0][3]) == (-7.0, 0.0)
+
+
 @pytest.mark.parametrize(("name", "steps"), [(THESIS, 7), (GODOT, 7)])
 def test_a_limit_is_the_worlds_own(name: str, steps: int, arena: str) -> None:
     """Also where the environment is made again by its `spec`, in Gymnasium's limit of as many steps."""
