@@ -12,7 +12,13 @@ from pneuma.analysis.outcomes import ONLY_ELSEWHERE, ONLY_IN_PNEUMA
 from pneuma.config import make_run
 from pneuma.engines import evaluation, gymnasium_evaluation
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import EPISODE_COLUMNS, EVALUATION_COLUMNS, METRIC_COLUMNS, VALUE_COLUMNS
+from pneuma.engines.records import (
+    EPISODE_COLUMNS,
+    EVALUATION_COLUMNS,
+    METRIC_COLUMNS,
+    VALUE_COLUMNS,
+    has_finite_losses,
+)
 
 from .trained import constant, run_of, train
 
@@ -76,3 +82,8 @@ def test_evaluations_have_the_declared_columns_and_each_is_of_the_worlds_that_re
     assert in_pneuma | {*row} == {*EVALUATION_COLUMNS, *VALUE_COLUMNS}
     assert in_pneuma - elsewhere == {*ONLY_IN_PNEUMA} - {"hp"}  # which is of training's episodes
     assert elsewhere - in_pneuma == {*ONLY_ELSEWHERE}
+
+
+def test_a_run_diverges_by_a_loss_and_not_by_a_variance_that_is_undefined() -> None:
+    assert has_finite_losses({"value_loss": 1.0, "explained_variance": math.nan})
+    assert not has_finite_losses({"value_loss": math.inf, "entropy": 1.0})
