@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from pneuma.env.fields import ENVIRONMENTS
 from pneuma.env.interface import Interface, read_options, world_seeds
-from pneuma.errors import UserError
 
 
 class PneumaVectorEnv(Interface, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
@@ -27,9 +27,10 @@ class PneumaVectorEnv(Interface, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
     Args:
         num_envs: number of slots, a multiple of the players in a world.
-        autoreset_mode: `NEXT_STEP`, Gymnasium's default: the step after an ending resets and ignores the
-            action. `SAME_STEP`: the step that ends resets too, and `info` contains `final_obs` and
-            `final_info`.
+        autoreset_mode: Gymnasium's three. `NEXT_STEP`, its default: the step after an ending
+            resets and ignores the action. `SAME_STEP`: the step that ends resets too, and `info`
+            holds `final_obs` and `final_info`. `DISABLED`: reset by hand with
+            `reset(options={"reset_mask": booleans})`, one a slot.
         max_episode_steps: Gymnasium's name of `episode_steps`, which counts if both are given.
         settings: the fields of `pneuma.config.EnvConfig`.
     """
@@ -49,8 +50,6 @@ class PneumaVectorEnv(Interface, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._set_up(num_envs, env_id, render_mode, camera, settings)
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        if self.autoreset_mode == AutoresetMode.DISABLED:
-            raise UserError("autoreset_mode = Disabled is not allowed: NextStep or SameStep")
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
         self.single_observation_space = self.worlds.slot_space
         self.single_action_space = self.worlds.action_space
@@ -60,15 +59,24 @@ class PneumaVectorEnv(Interface, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode in every world.
+        """Begin an episode in every world, or in those of `options["reset_mask"]`.
 
-        `seed` is one seed, or a list with one per world; random streams with None go on. `options["start"]`
-        is the index of a start place, or one for each world.
+        `seed` is one seed, or a list with one per world, for the random streams of the worlds that are reset;
+        those with None go on. `options["start"]` is the index of a start place, or one for each world.
+
+        Raises:
+            ResetNeeded: when the first reset leaves out some worlds.
         """
-        own_options = read_options(options, "start")
+        own_options = read_options(options, "start", "reset_mask")
+        slot_mask = np.broadcast_to(own_options.get("reset_mask", True), self.num_envs)
+        mask = np.asarray(slot_mask.reshape(len(self.worlds), -1).any(axis=1))
+        if not self.slots.has_begun and not mask.all():
+            raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
         seeds = world_seeds(seed, len(self.worlds))
         super().reset(seed=seeds[0])
-        self._begin(seeds, own_options.get("start"))
+        for world in np.flatnonzero(~mask):
+            seeds[world] = None
+        self._begin(seeds, own_options.get("start"), mask)
         return self.slots.observations, self._infos()
 
     def step(
@@ -77,6 +85,8 @@ class PneumaVectorEnv(Interface, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """Play one action in every slot; see `gymnasium.vector.VectorEnv.step`."""
         slots = self.slots
         waiting = slots.world_over
+        if self.autoreset_mode == AutoresetMode.DISABLED and waiting.any():
+            raise ValueError("some worlds have ended: reset them with options={'reset_mask': …} first")
         infos = self._final_infos(slots.step(actions))
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
             waiting = slots.world_over

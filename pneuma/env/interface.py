@@ -63,19 +63,20 @@ class Interface:
         self.worlds = self.slots.worlds
         self.render_mode, self._camera, self._env_id = render_mode, camera, env_id
 
-    def _begin(self, seeds: Sequence[int | None], start: Any) -> None:
-        """Start an episode in all worlds.
+    def _begin(self, seeds: Sequence[int | None], start: Any, mask: np.ndarray | bool = True) -> None:
+        """Start an episode in all worlds, or in those of `mask`.
 
         Args:
             seeds: of each world's random stream, None where it goes on.
             start: the index of a start place, None for the default one, or one of these for each world.
+            mask: (N,) booleans; True for all.
         """
         starts = self.worlds.default_starts.copy()
         for world, start_index in enumerate(np.broadcast_to(np.array(start, object), len(starts))):
             if start_index is not None:
                 starts[world] = operator.index(start_index)
         self.worlds.seed(seeds)
-        self.worlds.reset(starts=starts)
+        self.worlds.reset(mask, starts)
         self.slots.has_begun = True
 
     @property

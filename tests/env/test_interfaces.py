@@ -152,7 +152,7 @@ def test_copies_go_on_alike_and_apart(pit: str, interface: str, copied: Callable
 # --- Gymnasium's -----------------------------------------------------------------------------------
 
 N = 4
-MODES = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP]
+MODES = list(AutoresetMode)
 
 
 def assert_same(value: Any, expected: Any) -> None:
@@ -177,7 +177,7 @@ def pit_actions(generator: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_both_autoreset_modes_do_what_gymnasiums_vector_does(pit: str, mode: AutoresetMode) -> None:
+def test_every_autoreset_mode_does_what_gymnasiums_vector_does(pit: str, mode: AutoresetMode) -> None:
     settings: dict[str, Any] = {"level": pit, "episode_steps": 20}
     env = PneumaVectorEnv(N, autoreset_mode=mode, **settings)
     reference = SyncVectorEnv([lambda: PneumaEnv(**settings)] * N, autoreset_mode=mode)
@@ -188,7 +188,13 @@ def test_both_autoreset_modes_do_what_gymnasiums_vector_does(pit: str, mode: Aut
         actions = pit_actions(generator)
         expected = reference.step(actions)
         assert_same(env.step(actions), expected)
+        ended = expected[2] | expected[3]
         ends += expected[2].sum(), expected[3].sum()
+        if mode == AutoresetMode.DISABLED and ended.any():
+            by_hand, infos = env.reset(seed=7, options={"reset_mask": ended.copy()})
+            assert infos["_action_mask"].all()  # Gymnasium's vector has those of the worlds reset only
+            infos["_action_mask"], infos["action_mask"][~ended] = ended, 0
+            assert_same((by_hand, infos), reference.reset(seed=7, options={"reset_mask": ended.copy()}))
     assert (ends > 10).all()
 
 
@@ -253,7 +259,9 @@ def test_a_slot_whose_player_dies_ends_at_once_and_idles_till_its_world_ends(mod
         assert "ending" not in infos and "final_info" not in infos
     observations, rewards, terminated, truncated, infos = env.step(stand)  # the limit, for all who live
     assert not terminated.any() and truncated.tolist() == [True, False, True, True]
-    if mode == AutoresetMode.NEXT_STEP:
+    if mode == AutoresetMode.DISABLED:
+        env.reset(options={"reset_mask": truncated})
+    elif mode == AutoresetMode.NEXT_STEP:
         _, rewards, terminated, truncated, _ = env.step(stand)  # which resets and does nothing else
         assert rewards.tolist() == [0] * 4 and not (terminated | truncated).any()
     assert (env.worlds.players["hp"] == 100).all() and (env.worlds.worlds["steps"] == 0).all()
