@@ -1,7 +1,7 @@
 """What a level is: where the land, the obstacles, the players and the monsters are.
 
-A level is refused if a body would start outside the grid or inside terrain that stops it. `load_level.py`
-finds levels by their names.
+A level is refused if a body would start outside the grid, inside terrain that stops it, or where no player
+can walk to. `load_level.py` finds levels by their names.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import AfterValidator
+from scipy.ndimage import label, minimum_filter
 
 from pneuma.env import rules
 from pneuma.env.fields import EnvConfig
@@ -91,9 +92,10 @@ class Level:
 def refuse_stuck_bodies(
     level: Level, player_stats: np.ndarray, monster_stats: np.ndarray, config: EnvConfig
 ) -> None:
-    """Refuse a level in which a body begins beyond the grid, or in terrain that stops it.
+    """Refuse a level in which a body begins beyond the grid, in terrain that stops it, or walled in.
 
-    A body that starts inside a wall may never get out. Any player may start at any start place.
+    A body that starts inside a wall may never get out. Any player may start at any start place. Monsters that
+    no terrain stops may be anywhere.
 
     Args:
         level: what is checked.
@@ -113,6 +115,32 @@ def refuse_stuck_bodies(
     for index, (monster, body_stats) in enumerate(zip(level.monsters, monster_stats, strict=True)):
         body_name = f"monster {index} ({monster.name})"
         _refuse_stuck(level, body_name, monster.x, monster.y, body_stats, stops_monsters)
+    longer_side = 2 * float(max(player_stats["half_width"].max(), player_stats["half_height"].max()))
+    _refuse_walled_in(level, ~stops_players, longer_side, with_monsters=config.terrain_stops != "players")
+
+
+def _refuse_walled_in(level: Level, free: np.ndarray, side: float, with_monsters: bool) -> None:
+    """Refuse a place to which nobody can walk from the first start place over free tiles, (rows, columns).
+
+    As many tiles must be free side by side as the longer side of a player's body needs.
+    """
+    tiles_abreast = math.ceil(side / level.tile)
+    has_room = minimum_filter(free, tiles_abreast, mode="constant", cval=False, origin=-(tiles_abreast // 2))
+    regions, _ = label(has_room)  # by the upper left tile of a body; 0 where none fits
+    places = [(f"start place {index}", x, y) for index, (x, y) in enumerate(level.starts.tolist())]
+    if with_monsters:
+        for index, monster in enumerate(level.monsters):
+            places.append((f"monster {index} ({monster.name})", monster.x, monster.y))
+    home: set[int] = set()
+    for place_name, x, y in places:
+        row, column = int((y - level.top) // level.tile), int((x - level.left) // level.tile)
+        rows = slice(max(row - tiles_abreast + 1, 0), row + 1)
+        columns = slice(max(column - tiles_abreast + 1, 0), column + 1)
+        place_regions = set(regions[rows, columns].ravel().tolist()) - {0}
+        home = home or place_regions
+        if not home & place_regions:
+            problem = f"is walled in or off the land, for a body of {side:g} px"
+            raise UserError(f"level {level.name}: {place_name} at ({x:g}, {y:g}) {problem}")
 
 
 def _refuse_stuck(level: Level, body_name: str, x: float, y: float, stats: Any, closed: np.ndarray) -> None:

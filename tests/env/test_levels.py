@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -147,6 +148,22 @@ def test_a_body_that_begins_in_what_stops_it_is_refused(
         assert message in refusal(level=folder, terrain_stops="players")
     replace(level, starts=((42.0, 0.0),), monsters=(("bamboo", 140.0, 32.0),)).write(tmp_path)
     begin(1, level=folder)  # they only touch it
+
+
+@pytest.mark.parametrize(("tile", "door"), [(20, 3), (48, 1)])
+def test_a_door_must_let_a_body_of_48_px_through(tmp_path: Path, tile: int, door: int) -> None:
+    """Two rooms of 6 x 12 tiles, a start and a monster, and a door so many tiles high between."""
+    walls = {*itertools.product((0, 7, 14), range(14)), *itertools.product(range(15), (0, 13))}
+    levels = []
+    for gap in (door, door - 1):
+        closed = tuple(walls - {(7, 4 + row) for row in range(gap)})
+        start, monster = (2.5 * tile, 4.5 * tile), ("bamboo", 12.5 * tile, 9.5 * tile)
+        level = replace(EMPTY, columns=15, rows=14, tile=tile, origin=(0, 0), shore=0, obstacles=closed)
+        levels.append(replace(level, starts=(start,), monsters=(monster,)).write(tmp_path / str(gap)))
+    assert begin(1, level=levels[0]).level.monsters
+    message = refusal(level=levels[1])
+    assert "monster 0 (bamboo) at " in message
+    assert message.endswith("is walled in or off the land, for a body of 48 px")
 
 
 # --- Random levels: the same from the number alone, none out of reach; one drawn an episode -------
