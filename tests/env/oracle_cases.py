@@ -9,16 +9,18 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
 import numpy as np
+from hypothesis import reject
 from hypothesis import strategies as st
 
 from pneuma.env.fields import REWARDS, EnvConfig, make_env_config
 from pneuma.env.rules import ATTACK, DOWN, LEFT, RIGHT, UP
 from pneuma.env.worlds import Worlds
+from pneuma.errors import UserError
 from pneuma.field_types import OneOf
 
 from .oracle import Oracle, Pair, Player
@@ -224,14 +226,22 @@ def cases(draw: st.DrawFn) -> Case:
 
 
 def make_worlds(case: Case, folder: Path) -> Worlds:
-    """Write the case's files to a folder of its own and set up its worlds."""
+    """Write the case's files to a folder of its own and set up its worlds.
+
+    Where lakes and obstacles wall somebody in, they are left out.
+    """
     folder.mkdir(parents=True)
     settings = {**case.settings, "characters": case.characters}
     if case.characters not in ("", "pygame"):
         (folder / "characters.toml").write_text(case.characters)
         settings["characters"] = str(folder / "characters.toml")
-    settings["level"] = case.level.write(folder / "level")
-    return Worlds(case.worlds, make_env_config(settings))
+    for number, level in enumerate((case.level, replace(case.level, lakes=(), obstacles=()))):
+        settings["level"] = level.write(folder / f"level{number}")
+        try:
+            return Worlds(case.worlds, make_env_config(settings))
+        except UserError:
+            continue
+    reject()
 
 
 def choose_actions(case: Case, oracles: Sequence[Oracle], step: int) -> np.ndarray:
