@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from pneuma.analysis.claims.claim_list import Claim
 from pneuma.analysis.intervals import mean_interval
-from pneuma.analysis.outcomes import find_outcome, outcome, outcome_values, reason, unit_of_return
+from pneuma.analysis.outcomes import find_outcome, outcome_values, reason, unit_of_return
 from pneuma.analysis.runs import finished_rows, runs_of_plan
 from pneuma.analysis.study_data import StudyData
 from pneuma.config import round_up
@@ -43,6 +43,7 @@ class ClaimRuns:
     claim: Claim
     data: StudyData
     folder: Path
+    _values: dict[tuple[str, str], np.ndarray] = field(default_factory=dict, repr=False)
 
     @property
     def world(self) -> str:
@@ -102,8 +103,9 @@ class ClaimRuns:
             if find_outcome(outcome_name).is_return and len(set(map(unit_of_return, rows))) > 1:
                 return "returns of unlike rewards"
             for condition in conditions:
-                for row in self.data.of_condition(condition):
-                    if np.isnan(outcome(row, outcome_name)):
+                run_values = self._outcome_values(outcome_name, condition)
+                for row, run_value in zip(self.data.of_condition(condition), run_values, strict=True):
+                    if np.isnan(run_value):
                         run_name = f"{condition} seed {row.seed}"
                         return f"a run has no value: {run_name}: {reason(row, outcome_name)}"
         return ""
@@ -132,7 +134,7 @@ class ClaimRuns:
         (2, seeds): steps, and whether they are those of an event.
         """
         rows = self.data.of_condition(condition)
-        run_values = outcome_values(self.data, condition, outcome_name)
+        run_values = self._outcome_values(outcome_name, condition)
         if self.claim.kind == "hazard":
             last_seen = [row.evaluations("step")[-1] for row in rows]
             return np.array([np.minimum(run_values, last_seen), np.isfinite(run_values)])
@@ -140,6 +142,13 @@ class ClaimRuns:
             return self.claim.has_event(run_values).astype(float)
         # steps to what is never reached are at least those of the run
         return np.where(np.isinf(run_values), [row.budget for row in rows], run_values)
+
+    def _outcome_values(self, outcome_name: str, condition: str) -> np.ndarray:
+        """Return an outcome of each run of a condition, (seeds,), computed once."""
+        values_key = outcome_name, condition
+        if values_key not in self._values:
+            self._values[values_key] = outcome_values(self.data, condition, outcome_name)
+        return self._values[values_key]
 
 
 def find_claim_runs(index: RunIndex, study: Study, claim: Claim) -> ClaimRuns:
