@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from pneuma.analysis.one_action import time_in_one_action
 from pneuma.answers.one_action import find_one_action
 from pneuma.errors import UserError
 from pneuma.figures.grid import save_page
@@ -35,6 +39,17 @@ def test_runs_that_come_to_stay_in_one_action_are_counted_when_they_do(
     # run 0: 0 1 1 1 1; run 1: 0 0 1 1 1; run 2: halves; run 3: 0 0, and then lost
     assert fifths[:, 1].tolist() == pytest.approx([0.125, 0.375, 2.5 / 3, 2.5 / 3, 2.5 / 3])
     assert "over 90 % of an evaluation's steps" in words(figures[0])
+
+
+def test_each_fifth_has_as_many_evaluations_although_they_follow_whole_updates() -> None:
+    """Of twenty evaluations the fourth is at 1,000,448 steps, just past a fifth of 5,000,192."""
+    steps = np.array([math.ceil(250_000 * number / 1024) * 1024 for number in range(1, 21)])
+    always = np.repeat([1.0, 0.0], [4, 16])
+    run: Any = SimpleNamespace(
+        evaluation_points=lambda column: (steps, always), update_steps=1024, budget=5_000_192
+    )
+    study_data: Any = SimpleNamespace(of_condition=lambda condition: [run])
+    assert time_in_one_action(study_data, "tanh").runs[0].tolist() == [1, 0, 0, 0, 0]
 
 
 def test_one_action_needs_evaluations_of_actions(study: HandMade) -> None:
