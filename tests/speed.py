@@ -149,7 +149,7 @@ def stable_baselines3(run: Run) -> Callable[[], object]:
 
 def update() -> Iterator[Row]:
     trainer = BatchedTrainer(make_run({**SETTINGS, "slots": 4}))
-    actor, learner, size = trainer.policy().actor, trainer.learners[0], trainer.run.steps_per_update
+    actor, learner, size = trainer.actor, trainer.learners[0], trainer.run.steps_per_update
     rollout = trainer.collector.collect(actor)
     updates, plays = alternated(lambda: learner.learn_from(rollout), lambda: trainer.collector.collect(actor))
     yield f"rollout of {size:,} steps", 1e3 * median(plays), "ms"

@@ -1,140 +1,511 @@
-"""The compiled forward pass of a policy, and the choice of actions by its logits.
+"""Multilayer perceptrons as compiled functions: their layout, products, forward pass and choice of actions.
 
 layers → `flat`; with observations → outputs, actions
 
 A row of observations gives the same bits however many other rows there are, and on every processor: each
-output is summed input by input, without fused multiply-adds, and tanh and exp are made of + - * / alone.
+output is summed input by input, without fused multiply-adds, and tanh and exp are made of + - * / alone. How
+many outputs are computed at once is chosen by the processor, and is never part of a bit.
 """
 
 from __future__ import annotations
 
-from typing import Any
+import platform
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 from llvmlite import ir
+from numba.core.codegen import get_host_cpu_features
 
-from pneuma.engines.policy import LEAKY_SLOPE, Layers, layer_widths
-from pneuma.env.compiling import cached, inlined, typed_arrays, typed_codegen, typed_intrinsic, typed_void
+from pneuma.env.compiling import (
+    cached,
+    inlined,
+    typed_arrays,
+    typed_codegen,
+    typed_double,
+    typed_float,
+    typed_intrinsic,
+    typed_void,
+)
 
+LEAKY_SLOPE = 0.01
+"""Slope of LeakyReLU below zero (thesis section 6.2)."""
 TANH, RELU, LEAKY_RELU = range(3)
 ACTIVATION_CODES = {"tanh": TANH, "relu": RELU, "leaky-relu": LEAKY_RELU}
-"""Codes by which `activate` chooses its branch."""
-ROWS, COLUMNS, LANES = 4, 16, 8
-"""The outputs of a tile. Its sums fit into the registers of a processor with vectors of `LANES` numbers."""
+"""Codes by which `activate`, `scale_by_slopes` and `note_dead` choose their branch."""
+COLUMNS = 16
+"""Outputs of a layer whose weights lie together: a panel."""
 
-Network = tuple[np.ndarray, np.ndarray, int]
-"""Weights of `flat`, widths, and the code of the hidden layers' activation."""
+ROWS_TOGETHER = 64
+"""Observations that pass through a network together, so that they stay in the cache; never part of a bit."""
+
+Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
+"""Weight (inputs, outputs) and bias (outputs,) of each layer, float32.
+
+Where each player of a world has a policy of its own, (players, inputs, outputs) and (players, outputs).
+"""
 kernel: Any = cached(error_model="numpy")
 
 
 # --- Networks as the compiled functions take them ------------------------------------------------
 
 
-def flat(layers: Layers) -> np.ndarray:
-    """Return all weights, (policies, numbers) float32: for each `COLUMNS` outputs the biases, then weights.
+class Network(NamedTuple):
+    """Networks of one shape, one for each policy.
 
-    The last columns of a layer are filled up with zeros.
+    Attributes:
+        weights: (policies, numbers) float32, as `flat` returns them.
+        widths: those of `layer_widths`.
+        activation: the code of the hidden layers' activation.
+    """
+
+    weights: np.ndarray
+    widths: np.ndarray
+    activation: int
+
+
+def network(layers: Layers, activation: str) -> Network:
+    return Network(flat(layers), layer_widths(layers), ACTIVATION_CODES[activation])
+
+
+def layer_widths(layers: Layers) -> np.ndarray:
+    """Return the inputs of the first layer and the outputs of every layer, (layers + 1,) int64."""
+    first_weight, _ = layers[0]
+    widths = [first_weight.shape[-2]]
+    for weight, _ in layers:
+        widths.append(weight.shape[-1])
+    return np.array(widths, np.int64)
+
+
+def flat(layers: Layers) -> np.ndarray:
+    """Return all weights, (policies, numbers) float32: for each panel of outputs the biases, then weights.
+
+    The last panel of a layer is filled up with zeros.
     """
     flat_layers = []
     for weight, bias in layers:
         joined_layer = np.concatenate([bias[..., None, :], weight], axis=-2)
         joined_layer = joined_layer.reshape(-1, *joined_layer.shape[-2:])  # (policies, 1 + inputs, outputs)
         joined_layer = np.pad(joined_layer, ((0, 0), (0, 0), (0, -joined_layer.shape[2] % COLUMNS)))
-        column_blocks = joined_layer.reshape(*joined_layer.shape[:2], -1, COLUMNS).swapaxes(1, 2)
-        flat_layers.append(column_blocks.reshape(len(joined_layer), -1))
+        panels = joined_layer.reshape(*joined_layer.shape[:2], -1, COLUMNS).swapaxes(1, 2)
+        flat_layers.append(panels.reshape(len(joined_layer), -1))
     return np.concatenate(flat_layers, axis=1)
 
 
-def network(layers: Layers, activation: str) -> Network:
-    """Return layers as `choose` takes them."""
-    return flat(layers), layer_widths(layers), ACTIVATION_CODES[activation]
+def layers_of(weights: np.ndarray, widths: Sequence[int]) -> Layers:
+    """Return a copy of the layers of one policy from its weights, (numbers,): the inverse of `flat`."""
+    layers = []
+    start = 0
+    for inputs, outputs in zip(widths[:-1], widths[1:], strict=True):
+        panel_count = -(-outputs // COLUMNS)
+        stop = start + panel_count * (1 + inputs) * COLUMNS
+        panels = weights[start:stop].reshape(panel_count, 1 + inputs, COLUMNS).swapaxes(0, 1)
+        joined_layer = panels.reshape(1 + inputs, -1)[:, :outputs]  # (1 + inputs, outputs)
+        layers.append((joined_layer[1:].copy(), joined_layer[0].copy()))
+        start = stop
+    return tuple(layers)
+
+
+@kernel
+def layer_starts(widths: Any) -> Any:
+    """Return where each layer's weights begin, and where the last one's end, (layers + 1,)."""
+    starts = np.zeros(len(widths), np.int64)
+    for layer in range(len(widths) - 1):
+        panel_count = -(-widths[layer + 1] // COLUMNS)
+        starts[layer + 1] = starts[layer] + panel_count * (1 + widths[layer]) * COLUMNS
+    return starts
 
 
 # --- The forward pass ----------------------------------------------------------------------------
 
 
+@inlined
+def row_length(width: int) -> int:
+    """Return the numbers that a row of a layer's outputs takes: whole panels, and one to spare.
+
+    With the spare one, the rows of wide layers do not compete for the same lines of the cache.
+    """
+    return -(-width // COLUMNS) * COLUMNS + COLUMNS
+
+
 @kernel
 def make_scratch(widths: Any, row_count: int) -> Any:
-    """Return zeros in which `forward` can compute `row_count` rows, padded to tiles."""
-    widest = 0
-    for width in widths:
-        widest = max(widest, width)
-    return np.zeros((2, -(-row_count // ROWS) * ROWS, -(-widest // COLUMNS) * COLUMNS), np.float32)
+    """Return memory for the inputs and all layers' outputs, and where each begins in it.
+
+    Row i of layer l, (widths[l],), is at `starts[l] + i * row_length(widths[l])`.
+    """
+    starts = np.zeros(len(widths), np.int64)
+    total = 0
+    for layer in range(len(widths)):
+        starts[layer] = total
+        total += row_count * row_length(widths[layer])
+    return np.zeros(total, np.float32), starts
 
 
 @kernel
-def forward(weights: Any, widths: Any, activation: int, row_count: int, scratch: Any) -> Any:
-    """Return a network's outputs for `row_count` rows of `scratch[0]`, (rows at least, outputs at least).
+def copy_rows(observations: Any, indices: Any, scratch: Any) -> None:
+    """Copy rows of observations into the inputs of `make_scratch`'s memory."""
+    features = observations.shape[1]
+    for row in range(len(indices)):
+        start = row * row_length(features)
+        for i in range(features):
+            scratch[start + i] = observations[indices[row], i]
 
-    Weights are those of one policy in `flat`, and widths those of `policy.layer_widths`. `scratch` is from
-    `make_scratch`; it is overwritten and contains the outputs. `activation` is the hidden layers' code.
+
+@kernel
+def forward(weights: Any, widths: Any, activation: int, row_count: int, scratch: Any, starts: Any) -> int:
+    """Compute all layers' outputs for the first rows of inputs in `make_scratch`'s memory.
+
+    Args:
+        weights: of one policy, (numbers,), as in `flat`.
+        widths: those of `layer_widths`.
+        activation: the hidden layers' code.
+        row_count: rows to compute; others of the memory stay as they are.
+        scratch: the memory.
+        starts: where each layer begins in it.
+
+    Returns:
+        Where the first row of the last layer's outputs begins.
     """
-    weights_start = 0
-    for layer in range(len(widths) - 1):
-        inputs, outputs = scratch[layer % 2], scratch[(layer + 1) % 2]
-        for column in range(0, widths[layer + 1], COLUMNS):
-            for row in range(0, row_count, ROWS):
-                _multiply(inputs, weights, outputs, widths[layer], weights_start, row, column)
-            weights_start += (widths[layer] + 1) * COLUMNS
-        if layer < len(widths) - 2:
+    start = 0
+    last = len(widths) - 2
+    for layer in range(last + 1):
+        inputs, outputs = widths[layer], widths[layer + 1]
+        panel = (1 + inputs) * COLUMNS
+        length = row_length(outputs)
+        multiply(
+            row_count, -(-outputs // COLUMNS),
+            scratch, starts[layer], row_length(inputs), 1, 0, inputs,
+            weights, start + COLUMNS, panel, COLUMNS,
+            weights, start, panel,
+            scratch, starts[layer + 1], COLUMNS, length, False,
+        )  # fmt: skip
+        start += -(-outputs // COLUMNS) * panel
+        if layer < last:
             for row in range(row_count):
-                activate(activation, outputs[row, : widths[layer + 1]])
-    return scratch[(len(widths) - 1) % 2]
+                row_start = starts[layer + 1] + row * length
+                activate(activation, scratch[row_start : row_start + outputs])
+    return starts[last + 1]
+
+
+def values_of(critic: Network, observations: np.ndarray) -> np.ndarray:
+    """Return the critic's values of a few observations: (K, features) -> (K,) float32."""
+    return outputs_of(critic.weights[0], critic.widths, critic.activation, observations)[:, 0]
+
+
+@kernel
+def note_dead(activation: int, widths: Any, rows: int, scratch: Any, starts: Any, is_dead: Any) -> None:
+    """Clear the mark of each hidden unit, (layers, units), that one of some rows of outputs shows is alive.
+
+    A unit is dead over a rollout if all its outputs are: never above zero (ReLU and LeakyReLU), or always
+    beyond 0.99 in size (tanh: it is saturated, though its sign may change).
+    """
+    for layer in range(1, len(widths) - 1):
+        for row in range(rows):
+            start = starts[layer] + row * row_length(widths[layer])
+            for unit in range(widths[layer]):
+                output = scratch[start + unit]
+                is_dead[layer, unit] &= abs(output) > _SATURATED if activation == TANH else output <= _ZERO
+
+
+@kernel
+def outputs_of(weights: Any, widths: Any, activation: int, observations: Any) -> Any:
+    """Return the outputs of one policy's network: (N, features) -> (N, outputs)."""
+    count, outputs = len(observations), widths[-1]
+    scratch, starts = make_scratch(widths, min(count, ROWS_TOGETHER))
+    results = np.empty((count, outputs), np.float32)
+    for first in range(0, count, ROWS_TOGETHER):
+        rows = min(ROWS_TOGETHER, count - first)
+        copy_rows(observations, np.arange(first, first + rows), scratch)
+        start = forward(weights, widths, activation, rows, scratch, starts)
+        for row in range(rows):
+            for j in range(outputs):
+                results[first + row, j] = scratch[start + row * row_length(outputs) + j]
+    return results
+
+
+@kernel
+def dead_units(weights: Any, widths: Any, activation: int, observations: Any) -> int:
+    """Return how many hidden units of one policy's network are dead over observations, (N, features)."""
+    scratch, starts = make_scratch(widths, ROWS_TOGETHER)
+    is_dead = np.ones((len(widths), widths.max()), np.bool_)
+    for first in range(0, len(observations), ROWS_TOGETHER):
+        rows = min(ROWS_TOGETHER, len(observations) - first)
+        copy_rows(observations, np.arange(first, first + rows), scratch)
+        forward(weights, widths, activation, rows, scratch, starts)
+        note_dead(activation, widths, rows, scratch, starts, is_dead)
+    return count_dead(widths, is_dead)
+
+
+@kernel
+def count_dead(widths: Any, is_dead: Any) -> int:
+    """Return how many units of the hidden layers are still marked."""
+    count = 0
+    for layer in range(1, len(widths) - 1):
+        count += is_dead[layer, : widths[layer]].sum()
+    return count
+
+
+# --- Products ------------------------------------------------------------------------------------
+
+
+def _tile_shape() -> tuple[int, int]:
+    """Return how many rows and panels a tile has, so that its sums fit into the registers of a processor.
+
+    Measured with AVX-512 and AVX2.
+    """
+    features = numba.config.CPU_FEATURES
+    if features is None:
+        features = get_host_cpu_features()
+    if "+avx512f" in features:
+        return 8, 2
+    if platform.machine() == "aarch64" or "+avx2" in features:
+        return 6, 1
+    return 2, 1
+
+
+TILE_ROWS, TILE_PANELS = _tile_shape()
+FEW_ROWS = 4
+
+
+def _tile(rows: int, panels: int, reads_across: bool) -> Any:
+    """Return a function that writes a tile of a product, for `multiply` or `multiply_across`.
+
+    The sums stay in registers, which a loop that numba compiles cannot ask for. LLVM divides vectors of
+    `COLUMNS` numbers into those that the processor has. Products and sums are fused, that is rounded once,
+    which IEEE 754 defines.
+    """
+    vector = ir.VectorType(ir.FloatType(), COLUMNS)
+    everywhere = ir.Constant(ir.VectorType(ir.IntType(32), COLUMNS), None)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        (
+            a, a_start, a_distance, a_blocks, a_block, steps, b, b_start, b_panel, b_step,
+            first, first_start, first_panel, c, c_start, c_panel, c_row,
+        ) = arguments  # fmt: skip
+
+        def data_of(position: int, value: Any) -> Any:
+            return typed_arrays.make_array(signature.args[position])(context, builder, value).data
+
+        a_data, b_data, first_data, c_data = data_of(0, a), data_of(6, b), data_of(10, first), data_of(13, c)
+        one = a_distance.type(1)
+        a_row, a_step = (one, a_distance) if reads_across else (a_distance, one)
+
+        def vector_at(data: Any, index: Any) -> Any:
+            return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
+
+        def moved(start: Any, distance: Any, times: Any) -> Any:
+            return builder.add(start, builder.mul(distance, times))
+
+        def starts(start: Any, distance: Any, count: int) -> list[Any]:
+            return [moved(start, distance, distance.type(number)) for number in range(count)]
+
+        fused_type = ir.FunctionType(vector, [vector, vector, vector])
+        fused = typed_codegen.get_or_insert_function(builder.module, fused_type, f"llvm.fma.v{COLUMNS}f32")
+        sums = []
+        for panel_start in starts(first_start, first_panel, panels):
+            begin = builder.load(vector_at(first_data, panel_start), align=4)
+            sums.append([typed_codegen.alloca_once_value(builder, begin) for _ in range(rows)])
+        row_starts, panel_starts = starts(a_start, a_row, rows), starts(b_start, b_panel, panels)
+        with typed_codegen.for_range(builder, a_blocks) as blocks:
+            block_start = builder.mul(blocks.index, a_block)
+            first_step = builder.mul(blocks.index, steps)
+            with typed_codegen.for_range(builder, steps) as loop:
+                step = builder.add(first_step, loop.index)
+                factors = []
+                for panel_start in panel_starts:
+                    factors.append(builder.load(vector_at(b_data, moved(panel_start, b_step, step)), align=4))
+                offset = moved(block_start, a_step, loop.index)
+                for row, row_start in enumerate(row_starts):
+                    value = builder.load(builder.gep(a_data, [builder.add(row_start, offset)]))
+                    single = builder.insert_element(vector(ir.Undefined), value, ir.IntType(32)(0))
+                    values = builder.shuffle_vector(single, single, everywhere)
+                    for factor, panel_sums in zip(factors, sums, strict=True):
+                        total = panel_sums[row]
+                        builder.store(builder.call(fused, [values, factor, builder.load(total)]), total)
+        for panel_start, panel_sums in zip(starts(c_start, c_panel, panels), sums, strict=True):
+            for row_start, total in zip(starts(panel_start, c_row, rows), panel_sums, strict=True):
+                builder.store(builder.load(total), vector_at(c_data, row_start), align=4)
+        return context.get_dummy_value()
+
+    @typed_intrinsic
+    def tile(
+        typing: Any,
+        a: Any, a_start: Any, a_distance: Any, a_blocks: Any, a_block: Any, steps: Any,
+        b: Any, b_start: Any, b_panel: Any, b_step: Any, first: Any, first_start: Any, first_panel: Any,
+        c: Any, c_start: Any, c_panel: Any, c_row: Any,
+    ) -> Any:  # fmt: skip
+        types = (
+            a, a_start, a_distance, a_blocks, a_block, steps, b, b_start, b_panel, b_step,
+            first, first_start, first_panel, c, c_start, c_panel, c_row,
+        )  # fmt: skip
+        return typed_void(*types), generate
+
+    return tile
+
+
+def _product(reads_across: bool) -> Any:
+    """Return `multiply`, or `multiply_across`."""
+    whole_tile, one_panel = _tile(TILE_ROWS, TILE_PANELS, reads_across), _tile(TILE_ROWS, 1, reads_across)
+    few_rows, one_row = _tile(FEW_ROWS, 1, reads_across), _tile(1, 1, reads_across)
+
+    @kernel
+    def product(
+        rows: int, panels: int,
+        a: Any, a_start: int, a_distance: int, a_blocks: int, a_block: int, steps: int,
+        b: Any, b_start: int, b_panel: int, b_step: int, first: Any, first_start: int, first_panel: int,
+        c: Any, c_start: int, c_panel: int, c_row: int, left_once: bool,
+    ) -> None:  # fmt: skip
+        tile_rows = TILE_ROWS if rows >= TILE_ROWS else FEW_ROWS if rows >= FEW_ROWS else 1
+        tile_panels = TILE_PANELS if panels >= TILE_PANELS and tile_rows == TILE_ROWS else 1
+        row_tiles, panel_tiles = -(-rows // tile_rows), -(-panels // tile_panels)
+        a_row = 1 if reads_across else a_distance
+        for index in range(row_tiles * panel_tiles):
+            if left_once:
+                row_tile, panel_tile = index // panel_tiles, index % panel_tiles
+            else:
+                row_tile, panel_tile = index % row_tiles, index // row_tiles
+            # the last tile ends with the last row or panel: what two tiles share has the same bits in both
+            row = min(row_tile * tile_rows, rows - tile_rows)
+            panel = min(panel_tile * tile_panels, panels - tile_panels)
+            a_at, b_at = a_start + row * a_row, b_start + panel * b_panel
+            first_at, c_at = first_start + panel * first_panel, c_start + panel * c_panel + row * c_row
+            if tile_panels > 1:
+                whole_tile(
+                    a, a_at, a_distance, a_blocks, a_block, steps, b, b_at, b_panel, b_step,
+                    first, first_at, first_panel, c, c_at, c_panel, c_row,
+                )  # fmt: skip
+            elif tile_rows == TILE_ROWS:
+                one_panel(
+                    a, a_at, a_distance, a_blocks, a_block, steps, b, b_at, b_panel, b_step,
+                    first, first_at, first_panel, c, c_at, c_panel, c_row,
+                )  # fmt: skip
+            elif tile_rows == FEW_ROWS:
+                few_rows(
+                    a, a_at, a_distance, a_blocks, a_block, steps, b, b_at, b_panel, b_step,
+                    first, first_at, first_panel, c, c_at, c_panel, c_row,
+                )  # fmt: skip
+            else:
+                one_row(
+                    a, a_at, a_distance, a_blocks, a_block, steps, b, b_at, b_panel, b_step,
+                    first, first_at, first_panel, c, c_at, c_panel, c_row,
+                )  # fmt: skip
+
+    return product
+
+
+multiply, multiply_across = _product(False), _product(True)
+"""Write a product of matrices, panel by panel of `COLUMNS` columns, each number summed in one order.
+
+All matrices lie in one-dimensional arrays. With k = block * steps + step:
+
+    c[panel, row, 0:16] = first[panel, 0:16] + sum over blocks, steps of a[row, k] * b[panel, k, 0:16]
+
+`multiply` reads a left factor whose numbers of a row lie side by side, `multiply_across` one whose numbers of
+a column do: the compiled code of one for both would be slower.
+
+Args:
+    rows, panels: of the product.
+    a, a_start, a_distance, a_blocks, a_block, steps: the left factor, in blocks of so many steps; the
+        distances between its rows (across: its columns), and its blocks.
+    b, b_start, b_panel, b_step: the right factor; the distances between its panels, and its rows.
+    first, first_start, first_panel: what the sums begin with, such as biases.
+    c, c_start, c_panel, c_row: the product.
+    left_once: whether the left factor is read once and the right one again for each tile of its rows, which
+        is faster where the left one is large; else the other way round.
+"""
+
+
+SPAN = 64
+"""Numbers that `sum_of_squares` adds at once: as many sums, in an order that no processor changes."""
+
+
+@kernel
+def square_of_norm(numbers: Any) -> float:
+    """Return the square of the L2 norm of numbers, whose count is a multiple of `COLUMNS`."""
+    total = 0.0
+    for first in range(0, len(numbers), SPAN * SPAN):
+        stop = min(first + SPAN * SPAN, len(numbers))
+        whole = (stop - first) // SPAN * SPAN
+        total += _sum_of_squares(numbers, first, whole // SPAN)
+        for i in range(first + whole, stop):
+            total += numbers[i] * numbers[i]
+    return total
 
 
 @typed_intrinsic
-def _multiply(
-    typing: Any, inputs: Any, weights: Any, outputs: Any, count: Any, at: Any, row: Any, column: Any
-) -> Any:
-    """Write a tile of a layer's outputs, from `row` and `column` on: the biases, and `count` products each.
-
-    Its weights begin at `at`. The sums stay in registers, which a loop that numba compiles cannot ask for.
-    """
-    vector = ir.VectorType(ir.FloatType(), LANES)
-    everywhere = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
+def _sum_of_squares(typing: Any, numbers: Any, start: Any, spans: Any) -> Any:
+    """Return the sum of the squares of so many spans of `SPAN` numbers."""
+    vector = ir.VectorType(ir.FloatType(), COLUMNS)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        *array_values, count, at, row, column = arguments
-        arrays = []
-        for array_type, value in zip(signature.args, array_values, strict=False):
-            arrays.append(typed_arrays.make_array(array_type)(context, builder, value))
-        inputs, weights, outputs = arrays
+        numbers, start, spans = arguments
+        data = typed_arrays.make_array(signature.args[0])(context, builder, numbers).data
+        zeros = ir.Constant(vector, [0.0] * COLUMNS)
+        sums = [typed_codegen.alloca_once_value(builder, zeros) for _ in range(SPAN // COLUMNS)]
+        with typed_codegen.for_range(builder, spans) as loop:
+            span_start = builder.add(start, builder.mul(loop.index, start.type(SPAN)))
+            for number, total in enumerate(sums):
+                index = builder.add(span_start, start.type(number * COLUMNS))
+                pointer = builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
+                factor = builder.load(pointer, align=4)
+                builder.store(builder.fadd(builder.load(total), builder.fmul(factor, factor)), total)
+        total = ir.Constant(ir.DoubleType(), 0.0)
+        for vector_sum in sums:
+            lanes = builder.load(vector_sum)
+            for lane in range(COLUMNS):
+                number = builder.extract_element(lanes, ir.IntType(32)(lane))
+                total = builder.fadd(total, builder.fpext(number, ir.DoubleType()))
+        return total
 
-        def row_start(array: Any, tile_row: int) -> Any:
-            """Return the index at which a row of the tile begins in an array."""
-            width = builder.extract_value(array.shape, 1)
-            return builder.mul(builder.add(row, row.type(tile_row)), width)
+    return typed_double(numbers, start, spans), generate
 
-        def vector_pointers(array: Any, index: Any) -> list[Any]:
-            """Return pointers to the vectors of a row of the tile, from an index of an array on."""
-            pointers = []
-            for offset in range(0, COLUMNS, LANES):
-                number = builder.gep(array.data, [builder.add(index, index.type(offset))])
-                pointers.append(builder.bitcast(number, vector.as_pointer()))
-            return pointers
 
-        biases = [builder.load(pointer, align=4) for pointer in vector_pointers(weights, at)]
-        sums = []
-        for _ in range(ROWS):
-            sums.append([typed_codegen.alloca_once_value(builder, bias) for bias in biases])
-        starts = [row_start(inputs, tile_row) for tile_row in range(ROWS)]
-        with typed_codegen.for_range(builder, count) as loop:
-            offset = builder.mul(builder.add(loop.index, at.type(1)), at.type(COLUMNS))
-            pointers = vector_pointers(weights, builder.add(at, offset))
-            factors = [builder.load(pointer, align=4) for pointer in pointers]
-            for start, row_sums in zip(starts, sums, strict=True):
-                value = builder.load(builder.gep(inputs.data, [builder.add(start, loop.index)]))
-                first = builder.insert_element(vector(ir.Undefined), value, ir.IntType(32)(0))
-                value = builder.shuffle_vector(first, first, everywhere)
-                for total, factor in zip(row_sums, factors, strict=True):
-                    builder.store(builder.fadd(builder.load(total), builder.fmul(value, factor)), total)
-        for tile_row, row_sums in enumerate(sums):
-            pointers = vector_pointers(outputs, builder.add(row_start(outputs, tile_row), column))
-            for pointer, total in zip(pointers, row_sums, strict=True):
-                builder.store(builder.load(total), pointer, align=4)
+@kernel
+def transpose(a: Any, row_blocks: int, column_blocks: int, a_row: int, b: Any, b_row: int) -> None:
+    """Write the rows of `a` as columns of `b`, in blocks of `COLUMNS` rows and columns."""
+    for row in range(0, row_blocks * COLUMNS, COLUMNS):
+        for column in range(0, column_blocks * COLUMNS, COLUMNS):
+            _transpose_block(a, row * a_row + column, a_row, b, column * b_row + row, b_row)
+
+
+@typed_intrinsic
+def _transpose_block(typing: Any, a: Any, a_start: Any, a_row: Any, b: Any, b_start: Any, b_row: Any) -> Any:
+    """Transpose a block of `COLUMNS` rows and columns in registers (Eklundh 1972)."""
+    vector = ir.VectorType(ir.FloatType(), COLUMNS)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        a, a_start, a_row, b, b_start, b_row = arguments
+
+        def pointers(position: int, value: Any, start: Any, distance: Any) -> list[Any]:
+            data = typed_arrays.make_array(signature.args[position])(context, builder, value).data
+            row_pointers = []
+            for row in range(COLUMNS):
+                index = builder.add(start, builder.mul(distance, distance.type(row)))
+                row_pointers.append(builder.bitcast(builder.gep(data, [index]), vector.as_pointer()))
+            return row_pointers
+
+        def shuffled(left: Any, right: Any, lanes: list[int]) -> Any:
+            mask = ir.Constant(ir.VectorType(ir.IntType(32), COLUMNS), lanes)
+            return builder.shuffle_vector(left, right, mask)
+
+        rows = [builder.load(pointer, align=4) for pointer in pointers(0, a, a_start, a_row)]
+        distance = 1
+        while distance < COLUMNS:  # swap the off-diagonal quarters of ever larger squares
+            # lanes from COLUMNS on are those of the second vector
+            upper = [lane if not lane & distance else lane - distance + COLUMNS for lane in range(COLUMNS)]
+            lower = [lane + distance if not lane & distance else lane + COLUMNS for lane in range(COLUMNS)]
+            for row in range(COLUMNS):
+                if not row & distance:
+                    pair = rows[row], rows[row + distance]
+                    rows[row], rows[row + distance] = shuffled(*pair, upper), shuffled(*pair, lower)
+            distance *= 2
+        for row, pointer in zip(rows, pointers(3, b, b_start, b_row), strict=True):
+            builder.store(row, pointer, align=4)
         return context.get_dummy_value()
 
-    return typed_void(inputs, weights, outputs, count, at, row, column), generate
+    return typed_void(a, a_start, a_row, b, b_start, b_row), generate
 
 
 # --- Activations ---------------------------------------------------------------------------------
@@ -152,7 +523,8 @@ _E5, _E4, _E3, _E2, _E1, _E0 = _numbers(
 _T4, _T3, _T2, _T1, _T0 = _numbers(
     -5.70498872745e-3, 2.06390887954e-2, -5.37397155531e-2, 1.33314422036e-1, -3.33332819422e-1
 )
-_ZERO, _ONE, _TWO, _SMALL, _LARGE, _LEAK = _numbers(0, 1, 2, 0.625, 9.5, LEAKY_SLOPE)
+_ZERO, _ONE, _TWO, _SMALL, _LARGE = _numbers(0, 1, 2, 0.625, 9.5)
+_LEAK, _SATURATED = _numbers(LEAKY_SLOPE, 0.99)
 _LEAST = np.float32(-87.33)  # below which an exponential is not a normal number
 _ROUND = np.float32(1.5 * 2**23)  # added to a number to round it to a whole one
 
@@ -173,6 +545,33 @@ def activate(activation: int, x: Any) -> None:
         x[:] = np.nan
 
 
+@kernel
+def scale_by_slopes(activation: int, outputs: Any, gradient: Any) -> None:
+    """Multiply a row of gradients by the slopes of the activation, from its outputs, in place."""
+    if activation == TANH:
+        for j in range(len(outputs)):
+            gradient[j] *= _ONE - outputs[j] * outputs[j]
+    elif activation == RELU:
+        for j in range(len(outputs)):
+            gradient[j] = gradient[j] if outputs[j] > _ZERO else _ZERO
+    else:
+        for j in range(len(outputs)):
+            gradient[j] = gradient[j] if outputs[j] > _ZERO else gradient[j] * _LEAK
+
+
+@typed_intrinsic
+def fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    """Return a * b + c, rounded once, of float32."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        number = ir.FloatType()
+        fused_type = ir.FunctionType(number, [number, number, number])
+        function = typed_codegen.get_or_insert_function(builder.module, fused_type, "llvm.fma.f32")
+        return builder.call(function, arguments)
+
+    return typed_float(typed_float, typed_float, typed_float), generate
+
+
 @inlined
 def tanh(x: Any) -> Any:
     """Return the hyperbolic tangent, of float32, within 1.4 units in the last place; monotone.
@@ -180,7 +579,8 @@ def tanh(x: Any) -> Any:
     NumPy's and the C library's take 20 times as long, as they cannot be done for several numbers at once.
     """
     square = x * x
-    small = x + x * (square * ((((_T4 * square + _T3) * square + _T2) * square + _T1) * square + _T0))
+    series = fused(fused(fused(fused(_T4, square, _T3), square, _T2), square, _T1), square, _T0)
+    small = fused(x, square * series, x)
     size = abs(x)
     bounded = _LARGE if size > _LARGE else size
     large = _ONE - _TWO / (exp(bounded + bounded) + _ONE)
@@ -191,10 +591,11 @@ def tanh(x: Any) -> Any:
 def exp(x: Any) -> Any:
     """Return the exponential, of float32 up to 88, within a unit in the last place; 0 below 1.2e-38."""
     bounded = _LEAST if x < _LEAST else x
-    rounded = bounded * _LOG2_E + _ROUND
+    rounded = fused(bounded, _LOG2_E, _ROUND)
     twos = rounded - _ROUND
-    r = bounded - twos * _LN2_HIGH - twos * _LN2_LOW
-    near_one = (((((_E5 * r + _E4) * r + _E3) * r + _E2) * r + _E1) * r + _E0) * (r * r) + r + _ONE
+    r = fused(twos, -_LN2_LOW, fused(twos, -_LN2_HIGH, bounded))
+    series = fused(fused(fused(fused(fused(_E5, r, _E4), r, _E3), r, _E2), r, _E1), r, _E0)
+    near_one = fused(series, r * r, r) + _ONE
     bits = (np.float32(rounded).view(np.int32) << np.int32(23)) + np.int32(127 << 23)  # of 2 to the `twos`
     return _ZERO if x < _LEAST else near_one * np.int32(bits).view(np.float32)
 
@@ -203,26 +604,36 @@ def exp(x: Any) -> Any:
 
 
 @kernel
-def sample(outputs: Any, row: int, actions: int, draw: Any) -> int:
-    """Sample an action from the softmax of a row's logits, by a number in [0, 1); they are overwritten."""
-    highest = outputs[row, most_probable(outputs, row, actions)]
+def sample(logits: Any, draw: Any) -> int:
+    """Sample an action from the softmax of logits, by a number in [0, 1); they are overwritten."""
+    highest = logits[most_probable(logits)]
     weight_sum = _ZERO
-    for j in range(actions):
-        outputs[row, j] = exp(outputs[row, j] - highest)
-        weight_sum += outputs[row, j]
+    for j in range(len(logits)):
+        logits[j] = exp(logits[j] - highest)
+        weight_sum += logits[j]
     remainder = draw * weight_sum
-    for j in range(actions - 1):
-        remainder -= outputs[row, j]
+    for j in range(len(logits) - 1):
+        remainder -= logits[j]
         if remainder < 0:
             return j
-    return actions - 1
+    return len(logits) - 1
 
 
-@inlined
-def most_probable(outputs: Any, row: int, actions: int) -> int:
+@kernel
+def sample_rows(logits: Any, draws: Any) -> Any:
+    """Sample an action for each row of logits, (N, actions), by numbers in [0, 1), (N,); (N,) int64."""
+    actions = np.empty(len(logits), np.int64)
+    for row in range(len(logits)):
+        actions[row] = sample(logits[row].copy(), draws[row])
+    return actions
+
+
+@kernel
+def most_probable(logits: Any) -> int:
+    """Return the index of the greatest logit, the first one of equal ones."""
     best_action = 0
-    for j in range(1, actions):
-        if outputs[row, j] > outputs[row, best_action]:
+    for j in range(1, len(logits)):
+        if logits[j] > logits[best_action]:
             best_action = j
     return best_action
 
@@ -238,19 +649,19 @@ def choose(network: Any, observations: Any, draws: Any, is_playing: Any, actions
     weights, widths, activation = network
     policies, action_count = len(weights), widths[-1]
     playing_rows = np.empty(len(is_playing), np.int64)
-    scratch = make_scratch(widths, len(is_playing))
+    scratch, starts = make_scratch(widths, len(is_playing))
     for policy in range(policies):
         playing_count = 0
         for row in range(policy, len(is_playing), policies):
             if is_playing[row]:
                 playing_rows[playing_count] = row
-                for i in range(widths[0]):
-                    scratch[0, playing_count, i] = observations[row, i]
                 playing_count += 1
-        outputs = forward(weights[policy], widths, activation, playing_count, scratch)
+        copy_rows(observations, playing_rows[:playing_count], scratch)
+        outputs_start = forward(weights[policy], widths, activation, playing_count, scratch, starts)
         for k in range(playing_count):
-            row = playing_rows[k]
+            row, start = playing_rows[k], outputs_start + k * row_length(action_count)
+            logits = scratch[start : start + action_count]
             if row < len(draws):
-                actions[row] = sample(outputs, k, action_count, draws[row])
+                actions[row] = sample(logits, draws[row])
             else:
-                actions[row] = most_probable(outputs, k, action_count)
+                actions[row] = most_probable(logits)

@@ -8,12 +8,20 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 from safetensors.numpy import load, save
 
 from pneuma.config import ACTIVATIONS
+from pneuma.engines.mlp import (
+    Layers,
+    dead_units,
+    layer_widths,
+    network,
+    outputs_of,
+    sample_rows,
+)
 from pneuma.engines.normalization import Scaling
 from pneuma.errors import UserError
 
@@ -26,42 +34,6 @@ LEARNER_FILE = "policy.zip"
 
 ACTION_ARRAYS = ("deviation", "bounds", "choices")
 """Attributes of a `Policy` that are stored as arrays."""
-
-LEAKY_SLOPE = 0.01
-"""Slope of LeakyReLU below zero (thesis section 6.2)."""
-
-
-class Activation(NamedTuple):
-    """An activation function in NumPy, and a test whether outputs, of NumPy or JAX, are those of a dead unit.
-
-    A unit is dead over a rollout if all its outputs are: never above zero (ReLU and LeakyReLU), or always
-    beyond 0.99 in size (tanh: it is saturated, though its sign may change).
-    """
-
-    apply: Callable[[np.ndarray], np.ndarray]
-    is_dead: Callable[[Any], Any]
-
-
-def _is_silent(units: Any) -> Any:
-    return units <= 0
-
-
-def _is_saturated(units: Any) -> Any:
-    return abs(units) > 0.99
-
-
-NUMPY_ACTIVATIONS = {
-    "tanh": Activation(np.tanh, _is_saturated),
-    "relu": Activation(lambda x: np.maximum(x, 0), _is_silent),
-    "leaky-relu": Activation(lambda x: np.where(x > 0, x, x * np.float32(LEAKY_SLOPE)), _is_silent),
-}
-"""`mlp` and `batched.update` have tables for the other backends; torch has classes."""
-
-Layers = tuple[tuple[np.ndarray, np.ndarray], ...]
-"""Weight (inputs, outputs) and bias (outputs,) of each layer, float32.
-
-Where each player of a world has a policy of its own, (players, inputs, outputs) and (players, outputs).
-"""
 
 
 class SavedPolicy(Protocol):
@@ -134,8 +106,18 @@ class Policy:
         return self._outputs(self.critic, observations)[:, 0]
 
     def _outputs(self, layers: Layers, observations: np.ndarray) -> np.ndarray:
+        """Return a network's outputs: (N, features) -> (N, outputs); row i is of player i % players."""
         scaled_observations = self.scaling(observations) if self.scaling else observations
-        return forward(layers, self.activation, scaled_observations)[-1]
+        rows = np.ascontiguousarray(scaled_observations, np.float32)
+        if len(rows) % self.players:
+            allowed = f"give one for each of {self.players} players"
+            raise UserError(f"{len(rows)} observations are not allowed: {allowed}")
+        weights, widths, activation = network(layers, self.activation)
+        outputs = np.empty((len(rows), widths[-1]), np.float32)
+        for player, own_weights in enumerate(weights):
+            own_rows = np.ascontiguousarray(rows[player :: self.players])
+            outputs[player :: self.players] = outputs_of(own_weights, widths, activation, own_rows)
+        return outputs
 
     def sample(self, observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """Sample an action for each observation: (N, features) -> (N,), or (N, …) of several numbers."""
@@ -203,10 +185,10 @@ class Policy:
     def to_bytes(self) -> bytes:
         """Serialise as safetensors, with activation and exploration in the header."""
         arrays: dict[str, np.ndarray] = {}
-        for network, layers in (("actor", self.actor), ("critic", self.critic)):
+        for network_name, layers in (("actor", self.actor), ("critic", self.critic)):
             for i, (weight, bias) in enumerate(layers):
-                arrays[f"{network}.{i}.weight"] = np.ascontiguousarray(weight)
-                arrays[f"{network}.{i}.bias"] = np.ascontiguousarray(bias)
+                arrays[f"{network_name}.{i}.weight"] = np.ascontiguousarray(weight)
+                arrays[f"{network_name}.{i}.bias"] = np.ascontiguousarray(bias)
         for array_name in ACTION_ARRAYS:
             array = getattr(self, array_name)
             if array is not None:
@@ -221,9 +203,7 @@ class Policy:
 
 
 def _sample_choice(logits: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    weights = np.exp(logits - logits.max(axis=1, keepdims=True)).cumsum(axis=1)
-    draws = generator.random((len(weights), 1), dtype=np.float32) * weights[:, -1:]
-    return np.minimum((weights <= draws).sum(axis=1), weights.shape[1] - 1)
+    return sample_rows(np.ascontiguousarray(logits), generator.random(len(logits), np.float32))
 
 
 def _entropy(logits: np.ndarray) -> float:
@@ -278,9 +258,16 @@ def _layers_in(arrays: Mapping[str, np.ndarray], network: str) -> Layers:
 
 def _is_sound(policy: Policy) -> bool:
     """Return whether a policy's parts match, so that it can play, compiled or not: it is tried once."""
-    for weight, bias in policy.actor + policy.critic:
-        if weight.ndim > 3 or bias.shape != (*weight.shape[:-2], weight.shape[-1]):
-            return False
+    for layers in (policy.actor, policy.critic):
+        # compiled functions trust these: nothing there checks an index
+        widths = [policy.features, *(weight.shape[-1] for weight, _ in layers)]
+        for (weight, bias), inputs, outputs in zip(layers, widths[:-1], widths[1:], strict=True):
+            shape = (*policy.actor[0][0].shape[:-2], inputs, outputs)
+            is_array = (
+                weight.dtype == bias.dtype == np.float32 and weight.ndim in (2, 3) and bool(weight.size)
+            )
+            if not is_array or weight.shape != shape or bias.shape != (*shape[:-2], outputs):
+                return False
     choices = policy.choices
     if choices is not None and (choices.min() < 1 or choices.sum() != policy.actions):
         return False
@@ -317,43 +304,18 @@ def check_fits(policy: Policy, worlds: Worlds) -> None:
             raise UserError(f"was trained on {trained[name]} {name}, but these settings have {present[name]}")
 
 
-def layer_widths(layers: Layers) -> np.ndarray:
-    """Return the inputs of the first layer and the outputs of every layer, (layers + 1,) int64."""
-    first_weight, _ = layers[0]
-    widths = [first_weight.shape[-2]]
-    for weight, _ in layers:
-        widths.append(weight.shape[-1])
-    return np.array(widths, np.int64)
-
-
-def forward(layers: Layers, activation: str, observations: np.ndarray) -> list[np.ndarray]:
-    """Return the output of each layer, hidden ones after their activation: [(N, units), …].
-
-    Where each player has a policy, row i is of player i % players.
-    """
-    players, row_count = _players(layers), len(observations)
-    if row_count % players:
-        raise UserError(f"{row_count} observations are not allowed: give one for each of {players} players")
-    # (players, worlds, features)
-    x = observations.reshape(-1, players, observations.shape[-1]).swapaxes(0, 1)
-    outputs = []
-    for i, (weight, bias) in enumerate(layers):
-        x = x @ weight + bias[..., None, :]
-        if i < len(layers) - 1:
-            x = NUMPY_ACTIVATIONS[activation].apply(x)
-        outputs.append(x.swapaxes(0, 1).reshape(row_count, -1))
-    return outputs
-
-
 def _players(layers: Layers) -> int:
     """Return the number of players with networks of their own; 1 if all share one, or there are no layers."""
     return len(layers[0][0]) if layers and layers[0][0].ndim == 3 else 1
 
 
 def dead_share(policy: Policy, observations: np.ndarray) -> float:
-    """Return the share of hidden units, of actor and critic, that are dead: see `Activation`."""
-    hidden_outputs = []
-    for network in (policy.actor, policy.critic):
-        hidden_outputs += forward(network, policy.activation, observations)[:-1]
-    units = np.concatenate(hidden_outputs, axis=1)  # (N, units)
-    return float(NUMPY_ACTIVATIONS[policy.activation].is_dead(units).all(axis=0).mean())
+    """Return the share of hidden units, of actor and critic, that are dead: see `mlp.note_dead`."""
+    rows = np.ascontiguousarray(observations, np.float32)
+    dead_count = unit_count = 0
+    for layers in (policy.actor, policy.critic):
+        if layers:
+            weights, widths, activation = network(layers, policy.activation)
+            dead_count += dead_units(weights[0], widths, activation, rows)
+            unit_count += int(widths[1:-1].sum())
+    return dead_count / unit_count

@@ -1,9 +1,9 @@
 """How functions over the state of worlds are compiled, and what of numba's own is used for that.
 
 Numba's cache on disk checks the types of arguments and the file of the kernel itself, but no other file. So
-the handle of a world's state (`state.HANDLE`) has a field whose name is a digest of all files with kernels.
-If one of them changes, every kernel that takes a handle is compiled again. A kernel that takes no handle must
-not use code from other files.
+the handle of a world's state (`state.HANDLE`) and the numbers of a run (`update.NUMBERS`) have a field whose
+name is a digest of all files with kernels. If one of them changes, every kernel that takes one of these is
+compiled again. A kernel that takes neither must not use code from other files.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from numba.np import arrayobj
 PACKAGE = Path(__file__).parents[1]
 KERNEL_SOURCES = (
     "env/compiling.py", "env/kernel.py", "env/layouts.py", "env/observe.py", "env/reward.py", "env/rules.py",
-    "env/state.py", "engines/batched/rollout.py", "engines/mlp.py",
+    "env/state.py", "engines/mlp.py", "engines/batched/initial_weights.py", "engines/batched/optimizers.py",
+    "engines/batched/rollout.py", "engines/batched/update.py",
 )  # fmt: skip
 """Files whose code, or whose constants, are compiled into kernels."""
 DIGEST = hashlib.sha256(b"".join((PACKAGE / name).read_bytes() for name in KERNEL_SOURCES)).hexdigest()[:16]
@@ -76,6 +77,8 @@ typed_intrinsic: Any = intrinsic
 typed_arrays: Any = arrayobj
 typed_codegen: Any = cgutils
 typed_void: Any = types.void
+typed_float: Any = types.float32
+typed_double: Any = types.float64
 typed_pointer: Any = types.CPointer
 typed_tuple: Any = types.NamedTuple
 typed_cache: Any = FunctionCache

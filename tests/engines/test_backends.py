@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +12,9 @@ import torch
 
 from pneuma.algorithms import OPTIMIZERS
 from pneuma.config import ACTIVATIONS, make_run
-from pneuma.engines import mlp, policy
-from pneuma.engines.batched import optimizers, update
-from pneuma.engines.batched.update import run_numbers
+from pneuma.engines import mlp
+from pneuma.engines.batched import optimizers
+from pneuma.engines.batched.update import run_numbers, used_panels
 
 DEFINITIONS: dict[str, Callable[[float], float]] = {
     "tanh": math.tanh,
@@ -35,20 +36,12 @@ def by_numba(activation: str, inputs: np.ndarray) -> np.ndarray:
     return outputs
 
 
-def by_numpy(activation: str, inputs: np.ndarray) -> np.ndarray:
-    return policy.NUMPY_ACTIVATIONS[activation].apply(inputs)
-
-
-def by_jax(activation: str, inputs: np.ndarray) -> np.ndarray:
-    return np.asarray(update.JAX_ACTIVATIONS[activation](inputs))
-
-
 def by_torch(activation: str, inputs: np.ndarray) -> np.ndarray:
     outputs: np.ndarray = getattr(torch.nn, ACTIVATIONS[activation])()(torch.from_numpy(inputs)).numpy()
     return outputs
 
 
-BACKENDS = (by_numba, by_numpy, by_jax, by_torch)
+BACKENDS = (by_numba, by_torch)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -60,13 +53,24 @@ def test_an_activation_is_what_its_name_says(
     assert backend(activation, INPUTS) == pytest.approx(expected, rel=1e-6, abs=1e-7)  # float32 may cancel
 
 
-@pytest.mark.parametrize("backend", [by_numpy, by_jax])
 @pytest.mark.parametrize("activation", ACTIVATIONS)
-def test_a_unit_is_dead_at_the_outputs_that_its_activation_has(
-    activation: str, backend: Callable[[str, np.ndarray], np.ndarray]
-) -> None:
-    is_dead = policy.NUMPY_ACTIVATIONS[activation].is_dead(backend(activation, INPUTS))
+def test_a_unit_is_dead_at_the_outputs_that_its_activation_has(activation: str) -> None:
+    """A network of one hidden unit, whose input is what its activation gets."""
+    layers = ((np.ones((1, 1), np.float32), np.zeros(1, np.float32)),) * 2
+    weights, widths, code = mlp.network(layers, activation)
+    is_dead = [mlp.dead_units(weights[0], widths, code, np.full((3, 1), x)) == 1 for x in INPUTS]
     assert tuple(INPUTS[is_dead].tolist()) == DEAD[activation]
+
+
+@pytest.mark.parametrize("activation", ACTIVATIONS)
+def test_slopes_are_those_of_torch(activation: str) -> None:
+    x = torch.from_numpy(INPUTS).requires_grad_()
+    outputs = getattr(torch.nn, ACTIVATIONS[activation])()(x)
+    outputs.sum().backward()  # type: ignore[no-untyped-call]
+    slopes = np.ones(len(INPUTS), np.float32)
+    mlp.scale_by_slopes(mlp.ACTIVATION_CODES[activation], by_numba(activation, INPUTS), slopes)
+    assert x.grad is not None
+    assert slopes == pytest.approx(x.grad.numpy(), rel=1e-4, abs=1e-6)
 
 
 FIRST_STEPS = {"adam": 0.1, "sgd": 0.3, "rmsprop": 1.0, "upgd": 0.1}
@@ -74,15 +78,23 @@ FIRST_STEPS = {"adam": 0.1, "sgd": 0.3, "rmsprop": 1.0, "upgd": 0.1}
 RMSProp by a tenth of it; UPGD's weights are equally useful, and its noise is small."""
 
 
+def stepped(settings: dict[str, Any], weights: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    """Return the weights of an actor and a critic, each of one panel, after one step."""
+    run = make_run(settings)
+    widths = np.array([1, mlp.COLUMNS])  # two rows: biases and weights
+    moved = weights.astype(np.float32)
+    optimizers.take_step(
+        moved, gradient.astype(np.float32), optimizers.initial_state(run.optimizer, len(moved)),
+        run_numbers(run)[0], len(moved) // 2, np.ones(2, np.float32), used_panels(widths, widths),
+    )  # fmt: skip
+    return moved
+
+
 @pytest.mark.parametrize("name", OPTIMIZERS)
 def test_an_optimizer_takes_the_first_step_that_it_should(name: str) -> None:
-    numbers = run_numbers(make_run({"optimizer": name, "learning_rate": 0.1}))
-    weights = (np.zeros(2, np.float32),)
-    take_step, _ = optimizers.OPTIMIZERS[name]
-    (moved,), _ = take_step(
-        (np.array([3, -3], np.float32),), weights, optimizers.initial_state(name, weights), numbers
-    )
-    assert np.asarray(moved) == pytest.approx([-FIRST_STEPS[name], FIRST_STEPS[name]], abs=1e-3)
+    gradient = np.resize([3.0, -3.0], 64)
+    moved = stepped({"optimizer": name, "learning_rate": 0.1}, np.zeros(64), gradient)
+    assert moved == pytest.approx(np.resize([-FIRST_STEPS[name], FIRST_STEPS[name]], 64), abs=1e-3)
 
 
 DECAYS = {"adam": 0.1, "sgd": 0.1, "rmsprop": 1.0, "upgd": 0.1}
@@ -92,23 +104,12 @@ gradient of 1, UPGD as a share of the weight."""
 
 @pytest.mark.parametrize("name", OPTIMIZERS)
 def test_an_optimizer_decays_weights_once(name: str) -> None:
-    """No advantage and no weight of the values and the entropy: no gradient."""
-    fields = {"optimizer": name, "learning_rate": 0.1, "weight_decay": 0.5, "minibatch": 4}
-    fields |= {"value_coefficient": 0.0, "entropy_coefficient": 0.0}
+    settings: dict[str, Any] = {"optimizer": name, "learning_rate": 0.1, "weight_decay": 0.5}
     if "noise" in OPTIMIZERS[name].defaults:
-        fields["noise"] = 0.0
-    run = make_run(fields)
-    layers = {
-        part: ((np.full((3, 2), 2, np.float32), np.zeros(2, np.float32)),) for part in ("actor", "critic")
-    }
-    batch = {column: np.zeros(4, np.float32) for column in ("log_probabilities", "advantages", "returns")}
-    batch |= {"observations": np.ones((4, 3), np.float32), "actions": np.zeros(4, np.int32)}
-    state = optimizers.initial_state(name, layers)
-    orders = np.arange(4)[None]
-    moved, _, _ = update.learn(layers, state, batch, orders, run_numbers(run), update.program(run))
-    for ((weight, bias),) in moved.values():
-        assert np.asarray(weight) == pytest.approx(np.full((3, 2), 2 - DECAYS[name]), abs=1e-4)
-        assert not np.asarray(bias).any()
+        settings["noise"] = 0.0
+    weights = np.resize([2.0, 0.0], 64)
+    moved = stepped(settings, weights, np.zeros(64))
+    assert moved == pytest.approx(weights - np.resize([DECAYS[name], 0], 64), abs=1e-4)
 
 
 def test_an_optimizers_torch_class_is_one() -> None:

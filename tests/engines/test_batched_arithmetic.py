@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 import torch
@@ -46,7 +45,7 @@ CASES: dict[str, dict[str, object]] = {
     "a last minibatch that is smaller": {"minibatch": 40},
     "players": {"players": 2, "slots": 2, "horizon": 16, "episode_steps": 20},
     "deep": {"actor": (32, 16), "critic": (24, 24, 24)},
-    "too large to be joined": {"critic": (520, 520), "weight_decay": 0.01, "horizon": 32, "epochs": 1},
+    "wide": {"critic": (520, 520), "weight_decay": 0.01, "horizon": 32, "epochs": 1},
     "advantages as they are": {"normalize_advantage": False},
     "coefficients": {"value_coefficient": 1.5, "entropy_coefficient": 0.2},
     "clipped": {"clip_range": 0.01, "learning_rate": 3e-3},
@@ -64,7 +63,7 @@ def torch_model(run: Run, learner: Learner) -> PPO:
     model = sb3_learners.make_model(run, make_vec_env(run))
     model._setup_learn(run.steps)
     for part, layers in sb3_learners.linear_layers(model).items():
-        for module, (weight, bias) in zip(layers, learner.networks[part], strict=True):
+        for module, (weight, bias) in zip(layers, getattr(learner.policy(), part), strict=True):
             module.weight.data = torch.tensor(weight.T.copy())
             module.bias.data = torch.tensor(bias.copy())
     return model
@@ -161,8 +160,10 @@ def test_a_policy_whose_logits_overflow_at_the_end_is_not_kept(monkeypatch: pyte
     run = make_run({**SMALL, "activation": "leaky-relu", "steps": 128})
     trainer, records, half = BatchedTrainer(run), Records(), run.steps_per_update
     (learner,) = trainer.learners
-    huge = jax.tree.map(lambda leaf: np.full_like(leaf, 1e20), learner.networks["actor"])
+    huge = []
+    for weight, bias in learner.policy().actor:
+        huge.append((np.full_like(weight, 1e20), np.full_like(bias, 1e20)))
     monkeypatch.setattr(
-        learner, "policy", lambda: Policy("leaky-relu", huge, ())
+        learner, "policy", lambda: Policy("leaky-relu", tuple(huge), ())
     )  # two layers make no number
     assert trainer.update(0, half, records) and not trainer.update(half, 2 * half, records)

@@ -15,6 +15,7 @@ from pneuma.engines.batched.rollout import Collector, Rollout
 from pneuma.engines.batched.training import BatchedTrainer
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.evaluation import Evaluation
+from pneuma.engines.mlp import network
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import Records
 from pneuma.errors import UserError
@@ -45,7 +46,7 @@ def test_rollouts_are_those_of_stable_baselines_slots(settings: dict[str, Any]) 
     observations: Any = env.reset()
     starts, step = np.ones(env.num_envs, np.float32), 0
     for _ in range(3):
-        rollout = trainer.collector.collect(trainer.policy().actor)
+        rollout = trainer.collector.collect(trainer.actor)
         rows = trainer.collector.episode_rows(rollout, step)
         terminal, noted = iter(rollout.terminal_observations), []
         for t in range(run.horizon):
@@ -97,10 +98,8 @@ def test_each_player_learns_from_its_own_part_as_one_alone_would() -> None:
     policy = trainer.policy()
     assert policy.players == 2
     for player, learner in enumerate(learners):
-        for layers, own_layers in (
-            (policy.actor, learner.networks["actor"]),
-            (policy.critic, learner.networks["critic"]),
-        ):
+        own_policy = learner.policy()
+        for layers, own_layers in ((policy.actor, own_policy.actor), (policy.critic, own_policy.critic)):
             for layer, (weight, bias) in zip(layers, own_layers, strict=True):
                 assert np.array_equal(layer[0][player], weight) and np.array_equal(layer[1][player], bias)
 
@@ -110,7 +109,7 @@ def test_each_acts_by_its_own_policy_in_a_rollout() -> None:
     features = collector.slots.observations.shape[1]
     weight, bias = np.zeros((2, features, 5), np.float32), np.zeros((2, 5), np.float32)
     bias[0, 0] = bias[1, 3] = 50.0
-    actions = collector.collect(((weight, bias),)).actions
+    actions = collector.collect(network(((weight, bias),), "tanh")).actions
     assert (actions[0::2] == 0).all() and (actions[1::2] == 3).all()
 
 

@@ -1,65 +1,148 @@
-"""Optimizers with the arithmetic of torch's, as pure functions over trees of arrays.
+"""Optimizers with the arithmetic of torch's, as compiled functions over flat arrays.
 
-Each takes gradients, parameters, its own state and the run's numbers, and returns new parameters and state.
-Bias corrections use expm1 of t log(beta), because 1 - beta**t in float32 loses most of its digits in the
-first steps.
+Weights, gradients and what an optimizer keeps for each weight lie in arrays of one order. A step takes the
+factor by which gradients are clipped, so that no array is read for that alone. Bias corrections use running
+products of the betas in double precision.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-Tree = Any
-State = dict[str, Any]
-Numbers = Mapping[str, Any]
-Step = Callable[[Tree, Tree, State, Numbers], tuple[Tree, State]]
+from pneuma.engines.batched.initial_weights import draw_normal, mix
+from pneuma.engines.mlp import COLUMNS, exp
+from pneuma.env.compiling import cached
+
+kernel: Any = cached(error_model="numpy")
+
+ADAM, SGD, RMSPROP, UPGD = range(4)
+OPTIMIZERS = {"adam": (ADAM, 2), "sgd": (SGD, 1), "rmsprop": (RMSPROP, 2), "upgd": (UPGD, 3)}
+"""The code by which `take_step` chooses its branch, and how many numbers are kept for every weight."""
 
 
-def adam(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> tuple[Tree, State]:
+class OptimizerState(NamedTuple):
+    """What an optimizer keeps.
+
+    Attributes:
+        kept: (numbers, weights) float32; of Adam the mean and the mean square of gradients; of SGD the
+            momentum; of RMSProp the mean square and the momentum; of UPGD as Adam's, and the utility.
+        powers: (3,) float64, beta 1, beta 2 and the decay of UPGD's utility, to the power of the steps.
+        steps: (1,) int64, steps taken.
+    """
+
+    kept: np.ndarray
+    powers: np.ndarray
+    steps: np.ndarray
+
+
+def initial_state(optimizer: str, weights: int) -> OptimizerState:
+    _, kept_numbers = OPTIMIZERS[optimizer]
+    return OptimizerState(np.zeros((kept_numbers, weights), np.float32), np.ones(3), np.zeros(1, np.int64))
+
+
+@kernel
+def take_step(
+    weights: Any, gradient: Any, state: Any, numbers: Any, actor_size: int, factors: Any, panels: Any
+) -> None:
+    """Take a step in place, with the gradient of the actor's and the critic's weights times its factor.
+
+    Args:
+        weights: (weights,) float32, the actor's `actor_size` first.
+        gradient: in the same order.
+        state: an `OptimizerState`.
+        numbers: the run's, a record of `update.NUMBERS`.
+        actor_size: how many weights are the actor's.
+        factors: the actor's and the critic's factor, float32.
+        panels: (panels, 3) start, rows and used columns of each panel of weights, for UPGD.
+    """
+    kept, powers, steps = state
+    steps[0] += 1
+    powers[0] *= numbers.beta_1
+    powers[1] *= numbers.beta_2
+    powers[2] *= numbers.utility_decay
+    for network in range(2):
+        start, stop = (0, actor_size) if network == 0 else (actor_size, len(weights))
+        w, g, factor = weights[start:stop], gradient[start:stop], factors[network]
+        if numbers.optimizer == ADAM:
+            _adam(w, g, factor, kept[0, start:stop], kept[1, start:stop], powers, numbers)
+        elif numbers.optimizer == SGD:
+            _sgd(w, g, factor, kept[0, start:stop], steps[0] == 1, numbers)
+        elif numbers.optimizer == RMSPROP:
+            _rmsprop(w, g, factor, kept[0, start:stop], kept[1, start:stop], numbers)
+        else:
+            _remember(w, g, factor, kept[0, start:stop], kept[1, start:stop], kept[2, start:stop], numbers)
+    if numbers.optimizer == UPGD:
+        _upgd(weights, kept, powers, steps[0], numbers, panels)
+
+
+@kernel
+def _adam(
+    weights: Any, gradient: Any, factor: Any, mean: Any, square: Any, powers: Any, numbers: Any
+) -> None:
     """Adam (Kingma and Ba 2015); thesis section 6.1."""
-    b1, b2 = numbers["beta_1"], numbers["beta_2"]
-    steps = state["steps"] + 1
-    mean = jax.tree.map(lambda m, g: m + (g - m) * (1 - b1), state["mean"], gradients)
-    square = jax.tree.map(lambda v, g: b2 * v + (1 - b2) * g * g, state["square"], gradients)
-    correction_1 = -jnp.expm1(steps * numbers["log_beta_1"])
-    scale = 1 / jnp.sqrt(-jnp.expm1(steps * numbers["log_beta_2"]))
-    rate = numbers["learning_rate"] / correction_1
-
-    def move(p: Any, m: Any, v: Any) -> Any:
-        return p - rate * m / (jnp.sqrt(v) * scale + numbers["epsilon"])
-
-    moved = jax.tree.map(move, parameters, mean, square)
-    return moved, {"steps": steps, "mean": mean, "square": square}
+    beta_2, rest_1 = np.float32(numbers.beta_2), np.float32(1.0 - numbers.beta_1)
+    rest_2 = np.float32(1.0 - numbers.beta_2)
+    rate = np.float32(numbers.learning_rate / (1.0 - powers[0]))
+    scale = np.float32(1.0 / math.sqrt(1.0 - powers[1]))
+    epsilon, decay = np.float32(numbers.epsilon), np.float32(numbers.weight_decay)
+    for i in range(len(weights)):
+        g = gradient[i] * factor + decay * weights[i]
+        m = mean[i] + (g - mean[i]) * rest_1
+        v = beta_2 * square[i] + rest_2 * (g * g)
+        mean[i], square[i] = m, v
+        weights[i] -= rate * m / (math.sqrt(v) * scale + epsilon)
 
 
-def sgd(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> tuple[Tree, State]:
+@kernel
+def _sgd(weights: Any, gradient: Any, factor: Any, momentum: Any, is_first: bool, numbers: Any) -> None:
     """Gradient descent with momentum; as in torch, the first step does not dampen the gradient."""
-    first = state["steps"] == 0
-    factor = numbers["momentum"]
-    fresh = jnp.where(first, 1.0, 1.0 - numbers["dampening"])
-    momentum = jax.tree.map(
-        lambda m, g: jnp.where(factor > 0, factor * m + fresh * g, g), state["momentum"], gradients
-    )
-    moved = jax.tree.map(lambda p, m: p - numbers["learning_rate"] * m, parameters, momentum)
-    return moved, {"steps": state["steps"] + 1, "momentum": momentum}
+    rate, decay = np.float32(numbers.learning_rate), np.float32(numbers.weight_decay)
+    kept, fresh = np.float32(numbers.momentum), np.float32(1.0 if is_first else 1.0 - numbers.dampening)
+    if kept == 0:
+        fresh = np.float32(1.0)
+    for i in range(len(weights)):
+        g = gradient[i] * factor + decay * weights[i]
+        momentum[i] = kept * momentum[i] + fresh * g
+        weights[i] -= rate * momentum[i]
 
 
-def rmsprop(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> tuple[Tree, State]:
+@kernel
+def _rmsprop(weights: Any, gradient: Any, factor: Any, square: Any, momentum: Any, numbers: Any) -> None:
     """RMSProp with momentum; as in torch, epsilon is outside the root."""
-    smoothing, factor = numbers["smoothing"], numbers["momentum"]
-    square = jax.tree.map(lambda v, g: smoothing * v + (1 - smoothing) * g * g, state["square"], gradients)
-    scaled = jax.tree.map(lambda g, v: g / (jnp.sqrt(v) + numbers["epsilon"]), gradients, square)
-    momentum = jax.tree.map(lambda m, g: factor * m + g, state["momentum"], scaled)
-    moved = jax.tree.map(lambda p, m: p - numbers["learning_rate"] * m, parameters, momentum)
-    return moved, {"steps": state["steps"] + 1, "square": square, "momentum": momentum}
+    rate, decay = np.float32(numbers.learning_rate), np.float32(numbers.weight_decay)
+    smoothing, rest = np.float32(numbers.smoothing), np.float32(1.0 - numbers.smoothing)
+    kept, epsilon = np.float32(numbers.momentum), np.float32(numbers.epsilon)
+    for i in range(len(weights)):
+        g = gradient[i] * factor + decay * weights[i]
+        v = smoothing * square[i] + rest * (g * g)
+        square[i] = v
+        momentum[i] = kept * momentum[i] + g / (math.sqrt(v) + epsilon)
+        weights[i] -= rate * momentum[i]
 
 
-def upgd(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> tuple[Tree, State]:
+# --- UPGD ------------------------------------------------------------------------------------------
+
+
+@kernel
+def _remember(
+    weights: Any, gradient: Any, factor: Any, mean: Any, square: Any, utility: Any, numbers: Any
+) -> None:
+    """Update the means of gradients, of their squares and of weights' utility."""
+    beta_1, rest_1 = np.float32(numbers.beta_1), np.float32(1.0 - numbers.beta_1)
+    beta_2, rest_2 = np.float32(numbers.beta_2), np.float32(1.0 - numbers.beta_2)
+    decay, rest = np.float32(numbers.utility_decay), np.float32(1.0 - numbers.utility_decay)
+    for i in range(len(weights)):
+        g = gradient[i] * factor
+        mean[i] = beta_1 * mean[i] + rest_1 * g
+        square[i] = beta_2 * square[i] + rest_2 * (g * g)
+        utility[i] = decay * utility[i] - rest * (g * weights[i])
+
+
+@kernel
+def _upgd(weights: Any, kept: Any, powers: Any, step: int, numbers: Any, panels: Any) -> None:
     """Adaptive UPGD, which protects useful weights and perturbs the others.
 
     Elsayed and Mahmood, "Addressing Loss of Plasticity and Catastrophic Forgetting in Continual Learning",
@@ -76,51 +159,28 @@ def upgd(gradients: Tree, parameters: Tree, state: State, numbers: Numbers) -> t
     being added to the gradient. Here α is the learning rate, β `utility_decay` and σ `noise`. The noise is
     keyed by the run and the number of the step.
     """
-    b1, b2, decay = numbers["beta_1"], numbers["beta_2"], numbers["utility_decay"]
-    steps = state["steps"] + 1
-    mean = jax.tree.map(lambda m, g: b1 * m + (1 - b1) * g, state["mean"], gradients)
-    square = jax.tree.map(lambda v, g: b2 * v + (1 - b2) * g * g, state["square"], gradients)
-    utility = jax.tree.map(
-        lambda u, g, p: decay * u - (1 - decay) * g * p, state["utility"], gradients, parameters
-    )
-    correction_1 = -jnp.expm1(steps * numbers["log_beta_1"])
-    correction_2 = -jnp.expm1(steps * numbers["log_beta_2"])
-    correction_u = -jnp.expm1(steps * numbers["log_utility_decay"])
-    highest = jnp.stack([u.max() for u in jax.tree.leaves(utility)]).max()
-    scale = correction_u * jnp.where(highest == 0, 1.0, highest)
-    rate = 2 * numbers["learning_rate"]
-    shrunk = 1 - numbers["learning_rate"] * numbers["weight_decay"]
-
-    def move(p: Any, m: Any, v: Any, u: Any, xi: Any) -> Any:
-        free = 1 - jax.nn.sigmoid(u / scale)
-        adapted = m / correction_1 / (jnp.sqrt(v / correction_2) + numbers["epsilon"])
-        return p * shrunk - rate * free * (adapted + numbers["noise"] * xi)
-
-    moved = jax.tree.map(move, parameters, mean, square, utility, upgd_noise(parameters, steps, numbers))
-    return moved, {"steps": steps, "mean": mean, "square": square, "utility": utility}
-
-
-def upgd_noise(parameters: Tree, steps: Any, numbers: Numbers) -> Tree:
-    """Return standard normal noise shaped like the parameters, keyed by the run and the step, from 1."""
-    leaves, structure = jax.tree.flatten(parameters)
-    noise_key = jax.random.wrap_key_data(numbers["noise_key"], impl="threefry2x32")
-    stream_keys = jax.random.split(jax.random.fold_in(noise_key, steps), len(leaves))
-    noise_leaves = []
-    for stream_key, leaf in zip(stream_keys, leaves, strict=True):
-        noise_leaves.append(jax.random.normal(stream_key, leaf.shape, leaf.dtype))
-    return jax.tree.unflatten(structure, noise_leaves)
-
-
-OPTIMIZERS: dict[str, tuple[Step, tuple[str, ...]]] = {
-    "adam": (adam, ("mean", "square")),
-    "sgd": (sgd, ("momentum",)),
-    "rmsprop": (rmsprop, ("square", "momentum")),
-    "upgd": (upgd, ("mean", "square", "utility")),
-}
-"""The function that takes a step, and the arrays that it keeps for every parameter."""
-
-
-def initial_state(optimizer: str, parameters: Tree) -> State:
-    _, kept_arrays = OPTIMIZERS[optimizer]
-    zeros = jax.tree.map(np.zeros_like, parameters)  # NumPy's: JAX would compile a program for each shape
-    return {"steps": np.zeros((), np.int32)} | dict.fromkeys(kept_arrays, zeros)
+    mean, square, utility = kept[0], kept[1], kept[2]
+    highest = -np.float32(np.inf)
+    for panel in range(len(panels)):
+        start, rows, columns = panels[panel]
+        for row in range(rows):
+            for column in range(columns):
+                highest = max(highest, utility[start + row * COLUMNS + column])
+    scale = np.float32(1.0 - powers[2]) * (np.float32(1.0) if highest == 0 else highest)
+    correction_1 = np.float32(1.0 - powers[0])
+    correction_2 = np.float32(1.0 / math.sqrt(1.0 - powers[1]))
+    rate, sigma = np.float32(2.0 * numbers.learning_rate), np.float32(numbers.noise)
+    shrunk = np.float32(1.0 - numbers.learning_rate * numbers.weight_decay)
+    epsilon, one = np.float32(numbers.epsilon), np.float32(1.0)
+    noise = np.empty(COLUMNS)
+    key, counter = mix(numbers.noise_key, np.uint64(step)), np.uint64(0)
+    for panel in range(len(panels)):
+        start, rows, columns = panels[panel]
+        for row in range(rows):
+            counter = draw_normal(key, counter, noise[:columns])
+            for column in range(columns):
+                i = start + row * COLUMNS + column
+                # 1 - sigmoid(u) = 1 / (1 + e^u)
+                free = one / (one + exp(min(utility[i] / scale, np.float32(87.0))))
+                adapted = mean[i] / correction_1 / (math.sqrt(square[i]) * correction_2 + epsilon)
+                weights[i] = weights[i] * shrunk - rate * free * (adapted + sigma * np.float32(noise[column]))

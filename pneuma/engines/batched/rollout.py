@@ -14,8 +14,7 @@ import numpy as np
 
 from pneuma.config import Run, env_config, slot_seeds, stream_seed
 from pneuma.engines.gymnasium_env import GymnasiumSlots
-from pneuma.engines.mlp import Network, choose, forward, make_scratch, network
-from pneuma.engines.policy import Layers
+from pneuma.engines.mlp import Network, choose
 from pneuma.env import rules
 from pneuma.env.compiling import cached
 from pneuma.env.fields import is_own_reward
@@ -83,11 +82,11 @@ class Collector:
         slots.worlds.reset()
         return slots
 
-    def collect(self, actor: Layers) -> Rollout:
+    def collect(self, actor: Network) -> Rollout:
         slots, features = self.slots.observations.shape
         rollout = empty_rollout(slots, self._run.horizon, features)
         draws = self.generator.random((self._run.horizon, slots), np.float32)
-        endings = self._play(network(actor, self._run.activation), draws, rollout)
+        endings = self._play(actor, draws, rollout)
         rollout.last_observations[:], rollout.last_ends[:] = self.slots.observations, self.slots.begins
         return rollout._replace(
             ended=rollout.ended[:endings], terminal_observations=rollout.terminal_observations[:endings]
@@ -144,15 +143,6 @@ class GymnasiumCollector(Collector):
         finished_rows = list(self.slots.finished)
         self.slots.finished.clear()
         return finished_rows
-
-
-def value_of(critic: Layers, activation: str, observations: np.ndarray) -> np.ndarray:
-    """Return the critic's values of a few observations: (K, features) -> (K,) float32."""
-    weights, widths, activation_code = network(critic, activation)
-    count = len(observations)
-    scratch = make_scratch(widths, count)
-    scratch[0, :count, : widths[0]] = observations
-    return np.array(forward(weights[0], widths, activation_code, count, scratch)[:count, 0])
 
 
 @kernel

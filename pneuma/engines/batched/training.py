@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
-import jax
 import numpy as np
 
 from pneuma.config import Run, is_gymnasium_id
 from pneuma.engines.batched.learner import Learner
 from pneuma.engines.batched.rollout import Collector, GymnasiumCollector
 from pneuma.engines.loop import ResumableTrainer
-from pneuma.engines.policy import Layers, Policy, overflows
+from pneuma.engines.mlp import Layers, Network
+from pneuma.engines.policy import Policy, overflows
 from pneuma.engines.records import Checkpoint, Records
 
 
@@ -27,7 +26,7 @@ class BatchedTrainer(ResumableTrainer):
         self.learners = [Learner(run, features, actions, player) for player in range(run.policies)]
 
     def update(self, before: int, after: int, records: Records) -> bool:
-        rollout = self.collector.collect(self._joint_policy().actor)
+        rollout = self.collector.collect(self.actor)
         records.episodes.extend(self.collector.episode_rows(rollout, before))
         budget_left = 1 - after / self.run.steps
         all_metrics = []
@@ -44,6 +43,14 @@ class BatchedTrainer(ResumableTrainer):
 
     def policy(self) -> Policy:
         return replace(self._joint_policy(), scaling=self.collector.slots.scaling)
+
+    @property
+    def actor(self) -> Network:
+        """Return the actor that all players share, or the players' actors, without copying a single one."""
+        actors = [learner.actor for learner in self.learners]
+        if len(actors) == 1:
+            return actors[0]
+        return actors[0]._replace(weights=np.concatenate([actor.weights for actor in actors]))
 
     def _joint_policy(self) -> Policy:
         """Return the policy that all share, or the players' policies as one."""
@@ -62,9 +69,8 @@ class BatchedTrainer(ResumableTrainer):
             "minibatches": [learner.generator.bit_generator.state for learner in self.learners],
         }
         for player, learner in enumerate(self.learners):
-            for tree_name, tree in (("networks", learner.networks), ("optimizer", learner.optimizer)):
-                for leaf_path, leaf in jax.tree.leaves_with_path(tree):
-                    arrays[_array_name(player, tree_name, leaf_path)] = np.array(leaf)
+            for name, array in learner.saved_state().items():
+                arrays[f"learner-{player}/{name}"] = array
         return Checkpoint(step, arrays, numbers, records.copy())
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -72,8 +78,7 @@ class BatchedTrainer(ResumableTrainer):
         self.collector.slots.restore_state(checkpoint.part("worlds/"))
         self.collector.generator.bit_generator.state = numbers["actions"]
         for player, learner in enumerate(self.learners):
-            learner.networks = _restored(learner.networks, player, "networks", checkpoint)
-            learner.optimizer = _restored(learner.optimizer, player, "optimizer", checkpoint)
+            learner.restore_state(checkpoint.part(f"learner-{player}/"))
             learner.generator.bit_generator.state = numbers["minibatches"][player]
 
 
@@ -88,20 +93,8 @@ def _means(all_metrics: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 def _stack(networks: Sequence[Layers]) -> Layers:
     """Return the networks of several players as one, with a first axis of players."""
-    layers: Layers = jax.tree.map(lambda *arrays: np.stack(arrays), *networks)
-    return layers
-
-
-def _restored(tree: Any, player: int, tree_name: str, checkpoint: Checkpoint) -> Any:
-    """Return a tree of arrays with the values of a checkpoint."""
-
-    def saved(leaf_path: Any, _: Any) -> np.ndarray:
-        return np.array(checkpoint.arrays[_array_name(player, tree_name, leaf_path)])
-
-    return jax.tree.map_with_path(saved, tree)
-
-
-def _array_name(player: int, tree_name: str, leaf_path: Any) -> str:
-    """Return the name of an array in a checkpoint: networks/actor.0.1, player-2/optimizer/mean.critic.1.0."""
-    owner = f"player-{player}/" if player else ""
-    return f"{owner}{tree_name}/{jax.tree_util.keystr(leaf_path, simple=True, separator='.')}"
+    layers = []
+    for same_layers in zip(*networks, strict=True):
+        weights, biases = zip(*same_layers, strict=True)
+        layers.append((np.stack(weights), np.stack(biases)))
+    return tuple(layers)

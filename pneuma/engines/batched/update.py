@@ -1,39 +1,50 @@
-"""One update: everything that a run learns from a rollout, in two compiled calls.
+"""One update: everything that a run learns from a rollout. PPO can be read here from top to bottom.
+
+    rollout → `evaluate_rollout` → log-probabilities, values → advantages (`rollout.py`) → `learn`
+    `learn`, for each minibatch: forward, loss, backward, clip, step of the optimizer (`optimizers.py`)
 
 The arithmetic is that of Stable-Baselines3's PPO (Schulman et al. 2017; thesis section 4.4): advantages
 normalised in each minibatch by the sample deviation, a value loss without one half, one norm limit over actor
-and critic or one for each. Hyperparameters that are numbers are passed as data, so that runs which differ
-only in them share one compiled program. Another shape, activation or optimizer makes another program.
+and critic or one for each. Each sum has one order, so that the bits are the same on every processor.
 
-With small networks most time goes into starting operations, so there are few: each layer is one matrix
-(`joined`), and a step's metrics are one array. With large ones most time goes into moving weights. So these
-are left in place, and not read for a decay of zero.
+Actor and critic share one array of weights: the actor's `flat` ones, then the critic's. Gradients, and what
+the optimizer keeps, have the same order.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from pneuma.algorithms import OPTIMIZERS
+from pneuma.algorithms import OPTIMIZERS as OPTIMIZER_FIELDS
 from pneuma.config import ANNEALED, Run, stream_seed
-from pneuma.engines.batched import optimizers
-from pneuma.engines.policy import LEAKY_SLOPE, NUMPY_ACTIVATIONS
+from pneuma.engines.batched.initial_weights import log
+from pneuma.engines.batched.optimizers import OPTIMIZERS, take_step
+from pneuma.engines.mlp import (
+    ACTIVATION_CODES,
+    COLUMNS,
+    ROWS_TOGETHER,
+    copy_rows,
+    count_dead,
+    exp,
+    forward,
+    layer_starts,
+    make_scratch,
+    most_probable,
+    multiply,
+    multiply_across,
+    note_dead,
+    row_length,
+    scale_by_slopes,
+    square_of_norm,
+    transpose,
+)
+from pneuma.env.compiling import DIGEST, cached
 
-Tree = Any
-JAX_ACTIVATIONS: dict[str, Callable[[Any], Any]] = {
-    "tanh": jnp.tanh,
-    "relu": jax.nn.relu,
-    "leaky-relu": partial(jax.nn.leaky_relu, negative_slope=LEAKY_SLOPE),
-}
-JOINED_BELOW = 2**18
-"""Layers with so many weights are not joined, because copying them would take longer than it saves."""
+kernel: Any = cached(error_model="numpy")
+
 METRICS = (
     "policy_loss", "value_loss", "entropy", "clip_fraction", "approx_kl", "grad_norm", "grad_norm_actor",
     "grad_norm_critic",
@@ -42,6 +53,7 @@ METRICS = (
 
 An update's are means over all its minibatches; that of `approx_kl` is over the last epoch's.
 """
+KL, NORMS = METRICS.index("approx_kl"), METRICS.index("grad_norm")
 
 _LEARNING_NUMBERS = (
     "learning_rate",
@@ -50,33 +62,33 @@ _LEARNING_NUMBERS = (
     "entropy_coefficient",
     "weight_decay",
 )
+_OPTIMIZER_NUMBERS = (
+    "beta_1", "beta_2", "epsilon", "momentum", "dampening", "smoothing", "utility_decay", "noise",
+)  # fmt: skip
+NUMBERS = np.dtype(
+    [
+        ("activation", "i8"), ("optimizer", "i8"), ("minibatch", "i8"), ("normalizes", "?"),
+        ("noise_key", "u8"), ("joint_limit", "f8"), ("separate_limit", "f8"),
+        *((name, "f8") for name in _LEARNING_NUMBERS + _OPTIMIZER_NUMBERS),
+        (f"code_{DIGEST}", "u1"),  # so that numba compiles again where any of the kernels' files has changed
+    ],
+    align=True,
+)  # fmt: skip
+"""The numbers of a run that its updates depend on. Compiled functions are the same for all runs."""
 
 
-class Program(NamedTuple):
-    """What identifies a compiled program, in addition to shapes."""
+def run_numbers(run: Run, player: int = 0, budget_left: float = 1.0) -> np.ndarray:
+    """Return the run's numbers, (1,) `NUMBERS`.
 
-    activation: str
-    optimizer: str
-    minibatch: int
-    decays: bool
-    """Whether gradients get a weight decay; reading weights for one of zero takes time."""
-    normalizes: bool
-    """Whether the advantages of each minibatch are normalised."""
-
-
-def program(run: Run) -> Program:
-    decays = bool(run.weight_decay) and not OPTIMIZERS[run.optimizer].decays_weights_itself
-    minibatch = min(run.minibatch, run.steps_per_update // run.policies)
-    return Program(run.activation, run.optimizer, minibatch, decays, run.normalize_advantage)
-
-
-def run_numbers(run: Run, player: int = 0, budget_left: float = 1.0) -> dict[str, Any]:
-    """Return the run's numeric fields, float32, and the key of its noise, (2,) uint32.
-
-    The optimizer's numbers also have their logarithms. Annealed fields fall with the share of steps that is
-    left. An absent limit is infinite.
+    Annealed fields fall with the share of steps that is left. An absent limit is infinite.
     """
-    numbers = {"joint_limit": math.inf, "separate_limit": math.inf}
+    numbers = np.zeros(1, NUMBERS)
+    numbers["activation"] = ACTIVATION_CODES[run.activation]
+    numbers["optimizer"], _ = OPTIMIZERS[run.optimizer]
+    numbers["minibatch"] = min(run.minibatch, run.steps_per_update // run.policies)
+    numbers["normalizes"] = run.normalize_advantage
+    numbers["noise_key"] = stream_seed(run.seed, "upgd-noise", player)
+    numbers["joint_limit"] = numbers["separate_limit"] = math.inf
     if run.gradient_limit is not None:
         numbers[f"{run.clip}_limit"] = run.gradient_limit
     for field_name in _LEARNING_NUMBERS:
@@ -84,168 +96,323 @@ def run_numbers(run: Run, player: int = 0, budget_left: float = 1.0) -> dict[str
     for field_name in ANNEALED:
         if getattr(run, f"{field_name}_schedule") == "linear":
             numbers[field_name] *= budget_left
-    optimizer_numbers = {name: getattr(run, name) for name in OPTIMIZERS[run.optimizer].defaults}
-    if "betas" in optimizer_numbers:
-        optimizer_numbers["beta_1"], optimizer_numbers["beta_2"] = optimizer_numbers.pop("betas")
-    for field_name, number in optimizer_numbers.items():
-        numbers[field_name] = number
-        numbers[f"log_{field_name}"] = math.log(number) if number else -math.inf
-    arrays: dict[str, Any] = {field_name: np.float32(number) for field_name, number in numbers.items()}
-    arrays["noise_key"] = np.array([stream_seed(run.seed, "upgd-noise", player)], np.uint64).view(np.uint32)
-    return arrays
+    for field_name in OPTIMIZER_FIELDS[run.optimizer].defaults:
+        if field_name == "betas":
+            numbers["beta_1"], numbers["beta_2"] = run.betas or ()
+        else:
+            numbers[field_name] = getattr(run, field_name)
+    return numbers
 
 
-@partial(jax.jit, static_argnames="activation")
+# --- A rollout's values ----------------------------------------------------------------------------
+
+
+@kernel
 def evaluate_rollout(
-    parameters: Tree, observations: Any, actions: Any, activation: str
-) -> tuple[Any, Any, Any]:
+    weights: Any, actor_widths: Any, critic_widths: Any, observations: Any, actions: Any, numbers: Any
+) -> Any:
     """Evaluate a rollout by the networks that played it: observations (N, features), actions (n,), n <= N.
 
     Return log-probabilities (n,), values (N,), and the share of hidden units that are dead over the n.
     Observations after the first n are only valued.
     """
-    sample_count = actions.shape[0]
-    networks = joined(parameters)
-    hidden_a, logits = _forward(networks["actor"], activation, observations[:sample_count])
-    hidden_c, values = _forward(networks["critic"], activation, observations)
-    is_dead = NUMPY_ACTIVATIONS[activation].is_dead
-    hidden_outputs = hidden_a + [layer[:sample_count] for layer in hidden_c]
-    dead_share = jnp.concatenate([is_dead(units).all(axis=0) for units in hidden_outputs]).mean()
-    return _at_actions(jax.nn.log_softmax(logits), actions), values[:, 0], dead_share
+    run_numbers = numbers[0]
+    actor_size = layer_starts(actor_widths)[-1]
+    log_probabilities, values = np.empty(len(actions), np.float32), np.empty(len(observations), np.float32)
+    dead_units, units = 0, 0
+    for network in range(2):
+        is_actor = network == 0
+        widths = actor_widths if is_actor else critic_widths
+        own_weights = weights[:actor_size] if is_actor else weights[actor_size:]
+        count = len(actions) if is_actor else len(observations)
+        scratch, starts = make_scratch(widths, ROWS_TOGETHER)
+        is_dead = np.ones((len(widths), widths.max()), np.bool_)
+        for first in range(0, count, ROWS_TOGETHER):
+            rows = min(ROWS_TOGETHER, count - first)
+            copy_rows(observations, np.arange(first, first + rows), scratch)
+            outputs = forward(own_weights, widths, run_numbers.activation, rows, scratch, starts)
+            for row in range(rows):
+                at = outputs + row * row_length(widths[-1])
+                if is_actor:
+                    logits = scratch[at : at + widths[-1]]
+                    action = actions[first + row]
+                    log_probabilities[first + row] = logits[action] - _log_sum_of_exponentials(logits)
+                else:
+                    values[first + row] = scratch[at]
+            learning_rows = max(min(rows, len(actions) - first), 0)
+            note_dead(run_numbers.activation, widths, learning_rows, scratch, starts, is_dead)
+        units += widths[1:-1].sum()
+        dead_units += count_dead(widths, is_dead)
+    return log_probabilities, values, dead_units / units
 
 
-@partial(jax.jit, static_argnames="program", donate_argnums=(0, 1))
+@kernel
+def _log_sum_of_exponentials(logits: Any) -> Any:
+    highest = logits[most_probable(logits)]
+    total = np.float32(0)
+    for j in range(len(logits)):
+        total += exp(logits[j] - highest)
+    return highest + np.float32(log(np.float64(total)))
+
+
+@kernel
+def explained_variance(values: Any, returns: Any) -> float:
+    """Return 1 - Var(returns - values) / Var(returns), of (N,) each; NaN if all returns are equal."""
+    count = len(returns)
+    mean_return, mean_error = 0.0, 0.0
+    for i in range(count):
+        mean_return += returns[i]
+        mean_error += returns[i] - values[i]
+    mean_return, mean_error = mean_return / count, mean_error / count
+    return_square, error_square = 0.0, 0.0
+    for i in range(count):
+        return_square += (returns[i] - mean_return) ** 2
+        error_square += (returns[i] - values[i] - mean_error) ** 2
+    return 1.0 - error_square / return_square if return_square > 0 else np.nan
+
+
+# --- Gradient steps --------------------------------------------------------------------------------
+
+
+@kernel
 def learn(
-    parameters: Tree, state: Tree, batch: Mapping[str, Any], orders: Any, numbers: Mapping[str, Any],
-    program: Program,
-) -> tuple[Tree, Tree, Any]:  # fmt: skip
-    """Take all gradient steps of an update; return parameters, the optimizer's state, and `METRICS`.
+    weights: Any, state: Any, actor_widths: Any, critic_widths: Any, panels: Any,
+    observations: Any, actions: Any, old_logs: Any, advantages: Any, returns: Any, orders: Any, numbers: Any,
+) -> Any:  # fmt: skip
+    """Take all gradient steps of an update, in place; return `METRICS`, (metrics,) float64.
 
-    The batch has observations (N, features), actions, log_probabilities, advantages and returns (N,). The
-    orders, (epochs, N) permutations, are cut into minibatches, of which the last one may be smaller. The
-    numbers are those of `run_numbers`. The memory of parameters and state is reused.
+    Args:
+        weights: (weights,) float32.
+        state: the `OptimizerState`.
+        actor_widths: of `layer_widths`.
+        critic_widths: of `layer_widths`.
+        panels: those of `used_panels`.
+        observations: (N or more, features).
+        actions: (N,) int64.
+        old_logs: (N,) the actions' log-probabilities in the rollout.
+        advantages: (N,) float32.
+        returns: (N,) float32.
+        orders: (epochs, N) permutations, cut into minibatches, of which the last one may be smaller.
+        numbers: those of `run_numbers`.
     """
-    minibatch = program.minibatch
-    batches = orders.shape[1] // minibatch
+    run_numbers = numbers[0]
+    epochs, count = orders.shape
+    features = observations.shape[1]
+    minibatch, activation = run_numbers.minibatch, run_numbers.activation
+    actor_starts, critic_starts = layer_starts(actor_widths), layer_starts(critic_widths)
+    actor_size = actor_starts[-1]
+    actor_weights, critic_weights = weights[:actor_size], weights[actor_size:]
+    gradient = np.zeros_like(weights)
+    actor_gradient, critic_gradient = gradient[:actor_size], gradient[actor_size:]
+    actor_scratch, actor_rows = make_scratch(actor_widths, minibatch)
+    critic_scratch, critic_rows = make_scratch(critic_widths, minibatch)
+    memory = _make_backward_memory(actor_widths, critic_widths, minibatch)
+    factors = np.empty(2, np.float32)
+    totals, last_epochs_kl, step_metrics = np.zeros(len(METRICS)), 0.0, np.zeros(len(METRICS))
+    batches = -(-count // minibatch)
+    for epoch in range(epochs):
+        for first in range(0, count, minibatch):
+            indices = orders[epoch, first : first + minibatch]
+            copy_rows(observations, indices, actor_scratch)
+            for i in range(len(indices) * row_length(features)):
+                critic_scratch[i] = actor_scratch[i]
+            logits = forward(actor_weights, actor_widths, activation, len(indices), actor_scratch, actor_rows)
+            values = forward(
+                critic_weights,
+                critic_widths,
+                run_numbers.activation,
+                len(indices),
+                critic_scratch,
+                critic_rows,
+            )
+            step_metrics[:] = 0.0
+            _policy_loss(
+                actor_scratch, logits, actor_widths[-1], indices, actions, old_logs, advantages, run_numbers,
+                memory[0], step_metrics,
+            )  # fmt: skip
+            _backward(
+                actor_weights, actor_gradient, actor_widths, actor_starts, activation, len(indices),
+                actor_scratch, actor_rows, memory,
+            )  # fmt: skip
+            _value_loss(critic_scratch, values, indices, returns, run_numbers, memory[0], step_metrics)
+            _backward(
+                critic_weights, critic_gradient, critic_widths, critic_starts, activation, len(indices),
+                critic_scratch, critic_rows, memory,
+            )  # fmt: skip
+            _clip(actor_gradient, critic_gradient, run_numbers, factors, step_metrics)
+            take_step(weights, gradient, state, run_numbers, actor_size, factors, panels)
+            totals += step_metrics
+            if epoch == epochs - 1:
+                last_epochs_kl += step_metrics[KL]
+    totals /= epochs * batches
+    totals[KL] = last_epochs_kl / batches
+    return totals
 
-    def take(carry: Tree, index: Any) -> tuple[Tree, Any]:
-        samples = {array_name: array[index] for array_name, array in batch.items()}
-        return _step(carry, samples, numbers, program)
 
-    def epoch(carry: Tree, order: Any) -> tuple[Tree, Any]:
-        carry, metrics = jax.lax.scan(take, carry, order[: batches * minibatch].reshape(batches, minibatch))
-        if batches * minibatch == order.shape[0]:
-            return carry, metrics
-        carry, last_metrics = take(carry, order[batches * minibatch :])
-        return carry, jnp.concatenate([metrics, last_metrics[None]])
+@kernel
+def _policy_loss(
+    scratch: Any, start: int, action_count: int, indices: Any, actions: Any, old_logs: Any, advantages: Any,
+    numbers: Any, gradient: Any, metrics: Any,
+) -> None:  # fmt: skip
+    """Write the gradient of a minibatch's clipped loss and entropy by its logits, and the metrics."""
+    count, length = len(indices), row_length(action_count)
+    share, one = np.float32(1.0 / count), np.float32(1.0)
+    clip_range, entropy_share = (
+        np.float32(numbers.clip_range),
+        np.float32(numbers.entropy_coefficient / count),
+    )
+    mean, deviation = 0.0, 1.0
+    if numbers.normalizes and count > 1:
+        mean, deviation = _mean_and_deviation(advantages, indices)
+    for row in range(count):
+        at, index = start + row * length, indices[row]
+        logits, slopes = scratch[at : at + action_count], gradient[row * length : (row + 1) * length]
+        advantage = np.float32((advantages[index] - mean) / deviation)
+        highest = logits[most_probable(logits)]
+        total = np.float32(0)
+        for j in range(action_count):
+            slopes[j] = exp(logits[j] - highest)
+            total += slopes[j]
+        log_sum = highest + np.float32(log(np.float64(total)))
+        negative_entropy = np.float32(0)
+        for j in range(action_count):
+            slopes[j] /= total  # the probability
+            negative_entropy += slopes[j] * (logits[j] - log_sum)
+        action = actions[index]
+        difference = logits[action] - log_sum - old_logs[index]
+        ratio = exp(difference) if difference < 88 else np.float32(np.inf)
+        clipped = min(max(ratio, one - clip_range), one + clip_range)
+        gain, clipped_gain = advantage * ratio, advantage * clipped
+        pull = -gain * share if gain <= clipped_gain or ratio == clipped else np.float32(0)
+        for j in range(action_count):
+            slopes[j] *= entropy_share * (logits[j] - log_sum - negative_entropy) - pull
+        slopes[action] += pull
+        for j in range(action_count, length - COLUMNS):  # up to the end of the last panel
+            slopes[j] = 0
+        metrics[0] -= min(gain, clipped_gain)
+        metrics[2] -= negative_entropy
+        metrics[3] += abs(ratio - one) > clip_range
+        metrics[4] += ratio - one - difference
+    metrics[:5] /= count
 
-    carry, metrics = jax.lax.scan(epoch, (joined(parameters), joined(state)), orders)
-    metric_means = metrics.mean(axis=(0, 1))  # (epochs, minibatches, metrics) -> (metrics,)
-    kl = METRICS.index("approx_kl")
-    return _parted(carry[0]), _parted(carry[1]), metric_means.at[kl].set(metrics[-1, :, kl].mean())
+
+@kernel
+def _mean_and_deviation(numbers: Any, indices: Any) -> Any:
+    """Return the mean of some numbers, and what they are divided by: their sample deviation and 1e-8."""
+    mean, square = 0.0, 0.0
+    for index in indices:
+        mean += numbers[index]
+    mean /= len(indices)
+    for index in indices:
+        square += (numbers[index] - mean) ** 2
+    return mean, math.sqrt(square / (len(indices) - 1)) + 1e-8
 
 
-def joined(tree: Tree) -> Tree:
-    """Return networks, or a tree of that form, with each small layer as one matrix, (inputs + 1, outputs).
+@kernel
+def _value_loss(
+    scratch: Any, start: int, indices: Any, returns: Any, numbers: Any, gradient: Any, metrics: Any
+) -> None:
+    """Write the gradient of a minibatch's value loss by its values, and the metric."""
+    count, length = len(indices), row_length(1)
+    share = np.float32(2.0 * numbers.value_coefficient / count)
+    for row in range(count):
+        difference = scratch[start + row * length] - returns[indices[row]]
+        gradient[row * length] = share * difference
+        for j in range(1, COLUMNS):
+            gradient[row * length + j] = 0
+        metrics[1] += difference * difference / count
 
-    Its last row is the bias, as the weights of an input that is always one.
+
+@kernel
+def _make_backward_memory(actor_widths: Any, critic_widths: Any, minibatch: int) -> Any:
+    """Return memory for the gradients of two neighbouring layers' outputs, for both transposed, and ones."""
+    widest = max(actor_widths[1:].max(), critic_widths[1:].max())
+    rows, columns = -(-minibatch // COLUMNS) * COLUMNS, row_length(widest)
+    return (
+        np.zeros(rows * columns, np.float32), np.zeros(columns * rows, np.float32),
+        np.zeros(columns * rows, np.float32), np.ones(rows, np.float32),
+    )  # fmt: skip
+
+
+@kernel
+def _backward(
+    weights: Any, gradient: Any, widths: Any, starts: Any, activation: int, rows: int, scratch: Any,
+    row_starts: Any, memory: Any,
+) -> None:  # fmt: skip
+    """Write the gradient of a network's weights, from that of its outputs in the first of `memory`.
+
+    Args:
+        weights: the network's own, in the order of `flat`.
+        gradient: in the same order.
+        widths: of `layer_widths`.
+        starts: of `layer_starts`.
+        activation: the hidden layers' code.
+        rows: of the minibatch.
+        scratch: with the outputs of all layers by `forward`.
+        row_starts: where each layer's outputs begin in it.
+        memory: of `_make_backward_memory`; its contents are overwritten.
     """
-
-    def join(node: Any) -> Any:
-        if not _is_layer(node) or node[0].size >= JOINED_BELOW:
-            return node
-        weight, bias = node
-        return jnp.concatenate([weight, bias[None]])
-
-    return jax.tree.map(join, tree, is_leaf=_is_layer)
-
-
-def _parted(tree: Tree) -> Tree:
-    """Undo `joined`."""
-
-    def part(node: Any) -> Any:
-        if _is_layer(node) or node.ndim != 2:
-            return node
-        return node[:-1], node[-1]
-
-    return jax.tree.map(part, tree, is_leaf=_is_layer)
-
-
-def _is_layer(node: Any) -> bool:
-    """Return whether a tree is a layer's weight and bias, and not a network's layers."""
-    return isinstance(node, tuple) and getattr(node[-1], "ndim", 0) == 1
-
-
-def _step(carry: Tree, batch: Mapping[str, Any], numbers: Any, program: Program) -> tuple[Tree, Any]:
-    """Take one gradient step on a minibatch; return the carry and `METRICS`."""
-    parameters, state = carry
-    gradients, metrics = jax.grad(_loss, has_aux=True)(parameters, batch, numbers, program)
-    actor_square, critic_square = _square(gradients["actor"]), _square(gradients["critic"])
-    norm = jnp.sqrt(actor_square + critic_square)
-    norms = {"actor": jnp.sqrt(actor_square), "critic": jnp.sqrt(critic_square)}
-    joint_factor = _shrink(norm, numbers["joint_limit"])
-    clipped = {}
-    for network, gradient in gradients.items():
-        factor = joint_factor * _shrink(norms[network], numbers["separate_limit"])
-        clipped[network] = jax.tree.map(partial(jnp.multiply, factor), gradient)
-    if program.decays:
-        clipped = jax.tree.map(lambda g, p: g + numbers["weight_decay"] * p, clipped, parameters)
-    take_step, _ = optimizers.OPTIMIZERS[program.optimizer]
-    carry = take_step(clipped, parameters, state, numbers)
-    return carry, jnp.concatenate([metrics, jnp.stack([norm, norms["actor"], norms["critic"]])])
+    slopes, across, inputs_across, ones = memory
+    no_sums = np.zeros(COLUMNS, np.float32)
+    columns = -(-rows // COLUMNS) * COLUMNS
+    for layer in range(len(widths) - 2, -1, -1):
+        inputs, outputs, start = widths[layer], widths[layer + 1], starts[layer]
+        panels, panel, length = -(-outputs // COLUMNS), (1 + inputs) * COLUMNS, row_length(outputs)
+        # biases: (1, rows) ones times (rows, outputs)
+        multiply(
+            1, panels,
+            ones, 0, 0, 1, 0, rows,
+            slopes, 0, COLUMNS, length,
+            no_sums, 0, 0,
+            gradient, start, panel, 0, False,
+        )  # fmt: skip
+        # weights: (inputs, rows) times (rows, outputs)
+        multiply_across(
+            inputs, panels,
+            scratch, row_starts[layer], row_length(inputs), 1, 0, rows,
+            slopes, 0, COLUMNS, length,
+            no_sums, 0, 0,
+            gradient, start + COLUMNS, panel, COLUMNS, False,
+        )  # fmt: skip
+        if layer == 0:
+            return
+        # inputs: (inputs, outputs) times (outputs, rows), so that the weights are read as they lie
+        transpose(slopes, columns // COLUMNS, panels, length, across, columns)
+        multiply(
+            inputs, columns // COLUMNS,
+            weights, start + COLUMNS, COLUMNS, panels, panel, COLUMNS if outputs > COLUMNS else outputs,
+            across, 0, COLUMNS, columns,
+            no_sums, 0, 0,
+            inputs_across, 0, COLUMNS, columns, True,
+        )  # fmt: skip
+        length = row_length(inputs)
+        transpose(inputs_across, -(-inputs // COLUMNS), columns // COLUMNS, columns, slopes, length)
+        for row in range(rows):
+            at, output_at = row * length, row_starts[layer] + row * length
+            scale_by_slopes(activation, scratch[output_at : output_at + inputs], slopes[at : at + inputs])
+            for j in range(inputs, length - COLUMNS):
+                slopes[at + j] = 0
 
 
-def _square(gradient: Tree) -> Any:
-    """Return the square of a gradient's L2 norm."""
-    return sum((leaf**2).sum() for leaf in jax.tree.leaves(gradient))
+@kernel
+def _clip(actor_gradient: Any, critic_gradient: Any, numbers: Any, factors: Any, metrics: Any) -> None:
+    """Write the factors that keep gradients within their limits, as torch's, and the norms."""
+    actor_square, critic_square = square_of_norm(actor_gradient), square_of_norm(critic_gradient)
+    norm = math.sqrt(actor_square + critic_square)
+    actor_norm, critic_norm = math.sqrt(actor_square), math.sqrt(critic_square)
+    joint_factor = min(numbers.joint_limit / (norm + 1e-6), 1.0)
+    factors[0] = joint_factor * min(numbers.separate_limit / (actor_norm + 1e-6), 1.0)
+    factors[1] = joint_factor * min(numbers.separate_limit / (critic_norm + 1e-6), 1.0)
+    metrics[NORMS], metrics[NORMS + 1], metrics[NORMS + 2] = norm, actor_norm, critic_norm
 
 
-def _shrink(norm: Any, limit: Any) -> Any:
-    """Return the factor by which torch multiplies gradients of a norm to keep it within a limit."""
-    return jnp.minimum(limit / (norm + 1e-6), 1.0)
-
-
-def _loss(parameters: Tree, batch: Mapping[str, Any], numbers: Any, program: Program) -> tuple[Any, Any]:
-    """Return the loss of a minibatch and the first five `METRICS`."""
-    _, logits = _forward(parameters["actor"], program.activation, batch["observations"])
-    _, values = _forward(parameters["critic"], program.activation, batch["observations"])
-    advantages = batch["advantages"]
-    if program.normalizes and advantages.shape[0] > 1:
-        advantages = (advantages - advantages.mean()) / (advantages.std(ddof=1) + 1e-8)
-    log_probabilities = jax.nn.log_softmax(logits)
-    difference = _at_actions(log_probabilities, batch["actions"]) - batch["log_probabilities"]
-    ratio = jnp.exp(difference)
-    clip_range = numbers["clip_range"]
-    terms = [
-        -jnp.minimum(advantages * ratio, advantages * jnp.clip(ratio, 1 - clip_range, 1 + clip_range)),
-        (batch["returns"] - values[:, 0]) ** 2,
-        -(jnp.exp(log_probabilities) * log_probabilities).sum(axis=1),
-        jnp.abs(ratio - 1) > clip_range,
-        ratio - 1 - difference,
-    ]
-    metrics = jnp.stack(terms).mean(axis=1)  # (metrics, minibatch) -> (metrics,)
-    policy_loss, value_loss, entropy = metrics[0], metrics[1], metrics[2]
-    loss = policy_loss - numbers["entropy_coefficient"] * entropy + numbers["value_coefficient"] * value_loss
-    return loss, metrics
-
-
-def _at_actions(log_probabilities: Any, actions: Any) -> Any:
-    """Return the log-probabilities of actions: (N, actions), (N,) -> (N,)."""
-    return (log_probabilities * jax.nn.one_hot(actions, log_probabilities.shape[1])).sum(axis=1)
-
-
-def _forward(layers: Any, activation: str, x: Any) -> tuple[list[Any], Any]:
-    """Return the outputs of the hidden layers and of the last layer: (N, units)."""
-    hidden_outputs = []
-    for layer in layers[:-1]:
-        x = JAX_ACTIVATIONS[activation](_linear(layer, x))
-        hidden_outputs.append(x)
-    return hidden_outputs, _linear(layers[-1], x)
-
-
-def _linear(layer: Any, x: Any) -> Any:
-    """Return a layer's sums: (N, inputs) -> (N, outputs)."""
-    if isinstance(layer, tuple):
-        weight, bias = layer
-        return x @ weight + bias
-    return jnp.concatenate([x, jnp.ones((x.shape[0], 1), x.dtype)], axis=1) @ layer
+def used_panels(*networks_widths: np.ndarray) -> np.ndarray:
+    """Return start, rows and used columns of each panel of the weights of networks, (panels, 3) int64."""
+    panels = []
+    start = 0
+    for widths in networks_widths:
+        for inputs, outputs in zip(widths[:-1].tolist(), widths[1:].tolist(), strict=True):
+            for first in range(0, outputs, COLUMNS):
+                panels.append((start, 1 + inputs, min(COLUMNS, outputs - first)))
+                start += (1 + inputs) * COLUMNS
+    return np.array(panels, np.int64)
