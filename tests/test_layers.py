@@ -18,7 +18,7 @@ MODULES = {
 BASE = (
     "pneuma.errors", "pneuma.field_types", "pneuma.seeds", "pneuma.values", "pneuma.files", "pneuma.schema",
     "pneuma.algorithms", "pneuma.sb3_names", "pneuma.presets", "pneuma.own_modules", "pneuma.env.fields",
-    "pneuma.config",
+    "pneuma.config", "pneuma.arithmetic",
 )  # fmt: skip
 """Modules that all may import."""
 
