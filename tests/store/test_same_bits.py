@@ -55,7 +55,7 @@ def wide_features() -> list[str]:
 
 
 NO_FEATURES = {
-    "NPY_DISABLE_CPU_FEATURES": " ".join(wide_features()),
+    "NPY_DISABLE_CPU_FEATURES": " ".join(__cpu_dispatch__),
     "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F",
 }
 PRINT = """
