@@ -18,7 +18,7 @@ MODULES = {
 BASE = (
     "pneuma.errors", "pneuma.field_types", "pneuma.seeds", "pneuma.values", "pneuma.files", "pneuma.schema",
     "pneuma.algorithms", "pneuma.sb3_names", "pneuma.presets", "pneuma.own_modules", "pneuma.env.fields",
-    "pneuma.config",
+    "pneuma.config", "pneuma.arithmetic",
 )  # fmt: skip
 """Modules that all may import."""
 
@@ -88,6 +88,50 @@ def test_the_package_list_is_every_folder_with_code() -> None:
     assert len(listed) == len(set(listed))
     beside = {"pneuma.published": "results/published", "pneuma.studies": "studies"}
     assert settings["tool"]["setuptools"]["package-dir"] == beside
+
+
+MEASURED_IN = ("pneuma.env", "pneuma.engines", "pneuma.store", "pneuma.analysis")
+"""Where numbers are made that a run depends on, or that are stored or printed of it."""
+OF_THE_C_LIBRARY = {
+    "exp", "expm1", "exp2", "log", "log1p", "log2", "log10", "power", "pow", "float_power", "tanh", "sin",
+    "cos", "tan", "arctan", "arctan2", "atan2", "sinh", "cosh", "hypot", "cbrt", "logaddexp", "dot", "vdot",
+    "inner", "matmul", "einsum", "tensordot", "linalg", "convolve", "corrcoef", "cov", "@",
+}  # fmt: skip
+"""Functions of `math` and NumPy whose last bits depend on the processor or on libraries."""
+EXCUSED = {
+    "pneuma.analysis.claims.words": {"exp", "log10"},  # of what is printed: factors and how many digits
+    "pneuma.analysis.curves": {"log10"},  # of a figure
+    "pneuma.analysis.intervals": {"exp", "hypot", "log", "log10"},  # beside SciPy's quantiles
+    "pneuma.engines.batched.learner": {"linalg"},
+    "pneuma.engines.batched.update": {"@", "log"},
+    "pneuma.engines.export": {"log"},  # of a policy for Stable-Baselines3, which takes its exponential
+    "pneuma.engines.policy": {"@", "exp", "log", "tanh"},  # of policies that only torch trains
+    "pneuma.engines.sb3": {"exp"},  # the same bits on the same kind of processor
+    "pneuma.env.characters": {"hypot"},  # of a distance with a margin, which changes no step
+    "pneuma.env.layouts": {"cos", "sin"},  # rounded to twelve digits
+}
+
+
+def _calls_of_the_c_library(path: Path) -> Iterator[tuple[int, str]]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
+            yield node.lineno, "@"
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            is_of_module = node.value.id in ("np", "math")
+            if is_of_module and node.attr in OF_THE_C_LIBRARY:
+                yield node.lineno, node.attr
+
+
+def test_no_number_of_a_run_is_made_by_the_c_library() -> None:
+    """`pneuma.arithmetic` and `engines/mlp.py` have functions that give the same bits everywhere."""
+    breaches = []
+    for module, path in MODULES.items():
+        if not any(_belongs(module, package) for package in MEASURED_IN):
+            continue
+        for line, name in _calls_of_the_c_library(path):
+            if name not in EXCUSED.get(module, ()):
+                breaches.append(f"{path.relative_to(ROOT)}:{line}: {name}")
+    assert breaches == []
 
 
 COMMAND_WORDS = {

@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pneuma.analysis.collapse import diagnose
+from pneuma.arithmetic import log
 from pneuma.config import is_gymnasium_id
 from pneuma.env.fields import ACTION_NAMES
 from pneuma.store.rows import PEAK, STUCK, Row
@@ -85,7 +86,7 @@ def rise(curve_values: np.ndarray) -> float:
     if len(late_values) < 2:
         return NAN
     offsets = np.arange(len(late_values)) - (len(late_values) - 1) / 2
-    return (len(late_values) - 1) * (offsets @ late_values) / (offsets**2).sum()
+    return (len(late_values) - 1) * (offsets * late_values).sum() / (offsets**2).sum()
 
 
 def roughness(curve_values: np.ndarray) -> float:
@@ -147,7 +148,7 @@ def peak(run: Row, name: str) -> float:
 
 def log_max(run: Row, name: str) -> float:
     """Return the logarithm of the greatest update of a quantity."""
-    return float(np.log(np.maximum(peak(run, name), LEAST_NORM)))
+    return float(log(np.maximum(peak(run, name), LEAST_NORM)))
 
 
 def log_growth(run: Row) -> float:
@@ -155,7 +156,7 @@ def log_growth(run: Row) -> float:
     _, curve_values = run.curve_points("grad_norm")
     if not len(curve_values):
         return NAN
-    log_norms = np.log(np.maximum(curve_values, LEAST_NORM))
+    log_norms = log(np.maximum(curve_values, LEAST_NORM))
     tenth_length = max(len(log_norms) // 10, 1)
     return float(log_norms[-tenth_length:].mean() - log_norms[:tenth_length].mean())
 

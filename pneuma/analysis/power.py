@@ -108,7 +108,7 @@ def power_of_shares(share_a: float, share_b: float, seeds: int) -> float:
         centre + np.sqrt(squares_above + squares_below.T) < 0
     )
     chances_a, chances_b = (stats.binom.pmf(counts, seeds, share) for share in (share_a, share_b))
-    return float(chances_a @ leaves_out_0 @ chances_b)
+    return float((chances_a[:, None] * leaves_out_0 * chances_b).sum())
 
 
 def _fewest(power_of: Callable[[int], float], power: float, most_runs: int) -> int | None:

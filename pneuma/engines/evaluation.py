@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.algorithms import VALUE_BASED
+from pneuma.arithmetic import log
 from pneuma.config import Run, evaluation_config, stream_seed
 from pneuma.engines.mlp import choose, network
 from pneuma.engines.policy import Policy
@@ -203,8 +204,8 @@ def evenness(kills: np.ndarray) -> float:
     if not len(kills):
         return math.nan
     kill_shares = kills / kills.sum(axis=1, keepdims=True)
-    entropy = -(kill_shares * np.log(np.where(kill_shares > 0, kill_shares, 1.0))).sum(axis=1)
-    return float(entropy.mean() / math.log(kills.shape[1]))
+    entropy = -(kill_shares * log(np.where(kill_shares > 0, kill_shares, 1.0))).sum(axis=1)
+    return float(entropy.mean() / log(kills.shape[1]))
 
 
 # --- Estimated values of actions -----------------------------------------------------------------
@@ -270,7 +271,7 @@ def _steps_beyond(run: Run) -> int | None:
         return 0
     if run.gamma == 1:
         return None
-    steps_beyond = math.ceil(math.log(WEIGHT_LEFT_OUT) / math.log(run.gamma))
+    steps_beyond = math.ceil(float(log(WEIGHT_LEFT_OUT) / log(run.gamma)))
     if run.episode_steps + steps_beyond > MAX_STEPS:
         return None
     return steps_beyond

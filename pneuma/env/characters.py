@@ -281,7 +281,8 @@ def _fill_monster(stats: Any, monster: Monster) -> None:
     for field_name in ("stand_off", "damage", "xp", "heal"):
         stats[field_name] = getattr(monster, field_name)
     for circle in ("notice", "attack"):
-        stats[f"{circle}_squared"] = getattr(monster, circle) ** 2
+        radius = getattr(monster, circle)
+        stats[f"{circle}_squared"] = radius * radius
         stats[f"{circle}_x"], stats[f"{circle}_y"] = getattr(monster, f"{circle}_at")
     stats["bite_ticks"] = _ticks(monster.bite_time)
     stats["knock_ticks"] = -1

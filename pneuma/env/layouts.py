@@ -7,6 +7,7 @@ grid, so that each sees the same place as the same numbers, whichever are played
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -93,10 +94,11 @@ def observation_space(worlds: Worlds, player_stats: Any) -> spaces.Box:
     """Return the Box, with finite bounds, of a player's observations, float32."""
     config, settings, monsters = worlds.config, worlds.settings[0], worlds.monster_stats
     level = worlds.level
-    diagonal = float(np.hypot(level.grid.width, level.grid.height))
+    width, height = level.grid.width, level.grid.height
+    diagonal = math.sqrt(width * width + height * height)
     max_hp = player_stats["hp"] + _max_by_level(monsters["heal"])  # by all kills, unhurt
     hp_bounds = (0.0, max_hp * player_stats["hp_scale"])
-    min_xp, max_xp = -config.ending_cost, _max_by_level(monsters["xp"]) + 1.0
+    min_xp, max_xp = 0.0 - config.ending_cost, _max_by_level(monsters["xp"]) + 1.0
     if config.xp_scope == "forever":
         min_xp, max_xp = -MAX_XP, MAX_XP
     monster_hp = (0.0, (monsters["hp"] * monsters["hp_scale"]).max(initial=0.0))

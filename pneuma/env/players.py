@@ -63,7 +63,8 @@ class Hunter:
         if hits[player["facing"]].any():
             return rules.ATTACK
         # A monster that a turn would hit is nearer than all others.
-        nearest = (~hits.any(axis=0) + np.hypot(*offsets) / FARTHEST).argmin()
+        distances = np.sqrt((offsets * offsets).sum(axis=0))
+        nearest = (~hits.any(axis=0) + distances / FARTHEST).argmin()
         ahead, aside = _directions(*offsets[:, nearest])
         if hits[aside, nearest] and not hits[ahead, nearest]:
             ahead, aside = aside, ahead

@@ -10,7 +10,7 @@ from gymnasium.error import ResetNeeded
 
 from pneuma.env import rules
 from pneuma.env.fields import EnvConfig
-from pneuma.env.state import LAYOUT_DIGEST, as_bytes
+from pneuma.env.state import LAYOUT_DIGEST, as_bytes, saved_bytes
 from pneuma.env.worlds import ENDINGS, Worlds
 from pneuma.errors import UserError
 
@@ -107,7 +107,7 @@ class Slots:
         """
         saved_arrays = {"layout": np.frombuffer(LAYOUT_DIGEST.encode(), np.uint8)}
         for array_name in SAVED:
-            saved_arrays[array_name] = as_bytes(getattr(self.worlds, array_name)).copy()
+            saved_arrays[array_name] = saved_bytes(getattr(self.worlds, array_name))
         return saved_arrays
 
     def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:

@@ -385,8 +385,19 @@ def read_only(array: np.ndarray) -> np.ndarray:
 
 
 def as_bytes(array: np.ndarray) -> np.ndarray:
-    """Return an array's memory, (bytes,) uint8."""
+    """Return an array's memory, (bytes,) uint8.
+
+    What lies between the fields is of no meaning, and may differ where all fields are equal.
+    """
     return array.reshape(-1).view(np.uint8)
+
+
+def saved_bytes(array: np.ndarray) -> np.ndarray:
+    """Return a copy of a structured array's memory, (bytes,) uint8, with zeros between its fields."""
+    saved = np.zeros(array.shape, array.dtype)
+    for field_name in array.dtype.names or ():
+        saved[field_name] = array[field_name]
+    return as_bytes(saved)
 
 
 class World(NamedTuple):

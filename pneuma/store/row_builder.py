@@ -239,8 +239,14 @@ def _rounded(values: np.ndarray, quantity: str) -> np.ndarray:
     span = highest - lowest
     if not sys.float_info.min * LEVELS < span < math.inf:
         return values
-    level = 2.0 ** math.ceil(math.log2(span / LEVELS))
+    level = _power_of_two_from(span / LEVELS)
     levels = np.round(values / level)
     if lowest < 0:  # the sign of a return is a sign of collapse, so it stays
         levels = np.where((levels == 0) & (values != 0), np.sign(values), levels)
     return levels * level
+
+
+def _power_of_two_from(number: float) -> float:
+    """Return the least power of two that is not below a positive number."""
+    fraction, exponent = math.frexp(number)  # a half or more, and below 1
+    return math.ldexp(1.0, exponent - 1 if fraction == 0.5 else exponent)

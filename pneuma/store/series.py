@@ -104,7 +104,7 @@ def peak_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, extreme: 
     points = np.minimum(np.searchsorted(grid, step, side="left"), len(grid) - 1)
     curve = np.full(grid.shape, np.nan)
     extreme.at(curve, points, values)
-    return _single(curve)
+    return without_minus_zero(_single(curve))
 
 
 def held_curve(step: np.ndarray, values: np.ndarray, grid: np.ndarray, end: int) -> np.ndarray:
@@ -132,6 +132,11 @@ def finite_points(step: np.ndarray, values: np.ndarray) -> Series:
     """Return the finite values with their steps."""
     is_finite = np.isfinite(values)
     return step[is_finite], values[is_finite]
+
+
+def without_minus_zero(values: np.ndarray) -> np.ndarray:
+    """Return the values with 0 for -0: which of the two an extreme is depends on the processor."""
+    return values + 0.0
 
 
 def _single(curve: np.ndarray) -> np.ndarray:
@@ -200,6 +205,7 @@ def curve_statistic(statistic: str, step: np.ndarray, values: np.ndarray, until:
         return mean_height(step, values, until)
     if statistic == "early":
         values = values[step <= 0.1 * until]
+    values = without_minus_zero(values)
     return float(STATISTICS[statistic](values)) if len(values) else math.nan
 
 

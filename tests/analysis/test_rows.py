@@ -191,6 +191,9 @@ def test_a_curve_over_orders_of_size_is_rounded_in_proportion() -> None:
     assert np.isnan(rounded[0]) and rounded[1:] == pytest.approx(values[1:], rel=1 / 512, abs=0)
     assert _rounded(rounded, "entropy").tolist()[1:] == rounded.tolist()[1:]
     assert _rounded(np.array([-1e-5, 0.25, 1.0]), "return").tolist() == [-1 / 256, 0.25, 1]  # a sign stays
+    # a range of 512 has steps of 1, one of 512 and a little steps of 2
+    assert _rounded(np.array([-0.5, 5.25, 511.5]), "return").tolist() == [-1, 5, 512]
+    assert _rounded(np.array([-0.5, 5.25, 511.5 + 2**-43]), "return").tolist() == [-2, 6, 512]
     for odd in ([-5e-324, 5e-324], [-1e308, 1e308], [-3.0, -3.0], [np.nan, np.inf]):
         assert np.array_equal(_rounded(np.array(odd), "return"), odd, equal_nan=True)
 

@@ -25,6 +25,8 @@ from pneuma.env.gym import PneumaEnv
 from pneuma.env.gym_vector import PneumaVectorEnv
 from pneuma.env.pettingzoo import PneumaParallelEnv
 from pneuma.env.sb3 import PneumaVecEnv
+from pneuma.env.slots import SAVED
+from pneuma.env.state import as_bytes
 from pneuma.errors import UserError
 from pneuma.values import format_value
 
@@ -147,6 +149,23 @@ def test_copies_go_on_alike_and_apart(pit: str, interface: str, copied: Callable
     play_on(env, 0, 25)
     twin = copied(env)
     assert play_on(twin, 1, 80) == play_on(env, 1, 80)
+
+
+def test_equal_states_are_saved_as_equal_bytes(pit: str) -> None:
+    """What lies between the fields of an array, which NumPy does not copy, is not saved."""
+    env = PneumaVecEnv(3, seed=5, level=pit)
+    env.reset()
+    play_on(env, 0, 25)
+    saved, worlds = env.slots.saved_state(), env.slots.worlds
+    for array_name in SAVED:
+        array = getattr(worlds, array_name)
+        fields = array.copy()
+        as_bytes(array)[:] = 255
+        for field_name in array.dtype.names:
+            array[field_name] = fields[field_name]
+    assert (as_bytes(worlds.slots) != saved["slots"]).any()
+    for array_name, state_bytes in env.slots.saved_state().items():
+        assert np.array_equal(state_bytes, saved[array_name]), array_name
 
 
 # --- Gymnasium's -----------------------------------------------------------------------------------

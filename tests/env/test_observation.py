@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from pneuma.env import layouts
 from pneuma.env.worlds import Worlds
 
-from .arena import GODOT, RIGHT, begin, stage
+from .arena import ARENA, GODOT, RIGHT, THESIS, begin, stage
 
 WIDTHS = {"thesis": (4, 4), "pygame": (6, 5), "godot": (4, 5)}  # of the player's part and of a monster's
 
@@ -54,6 +56,19 @@ def test_a_scale_holds_for_every_number(
     pair.put(x=-540, y=270, hp=40, xp=3)
     assert pair.worlds.observations[0, 0, :4] == pytest.approx([x, y, hp, xp], abs=1e-6)
     assert rows(pair.worlds)[0] == pytest.approx([distance, 0.6, -0.8, monster_hp], abs=1e-6)  # (300, -400)
+
+
+@pytest.mark.parametrize("env_id", [ARENA, THESIS, GODOT])
+def test_no_bound_of_a_space_is_minus_zero(env_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To processors of ARM -0 is the lesser of 0 and -0, to those of Intel the second of both."""
+
+    def minimum_of_arm(a: np.ndarray, b: float) -> np.ndarray:
+        return np.where((a == b) & np.signbit(a), a, np.minimum(a, b))
+
+    monkeypatch.setattr(layouts, "np", SimpleNamespace(**{**vars(np), "minimum": minimum_of_arm}))
+    space = begin(1, env_id=env_id).space
+    bounds = np.concatenate([space.low, space.high])
+    assert not np.signbit(bounds[bounds == 0]).any()
 
 
 def test_rays_show_what_they_meet_first_and_how_far_off_it_is(zoo: str) -> None:
