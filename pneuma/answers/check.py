@@ -226,7 +226,7 @@ def compare_runs(chosen: ChosenRuns, rows: Mapping[str, Row]) -> CheckAnswer:
 
 
 def as_published(row: Row) -> Row:
-    """Return a row as it is read from a published table."""
+    """Return a row as it is read from a published table, which names the user's files without folders."""
     table = Published(Path("."), encode_published([row], {}))
     return table.row(row.run_id)
 

@@ -129,6 +129,18 @@ def test_a_field_that_a_published_row_has_from_before_is_no_difference(row: Row)
     assert find_differences(changed(row, fields=json.dumps({**row.fields, "weapons": ["own"]})), row) == []
 
 
+def test_a_file_of_the_users_own_may_be_in_another_folder(row: Row) -> None:
+    rows = [
+        changed(row, fields=json.dumps({**row.fields, "reward": [f"/{folder}/mine.py:{name}"]}))
+        for folder, name in (("theirs", "swords"), ("here", "swords"), ("here", "blows"))
+    ]
+    published, here, other = map(as_published, rows)
+    assert find_differences(published, here) == []
+    assert str(find_differences(published, other)[0]) == (
+        "Setting reward: mine.py:swords published, mine.py:blows here"
+    )
+
+
 def test_values_are_the_same_to_the_bit_and_texts_have_the_digits_that_tell_them_apart() -> None:
     assert is_same(1.5, 1.5) and is_same(math.nan, -math.nan) and is_same(None, None)
     assert not is_same(0.0, -0.0) and not is_same(None, math.nan) and not is_same(1.0, np.nextafter(1, 2))

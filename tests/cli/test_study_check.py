@@ -194,7 +194,10 @@ def test_an_edited_row_is_exit_code_1_with_the_first_number_and_both_machines(
     assert os.listdir(scratch) == []
 
 
-def test_another_policy_is_named_where_no_number_differs(table: Path) -> None:
+def test_another_policy_is_named_where_no_number_differs_even_if_the_run_is_stored(
+    trained: Path, table: Path
+) -> None:
+    shutil.copytree(trained / "runs", table.parents[1] / "runs")
     edit(table, lambda row: {"policy": "0" * 16})
     code, out, _ = check(table, "--runs", 1)
     assert code == 1 and "Checksum of the policy: 0000000000000000 published, " in out
