@@ -2,6 +2,7 @@
 
     run_study(study)      trains what is missing, and opens it: `plan_study`, `train_plan`, `open_data`
     open_data(study)      a study's data, for `pneuma.analysis`
+    check_study(study)    trains published runs again and compares them to the last bit: `check_runs`
     compare(study, a, b)  the differences of two conditions, with intervals
     summarize(study)      the outcomes of each condition
     plot(study)           a study's curves in axes of your own
@@ -16,9 +17,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from pneuma.config import WORLD_FIELDS, Run, as_fields, is_gymnasium_id, make_run
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
 
     from pneuma.analysis.study_data import StudyData
     from pneuma.answers.answer import Answer
+    from pneuma.answers.check import CheckAnswer
     from pneuma.engines.evaluation import Act
     from pneuma.engines.policy import Policy
     from pneuma.engines.sb3_open import LearnedPolicy
@@ -106,10 +109,7 @@ def plan_study(query: plan.Query, store: Store, say: Say = silent) -> plan.Plan:
         raise
     if query.preset == spec.LAST:
         query = on_top_of_last(store, study.name, study.world, query)
-    fields = [study.fields(condition, query.settings) for condition in study.conditions]
-    for use in dict.fromkeys(use for settings in fields for use in describe_user_code(settings).values()):
-        if use.startswith("run "):
-            say(f"Note: the study's file asks to {use}.")
+    _say_user_code([study.fields(condition, query.settings) for condition in study.conditions], say)
     if query.preset == spec.CLAIMS:
         from pneuma.analysis.claims.preset import with_claims
 
@@ -118,6 +118,16 @@ def plan_study(query: plan.Query, store: Store, say: Say = silent) -> plan.Plan:
     if study.outcomes:
         _check_outcomes(study, {cell.run.env for cell in planned.cells})
     return planned
+
+
+def _say_user_code(fields_of_runs: Iterable[Mapping[str, Any]], say: Say) -> None:
+    """Say which code of the user's own some runs would run."""
+    uses: dict[str, None] = {}
+    for fields in fields_of_runs:
+        uses |= dict.fromkeys(describe_user_code(fields).values())
+    for use in uses:
+        if use.startswith("run "):
+            say(f"Note: the study's file asks to {use}.")
 
 
 def _check_outcomes(study: spec.Study, environments: Collection[str]) -> None:
@@ -217,6 +227,80 @@ def compare(
 
     second_data = None if other is None else _opened(other, results)
     return compare(_opened(study, results), a, b, _names(outcomes), second_data)
+
+
+def check_study(
+    study: Where,
+    results: Where | None = None,
+    *,
+    runs: int = 2,
+    preset: str | None = None,
+    seeds: int | Sequence[int] | None = None,
+    steps: int | None = None,
+    conditions: Sequence[str] = (),
+    settings: Mapping[str, Any] | None = None,
+    world: str | None = None,
+    quiet: bool = False,
+    say: Say = silent,
+) -> CheckAnswer:
+    """Train published runs of a study again, and compare them to the last bit with the published ones.
+
+    The shortest runs are trained, in a temporary folder that is removed afterwards. Runs that an earlier
+    version published are not compared.
+
+    Args:
+        study: as of `run_study`; may also be "NAME@PRESET".
+        results: as of `run_study`; its published tables are read, and it is not written.
+        runs: how many runs are trained.
+        preset: one of the study's presets; default: paper.
+        seeds: as of `run_study`.
+        steps: as of `run_study`.
+        conditions: as of `run_study`.
+        settings: as of `run_study`.
+        world: as of `run_study`.
+        quiet: show no progress.
+        say: is called with messages, such as how long the runs took.
+
+    Returns:
+        An answer that has `is_same`. Its `table` has a row for each run: whether it is the same, and the
+        first value that differs, as it was published and as it is here.
+
+    Raises:
+        UserError: if no run can be checked, or one does not finish.
+        KeyboardInterrupt: after Ctrl-C.
+    """
+    query = _query(study, world, preset, seeds, steps, conditions, settings)
+    return check_runs(query, _store(results), _count("runs", runs) or 2, quiet=quiet, say=say)
+
+
+def check_runs(
+    query: plan.Query, store: Store, most_runs: int, *, quiet: bool = False, say: Say = silent
+) -> CheckAnswer:
+    """Train some published runs of a query's cells again, and compare them; see `check_study`."""
+    from pneuma.answers.check import choose_runs, compare_runs
+    from pneuma.store.index import RunIndex
+    from pneuma.store.row_builder import stored_row
+
+    chosen = choose_runs(RunIndex(store, stored=False), query, most_runs)
+    cells = chosen.plan.cells
+    try:
+        folder = TemporaryDirectory(prefix="pneuma-check-")
+    except OSError:
+        raise UserError("no temporary folder can be written: let the variable TMPDIR name one") from None
+    rows = {}
+    with folder as folder_name:
+        for note in chosen.notes:
+            say(note)
+        _say_user_code([as_fields(cell.run) for cell in cells], say)
+        scratch = Store(folder_name)
+        executor_config = ExecutorConfig(workers=min(available_cores(), len(cells)))
+        for cell_result in train_plan(chosen.plan, scratch, executor_config, quiet=quiet, say=say):
+            cell, status = cell_result.cell, cell_result.status
+            if not status.finished:
+                text = f"{cell.condition} seed {cell.seed} {status.name}, so nothing was compared"
+                raise UserError(f"{text}: {cell_result.reason}")
+            rows[cell.run_id] = stored_row(scratch, cell.run_id)
+    return compare_runs(chosen, rows)
 
 
 def summarize(study: StudyData | Where, outcomes: Sequence[str] = (), results: Where | None = None) -> Answer:

@@ -102,10 +102,8 @@ EXCUSED = {
     "pneuma.analysis.claims.words": {"exp", "log10"},  # of what is printed: factors and how many digits
     "pneuma.analysis.curves": {"log10"},  # of a figure
     "pneuma.analysis.intervals": {"exp", "hypot", "log", "log10"},  # beside SciPy's quantiles
-    "pneuma.engines.batched.learner": {"linalg"},
-    "pneuma.engines.batched.update": {"@", "log"},
     "pneuma.engines.export": {"log"},  # of a policy for Stable-Baselines3, which takes its exponential
-    "pneuma.engines.policy": {"@", "exp", "log", "tanh"},  # of policies that only torch trains
+    "pneuma.engines.policy": {"exp", "log"},  # of entropies that only TRPO's runs record
     "pneuma.engines.sb3": {"exp"},  # the same bits on the same kind of processor
     "pneuma.env.characters": {"hypot"},  # of a distance with a margin, which changes no step
     "pneuma.env.layouts": {"cos", "sin"},  # rounded to twelve digits

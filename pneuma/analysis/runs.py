@@ -204,7 +204,12 @@ def _runs_of_older_versions(
 
 
 def have_same_fields(fields: Mapping[str, Any], stored_fields: Mapping[str, Any]) -> bool:
-    """Return whether a stored run has the fields of a run, apart from seed and steps.
+    """Return whether a stored run has the fields of a run, apart from seed and steps."""
+    return bool(stored_fields) and next(changed_fields(fields, stored_fields), None) is None
+
+
+def changed_fields(fields: Mapping[str, Any], stored_fields: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the fields in which a stored run differs from a run, apart from seed and steps.
 
     Files and modules of the user's own count by their names.
     """
@@ -217,8 +222,7 @@ def have_same_fields(fields: Mapping[str, Any], stored_fields: Mapping[str, Any]
                 field_name not in stored_fields or value in UNSET or value == FORMER_DEFAULTS.get(field_name)
             )
         if not is_same:
-            return False
-    return bool(stored_fields)
+            yield field_name
 
 
 def _with_bare_names(value: Any) -> Any:

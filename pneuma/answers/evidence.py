@@ -21,7 +21,9 @@ from pneuma.store.rows import Row
 from pneuma.study.plan import Query
 from pneuma.study.spec import PAPER
 
-ORIGIN_FACTS = ("packages", "python", "commit", "cpu", "system", "threads", "imported", "damage")
+ORIGIN_FACTS = (
+    "packages", "python", "commit", "cpu", "target", "system", "threads", "imported", "damage",
+)  # fmt: skip
 """The provenance of runs, without times, in which equal runs differ."""
 RUN_COLUMNS = ["run_id", "condition", "seed", "status", "engine"]
 

@@ -111,11 +111,14 @@ def show(
     for field_name, field_value in settings.items():
         if field_value != default_fields.get(field_name):
             changed_defaults[field_name] = default_fields.get(field_name)
+    index = RunIndex(store)
+    row = index.row(run_id) if status.finished else None
     document = {
         "run_id": run_id,
         "status": status.name,
         "step": status.step,
-        "studies": _labels(RunIndex(store)).get(run_id, []),
+        "policy": row.policy if row else None,
+        "studies": _labels(index).get(run_id, []),
         "settings": settings,
         "defaults": changed_defaults,
         "provenance": store.read_document(run_id, "provenance.json"),
@@ -127,6 +130,8 @@ def show(
 
 
 def _show(run: Mapping[str, Any], all_fields: bool) -> Iterator[str | Table]:
+    if run["policy"]:
+        yield f"policy {run['policy']}"
     for study in run["studies"]:
         yield f"study {study['study']}, condition {_condition(study)}, seed {study['seed']}"
     yield ""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from pneuma.answers.answer import Answer
-from pneuma.cli import delete, study_answers, study_files, study_run, study_verify
+from pneuma.cli import delete, study_answers, study_check, study_files, study_run, study_verify
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, answer_result, frame_table, listed_result, say, write_file
 from pneuma.config import effective_fields, is_gymnasium_id
@@ -31,6 +31,7 @@ app.command(short_help="Publish a study's finished runs as one small table.")(st
 app.command(short_help="Summarize each condition's outcomes.")(study_answers.summary)
 app.command(short_help="Compare two conditions.")(study_answers.compare)
 app.command(short_help="Show which runs collapsed, when, and how often.")(study_answers.collapse)
+app.command(short_help="Train published runs again, and compare them to the last bit.")(study_check.check)
 app.command(short_help="Judge the thesis's claims on their preregistered runs.")(study_verify.verify)
 
 

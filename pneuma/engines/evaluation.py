@@ -20,13 +20,11 @@ from pneuma.config import Run, evaluation_config, stream_seed
 from pneuma.engines.mlp import choose, network
 from pneuma.engines.policy import Policy
 from pneuma.env import rules
-from pneuma.env.fields import MAX_STEPS, is_own_reward
+from pneuma.env.fields import MAX_STEPS
 from pneuma.env.players import RandomPlayer
 from pneuma.env.worlds import Worlds
 from pneuma.errors import UserError
 
-MOST_WEIGHTS = 65_536
-"""Largest actor that is faster compiled than by a library's matrix product."""
 WEIGHT_LEFT_OUT = 0.01
 """Rewards after a truncated episode count until their discount is below this."""
 
@@ -151,7 +149,7 @@ class Evaluation:
         observations = self.worlds.observations.reshape(-1, features)  # (N * P, features)
         actions = np.zeros(self.worlds.players.shape, np.int64)
         flat_actions = actions.reshape(-1)
-        if isinstance(policy, Policy) and self._is_compiled(policy):
+        if isinstance(policy, Policy) and policy.exploration is None:
             actor = network(policy.actor, policy.activation)
 
             def compute(is_playing: np.ndarray) -> np.ndarray:
@@ -162,10 +160,7 @@ class Evaluation:
             return compute
 
         def call(is_playing: np.ndarray) -> np.ndarray:
-            """Choose for all rows of a group until its last world has ended.
-
-            With fewer rows a policy's results would differ in the last bits.
-            """
+            """Choose for all rows of a group until its last world has ended."""
             if is_playing[:sampled_rows].any():
                 flat_actions[:sampled_rows] = policy.sample(observations[:sampled_rows], generator)
             if is_playing[sampled_rows:].any():
@@ -173,12 +168,6 @@ class Evaluation:
             return actions
 
         return call
-
-    def _is_compiled(self, policy: Policy) -> bool:
-        """Return whether a policy's actions are computed by `mlp.choose`, whose last bits are not NumPy's."""
-        if policy.scaling or policy.exploration is not None or any(map(is_own_reward, self.run.reward)):
-            return False
-        return sum(weight.size for weight, _ in policy.actor) <= MOST_WEIGHTS
 
     def _play(self, choose_actions: Choose) -> None:
         """Play one episode in every world, always the same one, up to its end."""

@@ -5,6 +5,7 @@ A policy is stored as safetensors with JSON, so that reading an untrusted file r
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -184,6 +185,27 @@ class Policy:
 
     def to_bytes(self) -> bytes:
         """Serialise as safetensors, with activation and exploration in the header."""
+        metadata: dict[str, object] = {"schema": 1, "activation": self.activation}
+        if self.exploration is not None:
+            metadata["exploration"] = self.exploration
+        return save(self._arrays(), metadata={"pneuma": json.dumps(metadata)})
+
+    @property
+    def checksum(self) -> str:
+        """16 hexadecimal digits, which two policies share only if they are equal to the last bit.
+
+        They are of the SHA-256 of activation, exploration, and each array's name, type, shape and
+        little-endian bytes. A file's own layout, which depends on safetensors' version, does not count.
+        """
+        digest = hashlib.sha256(json.dumps([self.activation, self.exploration]).encode())
+        for array_name, array in sorted(self._arrays().items()):
+            little_endian = array.astype(array.dtype.newbyteorder("<"))
+            digest.update(json.dumps([array_name, little_endian.dtype.str, array.shape]).encode())
+            digest.update(little_endian.tobytes())
+        return digest.hexdigest()[:16]
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """Return all arrays by the names that they have in a file."""
         arrays: dict[str, np.ndarray] = {}
         for network_name, layers in (("actor", self.actor), ("critic", self.critic)):
             for i, (weight, bias) in enumerate(layers):
@@ -196,10 +218,7 @@ class Policy:
         if self.scaling is not None:
             arrays["observations.mean"] = self.scaling.mean
             arrays["observations.variance"] = self.scaling.variance
-        metadata: dict[str, object] = {"schema": 1, "activation": self.activation}
-        if self.exploration is not None:
-            metadata["exploration"] = self.exploration
-        return save(arrays, metadata={"pneuma": json.dumps(metadata)})
+        return arrays
 
 
 def _sample_choice(logits: np.ndarray, generator: np.random.Generator) -> np.ndarray:
@@ -229,6 +248,11 @@ def read_sound_policy(encoded_policy: bytes) -> Policy:
     if not is_sound:
         raise UserError(f"{POLICY_FILE}: is not a policy, or its layers do not match each other")
     return policy
+
+
+def checksum_of_file(encoded_policy: bytes) -> str:
+    """Return the `checksum` of a policy, from the bytes of `Policy.to_bytes`; it is not tried."""
+    return _read_policy(encoded_policy).checksum
 
 
 def _read_policy(encoded_policy: bytes) -> Policy:

@@ -28,6 +28,8 @@ CARRIED_CODE = "PNEUMA_CODE"
 """Environment variable with the version and commit of code that was sent to another machine."""
 SOURCE = Path(__file__).parents[2]
 """The folder of this code, from which child processes import it even if it is not installed."""
+VECTOR_FEATURES = ("+avx", "+avx2", "+avx512f", "+fma", "+neon", "+sve")
+"""LLVM's names of a processor's widths of vectors, and of fused operations."""
 QUOTA = Path("/sys/fs/cgroup/cpu.max")
 """Linux's (cgroups v2) limit of a container's CPU time per period: '150000 100000' or 'max 100000'."""
 THREADS = 1
@@ -102,6 +104,7 @@ def machine() -> dict[str, Any]:
         "commit": commit or None,
         "system": f"{platform.system()} {platform.machine()}",
         "cpu": _cpu(),
+        "target": _target(),
         "cores": os.cpu_count(),
         "device": _device(),
     }
@@ -125,6 +128,28 @@ def _device() -> str:
     if jax is None or jax.default_backend() == "cpu":
         return "cpu"
     return f"{jax.default_backend()}: {jax.devices()[0].device_kind}"
+
+
+def _target() -> str | None:
+    """Return the processor for which numba compiles in this process, as LLVM calls it, with its vectors.
+
+    None where numba was not loaded.
+    """
+    registry, config = sys.modules.get("numba.core.registry"), sys.modules.get("numba.core.config")
+    if registry is None or config is None:
+        return None
+    # what numba's cache on disk distinguishes machine code by
+    _, cpu_name, features = registry.cpu_target.target_context.codegen().magic_tuple()
+    chosen_by = []
+    if config.CPU_NAME is not None:
+        chosen_by.append("NUMBA_CPU_NAME")
+    if config.CPU_FEATURES is not None:
+        chosen_by.append("NUMBA_CPU_FEATURES")
+    else:
+        vector_features = [feature for feature in features.split(",") if feature in VECTOR_FEATURES]
+        features = ",".join(vector_features)
+    target = f"{cpu_name} {features}".rstrip()
+    return f"{target} (set by {' and '.join(chosen_by)})" if chosen_by else target
 
 
 @cache

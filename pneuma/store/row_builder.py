@@ -21,6 +21,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pneuma.config import Run
+from pneuma.engines.policy import POLICY_FILE, checksum_of_file
 from pneuma.errors import UserError
 from pneuma.files import parse_json, stored_file
 from pneuma.store import rows, series
@@ -82,6 +83,7 @@ def row_until(store: Store, run_id: str, run: Run, step: int) -> Row:
     """Return the row of a run as if it had ended at a step, from its files or its latest checkpoint."""
     if store.status(run_id, quick=True).finished:
         files = _stored_files(store, run_id)
+        files.pop(POLICY_FILE, None)  # it is the one at the end
     else:
         latest_checkpoint = sound_checkpoint(store.run_folder(run_id))
         if latest_checkpoint is None or latest_checkpoint.step < step:
@@ -116,7 +118,10 @@ def cells_of_files(
         recorded = recorded_from_log(tables_by_file[SCALARS_FILE].to_pandas(use_threads=False), provenance)
     else:
         recorded = recorded_from_tables(fields, tables_by_file)
-    return row_cells(run_id, status, fields, recorded, provenance)
+    cells = row_cells(run_id, status, fields, recorded, provenance)
+    if POLICY_FILE in files:
+        cells[rows.POLICY] = checksum_of_file(files[POLICY_FILE])
+    return cells
 
 
 def record_frame(store: Store, run_id: str, table_name: str) -> pd.DataFrame:

@@ -41,6 +41,9 @@ from pneuma.store.tables import from_ipc
 
 TEXT_CELLS = ("run_id", "config_id", "status", "fields", "provenance", "signs")
 INTEGER_CELLS = ("seed", "steps", "end")
+POLICY = "policy"
+"""The column with the policy's checksum (`Policy.checksum`). It is null for runs that diverged, for learners
+whose policy is not a `Policy`, and for imported logs; older tables lack the column."""
 EVALUATIONS = "evaluations"
 """The column with a list of structs: the step and the other numbers of each evaluation."""
 REQUIRED_CELLS = TEXT_CELLS + INTEGER_CELLS + (EVALUATIONS,)
@@ -67,7 +70,7 @@ def curve_column(quantity: str, window: str) -> str:
 
 
 def _column_types() -> dict[str, pa.DataType]:
-    types_by_column = dict.fromkeys(TEXT_CELLS, pa.string())
+    types_by_column = dict.fromkeys(TEXT_CELLS + (POLICY,), pa.string())
     types_by_column |= dict.fromkeys(INTEGER_CELLS + STUCK + (AVERAGED_OVER,), pa.int64())
     types_by_column[LAST_EPISODES] = NUMBER
     for quantity in TRAINING_QUANTITIES:
@@ -108,7 +111,9 @@ _PATTERNS = {
     "config_id": "[0-9a-f]{16}",
     "status": "done|diverged",
     "steps": r"[1-9]\d*",
+    POLICY: "[0-9a-f]{16}",
 }
+"""The forms of cells; only the policy's may be null."""
 
 
 def sound_rows(table: pa.Table) -> pa.Table:
@@ -126,11 +131,12 @@ def sound_rows(table: pa.Table) -> pa.Table:
     for column_name in REQUIRED_CELLS:
         if column_name not in column_names:
             raise ValueError(f"column {column_name} is missing")
-        pattern = _PATTERNS.get(column_name)
-        cells = table[column_name].to_pylist() if pattern else []
-        has_wrong_cell = any(not re.fullmatch(pattern or "", str(cell)) for cell in cells)
-        if has_wrong_cell or table[column_name].null_count:
+        if table[column_name].null_count:
             raise ValueError(f"column {column_name} is invalid")
+    for column_name in _PATTERNS.keys() & set(column_names):
+        for cell in table[column_name].drop_null().to_pylist():
+            if not re.fullmatch(_PATTERNS[column_name], str(cell)):
+                raise ValueError(f"column {column_name} is invalid")
     if not _are_evaluations(table[EVALUATIONS]):
         raise ValueError(f"column {EVALUATIONS} is invalid")
     return table.select(column_names)
@@ -230,6 +236,12 @@ class Row:
     def averaged_over(self) -> int | None:
         """Episodes over which returns were averaged when they were logged; None if they were not."""
         return self.cell(AVERAGED_OVER)
+
+    @property
+    def policy(self) -> str | None:
+        """The checksum of its policy; None if it has none, or its table is older."""
+        checksum: str | None = self.cell(POLICY)
+        return checksum
 
     @property
     def start_step(self) -> int:

@@ -18,17 +18,20 @@ import pytest
 
 from pneuma.analysis.outcomes import outcome
 from pneuma.analysis.runs import open_study
+from pneuma.config import make_run
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.errors import UserError
 from pneuma.store.index import RunIndex
 from pneuma.store.published import Published, encode_published
-from pneuma.store.row_builder import _rounded, stored_row
+from pneuma.store.row_builder import _rounded, row_until, stored_row
+from pneuma.store.rows import decode_row, encode_row
 from pneuma.store.series import GRID_POINTS
 from pneuma.store.store import ROW_FILE, Status, Store
 from pneuma.store.tables import from_ipc
 from pneuma.study.plan import Query
 
 from .. import hand_made
+from ..engines.trained import constant
 from .published_runs import CELLS, outcomes_of, publish, republished, save_run
 
 RUN = "a0" * 8
@@ -196,6 +199,24 @@ def test_a_curve_over_orders_of_size_is_rounded_in_proportion() -> None:
     assert _rounded(np.array([-0.5, 5.25, 511.5 + 2**-43]), "return").tolist() == [-2, 6, 512]
     for odd in ([-5e-324, 5e-324], [-1e308, 1e308], [-3.0, -3.0], [np.nan, np.inf]):
         assert np.array_equal(_rounded(np.array(odd), "return"), odd, equal_nan=True)
+
+
+def test_a_row_has_the_checksum_of_its_policy_and_older_tables_lack_it(store: Store, tmp_path: Path) -> None:
+    policy = constant([0.0, 1.0, 2.0], 4)
+    files = {"policy.safetensors": policy.to_bytes()}
+    save_run(store, "b0" * 8, 0, policy_files=files)
+    row = stored_row(store, "b0" * 8)
+    assert row.policy == policy.checksum
+    published = republished(hand_made.study_of(store, CELLS), tmp_path).rows
+    assert [run.policy for run in published] == [None, policy.checksum, None, None]
+    older_rows = [stored_row(store, run_id) for run_id in ("a0" * 8, "a1" * 8)]
+    older = Published(tmp_path / "x.parquet", encode_published(older_rows, {}))
+    assert older.row("a0" * 8).policy is None and "policy" not in older.row("a0" * 8).table.column_names
+    run = make_run({"steps": 1000})
+    assert row_until(store, "b0" * 8, run, 500).policy is None  # the policy is that of the end
+    wrong = encode_row({**{name: row.cell(name) for name in row.table.column_names}, "policy": "0" * 15})
+    with pytest.raises(ValueError, match="column policy is invalid"):
+        decode_row(wrong)
 
 
 # --- Where a run is in several places ---------------------------------------------------------------

@@ -12,7 +12,8 @@ from pneuma.store.store import Store
 from pneuma.study.plan import Plan, Query, make_plan
 from pneuma.study.spec import load_study
 
-from .calls import described, finish_study, printed, save_finished
+from .. import hand_made
+from .calls import described, finish_study, policy_of, printed, save_finished
 
 PACKAGES = {"pneuma": "0.1.0", "torch": "2.13.0"}
 MACHINE = {"wall_seconds": 12.5, "python": "3.11", "packages": PACKAGES, "cpu": "A processor"}
@@ -74,8 +75,16 @@ def test_show_prints_what_produced_a_run(store: Store, plan: Plan) -> None:
     document = described("run", "show", cell.run_id, "--json")
     assert make_run(document["settings"]) == cell.run
     assert document["defaults"]["activation"] == "tanh" and "gamma" not in document["defaults"]
-    assert document["provenance"] == MACHINE
+    assert document["provenance"] == MACHINE and document["policy"] is None
     assert {file["state"] for file in document["files"]} == {"sound"}
+
+
+def test_show_prints_the_checksum_of_a_policy(tmp_path: Path) -> None:
+    policy, run_id = policy_of(), "c0" * 8
+    files = {"policy.safetensors": policy.to_bytes()}
+    hand_made.save_run(Store(tmp_path), run_id, [], [], [], 1000, policy_files=files)
+    assert described("run", "show", run_id, "--results", tmp_path, "--json")["policy"] == policy.checksum
+    assert f"\npolicy {policy.checksum}\n" in printed("run", "show", run_id, "--results", tmp_path)
 
 
 def test_show_lists_files_that_are_not_as_written(store: Store, alone: str) -> None:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.config import ACTIVATIONS, Run, make_run
-from pneuma.engines.batched.learner import initial_networks
+from pneuma.config import ACTIVATIONS, Run, make_run, stream_seed
+from pneuma.engines.batched.initial_weights import initial_networks
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.evaluation import ActionValues, Evaluation, OwnAgent, evenness
 from pneuma.engines.gymnasium_env import GymnasiumSlots
@@ -182,18 +182,32 @@ def test_the_commonest_action_is_counted_over_all_steps_of_the_sampled_episodes(
 
 @pytest.mark.parametrize("activation", ACTIVATIONS)
 @pytest.mark.parametrize("players", [1, 2])
-def test_compiled_play_is_what_numpy_plays(
-    activation: str, players: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_compiled_play_is_what_numpy_plays(activation: str, players: int) -> None:
     run = run_of(seed=5, players=players, episode_steps=200, activation=activation)
     evaluation = Evaluation(run)
     networks = initial_networks(run, 60, 5)
     sharp = tuple((weight * np.float32(3), bias) for weight, bias in networks["actor"])
     policy = Policy(activation, sharp, networks["critic"])
     compiled = evaluation.evaluate(policy, 7)
-    monkeypatch.setattr("pneuma.engines.evaluation.MOST_WEIGHTS", 0)
-    assert evaluation.evaluate(policy, 7) == pytest.approx(compiled)
+    generator = np.random.default_rng(stream_seed(run.seed, "evaluation-actions", 7))
+
+    def sample(observations: np.ndarray) -> np.ndarray:
+        weights = np.exp(numpy_logits(policy, observations)).cumsum(axis=1)
+        draws = generator.random(len(observations), np.float32) * weights[:, -1]
+        return (weights <= draws[:, None]).sum(axis=1)
+
+    agent = OwnAgent(sample, lambda observations: numpy_logits(policy, observations).argmax(axis=1), 5)
+    assert evaluation.evaluate(agent, 7) == pytest.approx(compiled)
     assert compiled["length"] > 10
+
+
+def numpy_logits(policy: Policy, observations: np.ndarray) -> np.ndarray:
+    """Return the logits of a policy of one hidden layer, in double precision."""
+    (weight, bias), (last_weight, last_bias) = policy.actor
+    hidden = observations.astype(float) @ weight + bias
+    slope = 0.01 if policy.activation == "leaky-relu" else 0
+    outputs = np.tanh(hidden) if policy.activation == "tanh" else np.where(hidden > 0, hidden, slope * hidden)
+    return np.asarray(outputs @ last_weight + last_bias)
 
 
 # --- Estimated and true values of actions ---------------------------------------------------------

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pneuma.config import stream_seed
 from pneuma.engines.batched.learner import Learner
 from pneuma.engines.batched.rollout import Collector, Rollout
 from pneuma.engines.batched.training import BatchedTrainer
 from pneuma.engines.environment import make_vec_env
-from pneuma.engines.evaluation import Evaluation
+from pneuma.engines.evaluation import Evaluation, OwnAgent
 from pneuma.engines.mlp import network
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import Records
@@ -113,7 +114,7 @@ def test_each_acts_by_its_own_policy_in_a_rollout() -> None:
     assert (actions[0::2] == 0).all() and (actions[1::2] == 3).all()
 
 
-def test_each_plays_by_its_own_policy_compiled_or_not(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_plays_by_its_own_policy() -> None:
     run = run_of("team")
     policy = train_once(run)[0].policy
     assert isinstance(policy, Policy)
@@ -124,7 +125,7 @@ def test_each_plays_by_its_own_policy_compiled_or_not(monkeypatch: pytest.Monkey
         alone = replace(policy, actor=tuple((weight[player], bias[player]) for weight, bias in policy.actor))
         logits = alone.logits(observations[player::2])
         np.testing.assert_allclose(policy.logits(observations)[player::2], logits, 1e-4)
-    compiled = Evaluation(run).evaluate(policy, 0)
-    monkeypatch.setattr("pneuma.engines.evaluation.MOST_WEIGHTS", 0)
-    by_numpy = Evaluation(run).evaluate(policy, 0)
-    assert compiled == pytest.approx(by_numpy, nan_ok=True)
+    evaluation = Evaluation(run)
+    generator = np.random.default_rng(stream_seed(run.seed, "evaluation-actions", 0))
+    agent = OwnAgent(lambda rows: policy.sample(rows, generator), policy.best, 5)
+    assert evaluation.evaluate(policy, 0) == pytest.approx(evaluation.evaluate(agent, 0), nan_ok=True)

@@ -8,10 +8,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from safetensors.numpy import load, save
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from pneuma.engines.normalization import Scaling
-from pneuma.engines.policy import Policy, dead_share, read_sound_policy
+from pneuma.engines.policy import Policy, checksum_of_file, dead_share, read_sound_policy
 from pneuma.errors import UserError
 
 from . import trained
@@ -95,6 +96,36 @@ def test_a_policy_of_numbers_draws_about_its_mean() -> None:
     near = replace(policy, bounds=np.array([[-1, 0], [0.5, 3]], np.float32))
     assert near.best(np.zeros((1, 1))).tolist() == [[0.5, 0.0]]
     assert ((drawn_by(near) >= near.bounds[0]) & (drawn_by(near) <= near.bounds[1])).all()  # type: ignore[index]
+
+
+# --- Its checksum ----------------------------------------------------------------------------------
+
+
+def test_a_checksum_is_of_the_numbers_and_not_of_the_file() -> None:
+    policy = tiny("tanh")
+    data = policy.to_bytes()
+    assert policy.checksum == checksum_of_file(data) == "ed5a76d25ab5de29"
+    metadata = {"pneuma": '{"activation": "tanh",  "of a later version": 1}'}
+    other_file = save(dict(reversed(load(data).items())), metadata)
+    assert other_file != data and checksum_of_file(other_file) == policy.checksum
+
+    def changed(change: Any) -> Policy:
+        (hidden, head), critic = policy.actor, policy.critic
+        return Policy("tanh", (hidden, (change(head[0]), head[1])), critic)
+
+    assert changed(lambda weight: weight.astype(">f4")).checksum == policy.checksum
+    others = [
+        tiny("relu"),
+        replace(policy, exploration=0.1),
+        replace(policy, exploration=0.0),
+        replace(policy, actor=policy.critic, critic=policy.actor),
+        replace(policy, scaling=Scaling(np.zeros(2), np.ones(2))),
+        changed(lambda weight: weight.T),  # the same bytes, of another shape
+        changed(lambda weight: weight.view(np.int32)),  # of another type
+        changed(lambda weight: np.where(weight == 0, np.float32(-0.0), weight)),
+        changed(lambda weight: np.nextafter(weight, np.float32(9))),
+    ]
+    assert len({policy.checksum, *(other.checksum for other in others)}) == 1 + len(others)
 
 
 # --- Outside ---------------------------------------------------------------------------------------

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, cast
 
+import llvmlite.binding
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,6 +20,7 @@ from pneuma.config import Run, as_fields, make_run
 from pneuma.store.provenance import Attempt, finished_provenance, machine, packages_of, project
 from pneuma.store.store import Store
 from pneuma.study.identity import run_id
+from pneuma.training.executors.local import worker_environment
 from pneuma.training.progress import START_SECONDS, expected_seconds, stored_paces
 
 from ..checkout import commit_all
@@ -46,6 +50,27 @@ def test_a_run_like_those_that_ended_takes_as_long_on_such_a_processor(tmp_path:
 
 
 # --- What produced a run ---------------------------------------------------------------------------
+
+
+def target_of_a_worker(*compiling: str) -> str:
+    """Return what a worker would keep as its target; it loads numba if that is asked for."""
+    code = f"{'; '.join(compiling)}\nfrom pneuma.store.provenance import machine\nprint(machine()['target'])"
+    command = [sys.executable, "-c", code]
+    return subprocess.check_output(command, env=worker_environment(), text=True).strip()
+
+
+def test_the_target_is_what_numba_compiles_for_and_variables_are_passed_by_name_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    compiling = "import numba"
+    own = target_of_a_worker(compiling)
+    assert own.split()[0] == llvmlite.binding.get_host_cpu_name()
+    assert target_of_a_worker() == "None"
+    monkeypatch.setenv("NUMBA_CPU_NAME", "x86-64")
+    monkeypatch.setenv("NUMBA_CPU_FEATURES", "+sse2")
+    assert target_of_a_worker(compiling) == own
+    monkeypatch.setenv("PNEUMA_PASS", "NUMBA_CPU_NAME,NUMBA_CPU_FEATURES")
+    assert target_of_a_worker(compiling) == "x86-64 +sse2 (set by NUMBA_CPU_NAME and NUMBA_CPU_FEATURES)"
 
 
 def test_a_study_has_its_commit_and_a_run_the_packages_of_its_modules(

@@ -86,6 +86,8 @@ def test_every_run_of_a_group_is_stored_as_it_ended(tmp_path: Path, monkeypatch:
         (SECOND, "diverged", 1, 512, 256),
     ]
     assert {row.config_id for row in rows} == {run_identity(RUNS[0]).config_id}
+    policy = read_sound_policy(store.read_file(FIRST, "policy.safetensors"))
+    assert [row.policy for row in rows] == [policy.checksum, None]
 
 
 def test_an_engine_that_breaks_is_a_crash_of_the_run_that_it_was_training(
