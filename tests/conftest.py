@@ -13,7 +13,7 @@ from pneuma.training.executors.local import worker_environment
 
 from .training_here import training_here
 
-# As workers do: on one thread each, since several share the cores, and keeping what JAX compiles for others.
+# As workers do: on one thread each, since several share the cores.
 os.environ.update(worker_environment())
 if "PYTHONPYCACHEPREFIX" in os.environ:  # as workers, commands that tests start keep byte code
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)

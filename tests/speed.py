@@ -30,7 +30,7 @@ from pneuma.env.sb3 import PneumaVecEnv
 from pneuma.env.worlds import Worlds
 from pneuma.presets import BASES
 from pneuma.store.provenance import machine
-from pneuma.training.executors.local import XLA_FLAGS, worker_environment
+from pneuma.training.executors.local import worker_environment
 
 ARENA, TEXT = "pneuma/PneumaArena-v0", "pneuma/Pneuma-v0"
 ROUNDS = 5
@@ -171,7 +171,7 @@ def starts() -> Iterator[Row]:
 
 def cold_seconds(code: str, caches: Path, times: int) -> list[float]:
     """Return the processor seconds of a program, run some times with caches of compiled programs there."""
-    where = {"NUMBA_CACHE_DIR": str(caches / "numba"), "JAX_COMPILATION_CACHE_DIR": str(caches / "jax")}
+    where = {"NUMBA_CACHE_DIR": str(caches)}
     return [child_seconds([sys.executable, "-c", code], where) for _ in range(times)]
 
 
@@ -183,6 +183,6 @@ def child_seconds(command: list[str], variables: dict[str, str]) -> float:
 
 
 if __name__ == "__main__":
-    if os.environ.get("XLA_FLAGS") != XLA_FLAGS:  # as a worker, on one thread
+    if os.environ.get("OMP_NUM_THREADS") != "1":  # as a worker, on one thread
         os.execve(sys.executable, [sys.executable, "-m", "tests.speed", *sys.argv[1:]], worker_environment())
     main()

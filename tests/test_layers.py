@@ -136,7 +136,7 @@ COMMAND_WORDS = {
     "--world", "--set=", "--results", "--preset", "--condition", "--seeds", "--steps", "--unpublished",
 }  # fmt: skip
 """Options in commands to copy, each a text of its own."""
-OPTIONS_OF_OTHERS = {"pneuma.store.provenance": "git", "pneuma.training.executors.local": "XLA"}
+OPTIONS_OF_OTHERS = {"pneuma.store.provenance": "git"}
 
 
 def _texts(path: Path) -> Iterator[tuple[int, str]]:

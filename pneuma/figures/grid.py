@@ -186,7 +186,9 @@ def fill(axes: Axes, panel: Panel, width: float, row_inches: float = ROW_INCHES)
         label_rows(axes, panel.rows, row_inches)
     title_points = FontProperties(size=mpl.rcParams["axes.titlesize"]).get_size_in_points()
     title = textwrap.fill(panel.title, characters(1.2 * title_points, width))  # bold letters are wider
-    axes.set(title=title, xlabel=panel.x, ylabel=panel.y)
+    axes.set_title(title)
+    axes.xaxis.set_label_text(panel.x)
+    axes.yaxis.set_label_text(panel.y)
 
 
 def _format_axis(axis: Axis, axis_kind: str, most_ticks: int) -> None:

@@ -165,7 +165,8 @@ def _importances(record: Record) -> Axes:
     )
     names = [tick_label.get_text().replace("_", " ") for tick_label in axes.get_yticklabels()]
     axes.set_yticks(axes.get_yticks(), names)
-    axes.set(xlabel="Importance", ylabel="")
+    axes.xaxis.set_label_text("Importance")
+    axes.yaxis.set_label_text("")
     return axes
 
 
@@ -193,7 +194,7 @@ def _slices(record: Record) -> Any:
     panel_grid = figure.add_gridspec(row_count, min(COLUMNS, len(panels)))
     lines_by_table: dict[str, Any] = {}
     for position, axes in enumerate(panels):
-        parameter, has_choices = axes.get_xlabel(), axes.xaxis.have_units()
+        parameter, has_choices = axes.xaxis.get_label_text(), axes.xaxis.have_units()
         for _, base in _tables(record):
             params = record.search.params_of(base)
             if parameter in params:
@@ -207,7 +208,8 @@ def _slices(record: Record) -> Any:
         row, column = divmod(position, COLUMNS)
         axes.set_subplotspec(panel_grid[row, column])
         axes.tick_params(labelleft=column == 0)
-        axes.set(xlabel=parameter.replace("_", " "), ylabel="")
+        axes.xaxis.set_label_text(parameter.replace("_", " "))
+        axes.yaxis.set_label_text("")
         if has_choices:
             choices = [tick_label.get_text().strip("'[]\"") for tick_label in axes.get_xticklabels()]
             look: Any = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"}

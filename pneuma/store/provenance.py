@@ -20,7 +20,7 @@ from pneuma.config import Run, as_fields
 from pneuma.study.identity import own_names
 
 PACKAGES = (
-    "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "numba", "jax", "jaxlib", "pyarrow",
+    "torch", "stable-baselines3", "sb3-contrib", "gymnasium", "numpy", "numba", "llvmlite", "pyarrow",
 )  # fmt: skip
 SIMULATORS = ("Box2D", "mujoco", "ale_py")
 """Modules in which Gymnasium's environments are simulated."""
@@ -106,7 +106,7 @@ def machine() -> dict[str, Any]:
         "cpu": _cpu(),
         "target": _target(),
         "cores": os.cpu_count(),
-        "device": _device(),
+        "device": "cpu",
     }
 
 
@@ -120,14 +120,6 @@ def available_cores() -> int:
         return min(cores, max(1, math.ceil(quota / period)))
     except (OSError, ValueError, ZeroDivisionError):  # no container, or one without a limit
         return cores
-
-
-def _device() -> str:
-    """Return the device that JAX uses in this process; the processor if JAX was not loaded."""
-    jax = sys.modules.get("jax")
-    if jax is None or jax.default_backend() == "cpu":
-        return "cpu"
-    return f"{jax.default_backend()}: {jax.devices()[0].device_kind}"
 
 
 def _target() -> str | None:

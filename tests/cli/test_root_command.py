@@ -44,7 +44,7 @@ def test_a_variable_that_numba_cannot_read_is_one_line(threads: str, monkeypatch
     assert f"NUMBA_NUM_THREADS = {threads} is not allowed" in refused("--version")
 
 
-HEAVY = ["torch", "jax", "numba", "pandas", "matplotlib", "optuna"]
+HEAVY = ["torch", "numba", "pandas", "matplotlib", "optuna"]
 MAIN = "from pneuma.cli import main; assert main({}) == 0"
 
 

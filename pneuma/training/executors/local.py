@@ -48,17 +48,12 @@ PASSED_VARIABLES = (
     "PATH", "HOME", "USER", "LOGNAME", "SHELL", "LANG", "TZ", "TMPDIR", "VIRTUAL_ENV", "CONDA_PREFIX",
     "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "PYTHONDONTWRITEBYTECODE", "PYTHONPYCACHEPREFIX",
     "DISPLAY", "WAYLAND_DISPLAY", "XAUTHORITY", "MUJOCO_GL", "PYOPENGL_PLATFORM",
-    "CUDA_VISIBLE_DEVICES", "CUDA_DEVICE_ORDER", "NVIDIA_VISIBLE_DEVICES", "JAX_PLATFORMS",
-    "XLA_PYTHON_CLIENT_MEM_FRACTION", "XLA_PYTHON_CLIENT_ALLOCATOR", "NUMBA_CACHE_DIR",
+    "CUDA_VISIBLE_DEVICES", "CUDA_DEVICE_ORDER", "NVIDIA_VISIBLE_DEVICES", "NUMBA_CACHE_DIR",
 )  # fmt: skip
 """The shell's variables that workers get: they name folders and devices, and do not change numbers."""
 PASSED_PREFIXES = ("LC_", "XDG_", "SDL_", "PNEUMA_")
 ALSO_PASSED = "PNEUMA_PASS"
 """A variable with the names of others that the user's own code reads, separated by commas."""
-XLA_FLAGS = (
-    "--xla_cpu_multi_thread_eigen=false --xla_gpu_deterministic_ops=true "
-    "intra_op_parallelism_threads=1"  # the last: it reads no flag after a word without dashes
-)
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -359,12 +354,6 @@ def worker_environment() -> dict[str, str]:
     if os.environ.get("PYTHONPATH"):
         import_path += os.pathsep + os.environ["PYTHONPATH"]
     fixed_variables = {
-        "NPROC": "1",  # the size of XLA's pool of threads; its flags alone do not limit it
-        "XLA_FLAGS": XLA_FLAGS,
-        "JAX_DEFAULT_MATMUL_PRECISION": "highest",  # float32 on a GPU, too
-        "XLA_PYTHON_CLIENT_PREALLOCATE": "false",  # workers share a GPU
-        "JAX_COMPILATION_CACHE_DIR": str(_cache() / "jax"),  # compiled once for all workers
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "PYTHONHASHSEED": "0",  # a user's own code may iterate over sets
         "PYTHONPATH": import_path,
     }
