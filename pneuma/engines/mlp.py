@@ -15,7 +15,8 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-from llvmlite import ir
+from llvmlite import binding, ir
+from numba.core import types
 from numba.core.codegen import get_host_cpu_features
 
 from pneuma.env.compiling import (
@@ -26,8 +27,10 @@ from pneuma.env.compiling import (
     typed_double,
     typed_float,
     typed_intrinsic,
+    typed_pointer,
     typed_void,
 )
+from pneuma.env.compiling import kernel as inner
 
 LEAKY_SLOPE = 0.01
 """Slope of LeakyReLU below zero (thesis section 6.2)."""
@@ -143,17 +146,24 @@ def make_scratch(widths: Any, row_count: int) -> Any:
     return np.zeros(total, np.float32), starts
 
 
-@kernel
-def copy_rows(observations: Any, indices: Any, scratch: Any) -> None:
-    """Copy rows of observations into the inputs of `make_scratch`'s memory."""
-    features = observations.shape[1]
-    for row in range(len(indices)):
-        start = row * row_length(features)
+@inner
+def copy_rows(observations: Any, scratch: Any) -> None:
+    """Copy observations, (N, features), into the inputs of `make_scratch`'s memory."""
+    rows, features = observations.shape
+    for row in range(rows):
         for i in range(features):
-            scratch[start + i] = observations[indices[row], i]
+            scratch[row * row_length(features) + i] = observations[row, i]
 
 
-@kernel
+@inner
+def widest_layer(widths: Any) -> int:
+    widest = 0
+    for layer in range(1, len(widths)):
+        widest = max(widest, widths[layer])
+    return widest
+
+
+@inner
 def forward(weights: Any, widths: Any, activation: int, row_count: int, scratch: Any, starts: Any) -> int:
     """Compute all layers' outputs for the first rows of inputs in `make_scratch`'s memory.
 
@@ -176,10 +186,10 @@ def forward(weights: Any, widths: Any, activation: int, row_count: int, scratch:
         length = row_length(outputs)
         multiply(
             row_count, -(-outputs // COLUMNS),
-            scratch, starts[layer], row_length(inputs), 1, 0, inputs,
-            weights, start + COLUMNS, panel, COLUMNS,
-            weights, start, panel,
-            scratch, starts[layer + 1], COLUMNS, length, False,
+            scratch.ctypes, starts[layer], row_length(inputs), 1, 0, inputs,
+            weights.ctypes, start + COLUMNS, panel, COLUMNS,
+            weights.ctypes, start, panel,
+            scratch.ctypes, starts[layer + 1], COLUMNS, length, False,
         )  # fmt: skip
         start += -(-outputs // COLUMNS) * panel
         if layer < last:
@@ -194,7 +204,7 @@ def values_of(critic: Network, observations: np.ndarray) -> np.ndarray:
     return outputs_of(critic.weights[0], critic.widths, critic.activation, observations)[:, 0]
 
 
-@kernel
+@inner
 def note_dead(activation: int, widths: Any, rows: int, scratch: Any, starts: Any, is_dead: Any) -> None:
     """Clear the mark of each hidden unit, (layers, units), that one of some rows of outputs shows is alive.
 
@@ -217,7 +227,7 @@ def outputs_of(weights: Any, widths: Any, activation: int, observations: Any) ->
     results = np.empty((count, outputs), np.float32)
     for first in range(0, count, ROWS_TOGETHER):
         rows = min(ROWS_TOGETHER, count - first)
-        copy_rows(observations, np.arange(first, first + rows), scratch)
+        copy_rows(observations[first : first + rows], scratch)
         start = forward(weights, widths, activation, rows, scratch, starts)
         for row in range(rows):
             for j in range(outputs):
@@ -226,25 +236,27 @@ def outputs_of(weights: Any, widths: Any, activation: int, observations: Any) ->
 
 
 @kernel
-def dead_units(weights: Any, widths: Any, activation: int, observations: Any) -> int:
-    """Return how many hidden units of one policy's network are dead over observations, (N, features)."""
+def dead_units(weights: Any, widths: Any, activation: int, observations: Any) -> Any:
+    """Return how many hidden units of a network are dead over observations, and how many it has."""
     scratch, starts = make_scratch(widths, ROWS_TOGETHER)
-    is_dead = np.ones((len(widths), widths.max()), np.bool_)
+    is_dead = np.ones((len(widths), widest_layer(widths)), np.bool_)
     for first in range(0, len(observations), ROWS_TOGETHER):
         rows = min(ROWS_TOGETHER, len(observations) - first)
-        copy_rows(observations, np.arange(first, first + rows), scratch)
+        copy_rows(observations[first : first + rows], scratch)
         forward(weights, widths, activation, rows, scratch, starts)
         note_dead(activation, widths, rows, scratch, starts, is_dead)
     return count_dead(widths, is_dead)
 
 
-@kernel
-def count_dead(widths: Any, is_dead: Any) -> int:
-    """Return how many units of the hidden layers are still marked."""
-    count = 0
+@inner
+def count_dead(widths: Any, is_dead: Any) -> Any:
+    """Return how many units of the hidden layers are still marked, and how many there are."""
+    dead_count, unit_count = 0, 0
     for layer in range(1, len(widths) - 1):
-        count += is_dead[layer, : widths[layer]].sum()
-    return count
+        unit_count += widths[layer]
+        for unit in range(widths[layer]):
+            dead_count += is_dead[layer, unit]
+    return dead_count, unit_count
 
 
 # --- Products ------------------------------------------------------------------------------------
@@ -285,15 +297,11 @@ def _tile(rows: int, panels: int, reads_across: bool) -> Any:
             first, first_start, first_panel, c, c_start, c_panel, c_row,
         ) = arguments  # fmt: skip
 
-        def data_of(position: int, value: Any) -> Any:
-            return typed_arrays.make_array(signature.args[position])(context, builder, value).data
-
-        a_data, b_data, first_data, c_data = data_of(0, a), data_of(6, b), data_of(10, first), data_of(13, c)
         one = a_distance.type(1)
         a_row, a_step = (one, a_distance) if reads_across else (a_distance, one)
 
-        def vector_at(data: Any, index: Any) -> Any:
-            return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
+        def vector_at(pointer: Any, index: Any) -> Any:
+            return builder.bitcast(builder.gep(pointer, [index]), vector.as_pointer())
 
         def moved(start: Any, distance: Any, times: Any) -> Any:
             return builder.add(start, builder.mul(distance, times))
@@ -305,7 +313,7 @@ def _tile(rows: int, panels: int, reads_across: bool) -> Any:
         fused = typed_codegen.get_or_insert_function(builder.module, fused_type, f"llvm.fma.v{COLUMNS}f32")
         sums = []
         for panel_start in starts(first_start, first_panel, panels):
-            begin = builder.load(vector_at(first_data, panel_start), align=4)
+            begin = builder.load(vector_at(first, panel_start), align=4)
             sums.append([typed_codegen.alloca_once_value(builder, begin) for _ in range(rows)])
         row_starts, panel_starts = starts(a_start, a_row, rows), starts(b_start, b_panel, panels)
         with typed_codegen.for_range(builder, a_blocks) as blocks:
@@ -315,10 +323,10 @@ def _tile(rows: int, panels: int, reads_across: bool) -> Any:
                 step = builder.add(first_step, loop.index)
                 factors = []
                 for panel_start in panel_starts:
-                    factors.append(builder.load(vector_at(b_data, moved(panel_start, b_step, step)), align=4))
+                    factors.append(builder.load(vector_at(b, moved(panel_start, b_step, step)), align=4))
                 offset = moved(block_start, a_step, loop.index)
                 for row, row_start in enumerate(row_starts):
-                    value = builder.load(builder.gep(a_data, [builder.add(row_start, offset)]))
+                    value = builder.load(builder.gep(a, [builder.add(row_start, offset)]))
                     single = builder.insert_element(vector(ir.Undefined), value, ir.IntType(32)(0))
                     values = builder.shuffle_vector(single, single, everywhere)
                     for factor, panel_sums in zip(factors, sums, strict=True):
@@ -326,7 +334,7 @@ def _tile(rows: int, panels: int, reads_across: bool) -> Any:
                         builder.store(builder.call(fused, [values, factor, builder.load(total)]), total)
         for panel_start, panel_sums in zip(starts(c_start, c_panel, panels), sums, strict=True):
             for row_start, total in zip(starts(panel_start, c_row, rows), panel_sums, strict=True):
-                builder.store(builder.load(total), vector_at(c_data, row_start), align=4)
+                builder.store(builder.load(total), vector_at(c, row_start), align=4)
         return context.get_dummy_value()
 
     @typed_intrinsic
@@ -346,11 +354,10 @@ def _tile(rows: int, panels: int, reads_across: bool) -> Any:
 
 
 def _product(reads_across: bool) -> Any:
-    """Return `multiply`, or `multiply_across`."""
+    """Return the Python function of `multiply`, or `multiply_across`."""
     whole_tile, one_panel = _tile(TILE_ROWS, TILE_PANELS, reads_across), _tile(TILE_ROWS, 1, reads_across)
     few_rows, one_row = _tile(FEW_ROWS, 1, reads_across), _tile(1, 1, reads_across)
 
-    @kernel
     def product(
         rows: int, panels: int,
         a: Any, a_start: int, a_distance: int, a_blocks: int, a_block: int, steps: int,
@@ -395,10 +402,26 @@ def _product(reads_across: bool) -> Any:
     return product
 
 
-multiply, multiply_across = _product(False), _product(True)
+def _compiled_product(symbol: str, product: Any) -> Any:
+    """Compile or load a product; return it for compiled functions, which call it by its symbol.
+
+    Inlined it would be compiled again with each of them.
+    """
+    matrix, number = typed_pointer(types.float32), types.int64
+    signature = types.void(
+        number, number, matrix, number, number, number, number, number, matrix, number, number, number,
+        matrix, number, number, matrix, number, number, number, types.boolean,
+    )  # fmt: skip
+    compile_product = cached(signature, using=numba.cfunc, error_model="numpy", _nrt=False)
+    binding.add_symbol(symbol, compile_product(product).address)
+    return types.ExternalFunction(symbol, signature)
+
+
+multiply = _compiled_product("pneuma_multiply", _product(reads_across=False))
+multiply_across = _compiled_product("pneuma_multiply_across", _product(reads_across=True))
 """Write a product of matrices, panel by panel of `COLUMNS` columns, each number summed in one order.
 
-All matrices lie in one-dimensional arrays. With k = block * steps + step:
+All matrices lie in one-dimensional arrays, which are given by `array.ctypes`. With k = block * steps + step:
 
     c[panel, row, 0:16] = first[panel, 0:16] + sum over blocks, steps of a[row, k] * b[panel, k, 0:16]
 
@@ -421,7 +444,7 @@ SPAN = 64
 """Numbers that `sum_of_squares` adds at once: as many sums, in an order that no processor changes."""
 
 
-@kernel
+@inner
 def square_of_norm(numbers: Any) -> float:
     """Return the square of the L2 norm of numbers, whose count is a multiple of `COLUMNS`."""
     total = 0.0
@@ -462,7 +485,7 @@ def _sum_of_squares(typing: Any, numbers: Any, start: Any, spans: Any) -> Any:
     return typed_double(numbers, start, spans), generate
 
 
-@kernel
+@inner
 def transpose(a: Any, row_blocks: int, column_blocks: int, a_row: int, b: Any, b_row: int) -> None:
     """Write the rows of `a` as columns of `b`, in blocks of `COLUMNS` rows and columns."""
     for row in range(0, row_blocks * COLUMNS, COLUMNS):
@@ -603,7 +626,7 @@ def exp(x: Any) -> Any:
 # --- Actions -------------------------------------------------------------------------------------
 
 
-@kernel
+@inner
 def sample(logits: Any, draw: Any) -> int:
     """Sample an action from the softmax of logits, by a number in [0, 1); they are overwritten."""
     highest = logits[most_probable(logits)]
@@ -628,7 +651,7 @@ def sample_rows(logits: Any, draws: Any) -> Any:
     return actions
 
 
-@kernel
+@inner
 def most_probable(logits: Any) -> int:
     """Return the index of the greatest logit, the first one of equal ones."""
     best_action = 0
@@ -655,8 +678,9 @@ def choose(network: Any, observations: Any, draws: Any, is_playing: Any, actions
         for row in range(policy, len(is_playing), policies):
             if is_playing[row]:
                 playing_rows[playing_count] = row
+                for i in range(widths[0]):
+                    scratch[playing_count * row_length(widths[0]) + i] = observations[row, i]
                 playing_count += 1
-        copy_rows(observations, playing_rows[:playing_count], scratch)
         outputs_start = forward(weights[policy], widths, activation, playing_count, scratch, starts)
         for k in range(playing_count):
             row, start = playing_rows[k], outputs_start + k * row_length(action_count)

@@ -340,6 +340,6 @@ def dead_share(policy: Policy, observations: np.ndarray) -> float:
     for layers in (policy.actor, policy.critic):
         if layers:
             weights, widths, activation = network(layers, policy.activation)
-            dead_count += dead_units(weights[0], widths, activation, rows)
-            unit_count += int(widths[1:-1].sum())
+            dead, units = dead_units(weights[0], widths, activation, rows)
+            dead_count, unit_count = dead_count + dead, unit_count + units
     return dead_count / unit_count

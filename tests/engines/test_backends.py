@@ -58,7 +58,7 @@ def test_a_unit_is_dead_at_the_outputs_that_its_activation_has(activation: str) 
     """A network of one hidden unit, whose input is what its activation gets."""
     layers = ((np.ones((1, 1), np.float32), np.zeros(1, np.float32)),) * 2
     weights, widths, code = mlp.network(layers, activation)
-    is_dead = [mlp.dead_units(weights[0], widths, code, np.full((3, 1), x)) == 1 for x in INPUTS]
+    is_dead = [mlp.dead_units(weights[0], widths, code, np.full((3, 1), x)) == (1, 1) for x in INPUTS]
     assert tuple(INPUTS[is_dead].tolist()) == DEAD[activation]
 
 

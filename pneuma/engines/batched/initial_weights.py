@@ -14,6 +14,7 @@ import numpy as np
 from pneuma.config import Run, stream_seed
 from pneuma.engines.mlp import Layers
 from pneuma.env.compiling import cached
+from pneuma.env.compiling import kernel as inner
 
 HIDDEN_GAIN, ACTOR_GAIN, CRITIC_GAIN = math.sqrt(2), 0.01, 1.0
 """Gains of the initial weights, as in Stable-Baselines3."""
@@ -128,7 +129,7 @@ def mix(key: Any, counter: Any) -> Any:
     return bits ^ (bits >> np.uint64(31))
 
 
-@kernel
+@inner
 def _uniform(key: Any, counter: Any) -> float:
     """Return a number in [-1, 1), of 53 random bits."""
     return np.float64(np.int64(mix(key, counter) >> np.uint64(11))) * 2.0**-52 - 1.0

@@ -15,6 +15,7 @@ import numpy as np
 from pneuma.engines.batched.initial_weights import draw_normal, mix
 from pneuma.engines.mlp import COLUMNS, exp
 from pneuma.env.compiling import cached
+from pneuma.env.compiling import kernel as inner
 
 kernel: Any = cached(error_model="numpy")
 
@@ -27,7 +28,7 @@ class OptimizerState(NamedTuple):
     """What an optimizer keeps.
 
     Attributes:
-        kept: (numbers, weights) float32; of Adam the mean and the mean square of gradients; of SGD the
+        kept: (numbers * weights,) float32; of Adam the mean and the mean square of gradients; of SGD the
             momentum; of RMSProp the mean square and the momentum; of UPGD as Adam's, and the utility.
         powers: (3,) float64, beta 1, beta 2 and the decay of UPGD's utility, to the power of the steps.
         steps: (1,) int64, steps taken.
@@ -40,7 +41,7 @@ class OptimizerState(NamedTuple):
 
 def initial_state(optimizer: str, weights: int) -> OptimizerState:
     _, kept_numbers = OPTIMIZERS[optimizer]
-    return OptimizerState(np.zeros((kept_numbers, weights), np.float32), np.ones(3), np.zeros(1, np.int64))
+    return OptimizerState(np.zeros(kept_numbers * weights, np.float32), np.ones(3), np.zeros(1, np.int64))
 
 
 @kernel
@@ -63,22 +64,26 @@ def take_step(
     powers[0] *= numbers.beta_1
     powers[1] *= numbers.beta_2
     powers[2] *= numbers.utility_decay
+    count = len(weights)
     for network in range(2):
-        start, stop = (0, actor_size) if network == 0 else (actor_size, len(weights))
-        w, g, factor = weights[start:stop], gradient[start:stop], factors[network]
+        start, stop, factor = 0, actor_size, factors[0]
+        if network == 1:
+            start, stop, factor = actor_size, count, factors[1]
+        w, g = weights[start:stop], gradient[start:stop]
+        first, second = kept[start:stop], kept[count + start : count + stop]
         if numbers.optimizer == ADAM:
-            _adam(w, g, factor, kept[0, start:stop], kept[1, start:stop], powers, numbers)
+            _adam(w, g, factor, first, second, powers, numbers)
         elif numbers.optimizer == SGD:
-            _sgd(w, g, factor, kept[0, start:stop], steps[0] == 1, numbers)
+            _sgd(w, g, factor, first, steps[0] == 1, numbers)
         elif numbers.optimizer == RMSPROP:
-            _rmsprop(w, g, factor, kept[0, start:stop], kept[1, start:stop], numbers)
+            _rmsprop(w, g, factor, first, second, numbers)
         else:
-            _remember(w, g, factor, kept[0, start:stop], kept[1, start:stop], kept[2, start:stop], numbers)
+            _remember(w, g, factor, first, second, kept[2 * count + start : 2 * count + stop], numbers)
     if numbers.optimizer == UPGD:
         _upgd(weights, kept, powers, steps[0], numbers, panels)
 
 
-@kernel
+@inner
 def _adam(
     weights: Any, gradient: Any, factor: Any, mean: Any, square: Any, powers: Any, numbers: Any
 ) -> None:
@@ -96,7 +101,7 @@ def _adam(
         weights[i] -= rate * m / (math.sqrt(v) * scale + epsilon)
 
 
-@kernel
+@inner
 def _sgd(weights: Any, gradient: Any, factor: Any, momentum: Any, is_first: bool, numbers: Any) -> None:
     """Gradient descent with momentum; as in torch, the first step does not dampen the gradient."""
     rate, decay = np.float32(numbers.learning_rate), np.float32(numbers.weight_decay)
@@ -109,7 +114,7 @@ def _sgd(weights: Any, gradient: Any, factor: Any, momentum: Any, is_first: bool
         weights[i] -= rate * momentum[i]
 
 
-@kernel
+@inner
 def _rmsprop(weights: Any, gradient: Any, factor: Any, square: Any, momentum: Any, numbers: Any) -> None:
     """RMSProp with momentum; as in torch, epsilon is outside the root."""
     rate, decay = np.float32(numbers.learning_rate), np.float32(numbers.weight_decay)
@@ -126,7 +131,7 @@ def _rmsprop(weights: Any, gradient: Any, factor: Any, square: Any, momentum: An
 # --- UPGD ------------------------------------------------------------------------------------------
 
 
-@kernel
+@inner
 def _remember(
     weights: Any, gradient: Any, factor: Any, mean: Any, square: Any, utility: Any, numbers: Any
 ) -> None:
@@ -159,7 +164,8 @@ def _upgd(weights: Any, kept: Any, powers: Any, step: int, numbers: Any, panels:
     being added to the gradient. Here α is the learning rate, β `utility_decay` and σ `noise`. The noise is
     keyed by the run and the number of the step.
     """
-    mean, square, utility = kept[0], kept[1], kept[2]
+    count = len(weights)
+    mean, square, utility = kept[:count], kept[count : 2 * count], kept[2 * count :]
     highest = -np.float32(np.inf)
     for panel in range(len(panels)):
         start, rows, columns = panels[panel]

@@ -40,8 +40,10 @@ from pneuma.engines.mlp import (
     scale_by_slopes,
     square_of_norm,
     transpose,
+    widest_layer,
 )
 from pneuma.env.compiling import DIGEST, cached
+from pneuma.env.compiling import kernel as inner
 
 kernel: Any = cached(error_model="numpy")
 
@@ -126,10 +128,10 @@ def evaluate_rollout(
         own_weights = weights[:actor_size] if is_actor else weights[actor_size:]
         count = len(actions) if is_actor else len(observations)
         scratch, starts = make_scratch(widths, ROWS_TOGETHER)
-        is_dead = np.ones((len(widths), widths.max()), np.bool_)
+        is_dead = np.ones((len(widths), widest_layer(widths)), np.bool_)
         for first in range(0, count, ROWS_TOGETHER):
             rows = min(ROWS_TOGETHER, count - first)
-            copy_rows(observations, np.arange(first, first + rows), scratch)
+            copy_rows(observations[first : first + rows], scratch)
             outputs = forward(own_weights, widths, run_numbers.activation, rows, scratch, starts)
             for row in range(rows):
                 at = outputs + row * row_length(widths[-1])
@@ -141,12 +143,13 @@ def evaluate_rollout(
                     values[first + row] = scratch[at]
             learning_rows = max(min(rows, len(actions) - first), 0)
             note_dead(run_numbers.activation, widths, learning_rows, scratch, starts, is_dead)
-        units += widths[1:-1].sum()
-        dead_units += count_dead(widths, is_dead)
+        dead_count, unit_count = count_dead(widths, is_dead)
+        dead_units += dead_count
+        units += unit_count
     return log_probabilities, values, dead_units / units
 
 
-@kernel
+@inner
 def _log_sum_of_exponentials(logits: Any) -> Any:
     highest = logits[most_probable(logits)]
     total = np.float32(0)
@@ -208,12 +211,14 @@ def learn(
     critic_scratch, critic_rows = make_scratch(critic_widths, minibatch)
     memory = _make_backward_memory(actor_widths, critic_widths, minibatch)
     factors = np.empty(2, np.float32)
-    totals, last_epochs_kl, step_metrics = np.zeros(len(METRICS)), 0.0, np.zeros(len(METRICS))
+    means, step_metrics = np.zeros(len(METRICS)), np.zeros(len(METRICS))
     batches = -(-count // minibatch)
     for epoch in range(epochs):
         for first in range(0, count, minibatch):
             indices = orders[epoch, first : first + minibatch]
-            copy_rows(observations, indices, actor_scratch)
+            for row in range(len(indices)):
+                for i in range(features):
+                    actor_scratch[row * row_length(features) + i] = observations[indices[row], i]
             for i in range(len(indices) * row_length(features)):
                 critic_scratch[i] = actor_scratch[i]
             logits = forward(actor_weights, actor_widths, activation, len(indices), actor_scratch, actor_rows)
@@ -225,7 +230,6 @@ def learn(
                 critic_scratch,
                 critic_rows,
             )
-            step_metrics[:] = 0.0
             _policy_loss(
                 actor_scratch, logits, actor_widths[-1], indices, actions, old_logs, advantages, run_numbers,
                 memory[0], step_metrics,
@@ -241,15 +245,15 @@ def learn(
             )  # fmt: skip
             _clip(actor_gradient, critic_gradient, run_numbers, factors, step_metrics)
             take_step(weights, gradient, state, run_numbers, actor_size, factors, panels)
-            totals += step_metrics
-            if epoch == epochs - 1:
-                last_epochs_kl += step_metrics[KL]
-    totals /= epochs * batches
-    totals[KL] = last_epochs_kl / batches
-    return totals
+            for metric in range(len(METRICS)):
+                if metric != KL:
+                    means[metric] += step_metrics[metric] / (epochs * batches)
+                elif epoch == epochs - 1:
+                    means[metric] += step_metrics[metric] / batches
+    return means
 
 
-@kernel
+@inner
 def _policy_loss(
     scratch: Any, start: int, action_count: int, indices: Any, actions: Any, old_logs: Any, advantages: Any,
     numbers: Any, gradient: Any, metrics: Any,
@@ -264,77 +268,82 @@ def _policy_loss(
     mean, deviation = 0.0, 1.0
     if numbers.normalizes and count > 1:
         mean, deviation = _mean_and_deviation(advantages, indices)
+    loss, total_entropy, clipped_count, divergence = 0.0, 0.0, 0, 0.0
     for row in range(count):
         at, index = start + row * length, indices[row]
         logits, slopes = scratch[at : at + action_count], gradient[row * length : (row + 1) * length]
-        advantage = np.float32((advantages[index] - mean) / deviation)
         highest = logits[most_probable(logits)]
         total = np.float32(0)
         for j in range(action_count):
             slopes[j] = exp(logits[j] - highest)
             total += slopes[j]
         log_sum = highest + np.float32(log(np.float64(total)))
-        negative_entropy = np.float32(0)
+        entropy = np.float32(0)
         for j in range(action_count):
             slopes[j] /= total  # the probability
-            negative_entropy += slopes[j] * (logits[j] - log_sum)
+            entropy -= slopes[j] * (logits[j] - log_sum)
         action = actions[index]
+        advantage = np.float32((advantages[index] - mean) / deviation)
         difference = logits[action] - log_sum - old_logs[index]
         ratio = exp(difference) if difference < 88 else np.float32(np.inf)
         clipped = min(max(ratio, one - clip_range), one + clip_range)
         gain, clipped_gain = advantage * ratio, advantage * clipped
         pull = -gain * share if gain <= clipped_gain or ratio == clipped else np.float32(0)
         for j in range(action_count):
-            slopes[j] *= entropy_share * (logits[j] - log_sum - negative_entropy) - pull
+            slopes[j] *= entropy_share * (logits[j] - log_sum + entropy) - pull
         slopes[action] += pull
         for j in range(action_count, length - COLUMNS):  # up to the end of the last panel
             slopes[j] = 0
-        metrics[0] -= min(gain, clipped_gain)
-        metrics[2] -= negative_entropy
-        metrics[3] += abs(ratio - one) > clip_range
-        metrics[4] += ratio - one - difference
-    metrics[:5] /= count
+        loss -= min(gain, clipped_gain)
+        total_entropy += entropy
+        clipped_count += abs(ratio - one) > clip_range
+        divergence += ratio - one - difference
+    metrics[0], metrics[2], metrics[3] = loss / count, total_entropy / count, clipped_count / count
+    metrics[KL] = divergence / count
 
 
-@kernel
+@inner
 def _mean_and_deviation(numbers: Any, indices: Any) -> Any:
     """Return the mean of some numbers, and what they are divided by: their sample deviation and 1e-8."""
     mean, square = 0.0, 0.0
-    for index in indices:
-        mean += numbers[index]
+    for i in range(len(indices)):
+        mean += numbers[indices[i]]
     mean /= len(indices)
-    for index in indices:
-        square += (numbers[index] - mean) ** 2
+    for i in range(len(indices)):
+        square += (numbers[indices[i]] - mean) ** 2
     return mean, math.sqrt(square / (len(indices) - 1)) + 1e-8
 
 
-@kernel
+@inner
 def _value_loss(
     scratch: Any, start: int, indices: Any, returns: Any, numbers: Any, gradient: Any, metrics: Any
 ) -> None:
     """Write the gradient of a minibatch's value loss by its values, and the metric."""
     count, length = len(indices), row_length(1)
     share = np.float32(2.0 * numbers.value_coefficient / count)
+    loss = 0.0
     for row in range(count):
         difference = scratch[start + row * length] - returns[indices[row]]
         gradient[row * length] = share * difference
         for j in range(1, COLUMNS):
             gradient[row * length + j] = 0
-        metrics[1] += difference * difference / count
+        loss += difference * difference
+    metrics[1] = loss / count
 
 
 @kernel
 def _make_backward_memory(actor_widths: Any, critic_widths: Any, minibatch: int) -> Any:
-    """Return memory for the gradients of two neighbouring layers' outputs, for both transposed, and ones."""
-    widest = max(actor_widths[1:].max(), critic_widths[1:].max())
+    """Return memory for gradients of two neighbouring layers, for both transposed, ones and zeros."""
+    widest = max(widest_layer(actor_widths), widest_layer(critic_widths))
     rows, columns = -(-minibatch // COLUMNS) * COLUMNS, row_length(widest)
     return (
         np.zeros(rows * columns, np.float32), np.zeros(columns * rows, np.float32),
         np.zeros(columns * rows, np.float32), np.ones(rows, np.float32),
+        np.zeros(COLUMNS, np.float32),
     )  # fmt: skip
 
 
-@kernel
+@inner
 def _backward(
     weights: Any, gradient: Any, widths: Any, starts: Any, activation: int, rows: int, scratch: Any,
     row_starts: Any, memory: Any,
@@ -352,8 +361,7 @@ def _backward(
         row_starts: where each layer's outputs begin in it.
         memory: of `_make_backward_memory`; its contents are overwritten.
     """
-    slopes, across, inputs_across, ones = memory
-    no_sums = np.zeros(COLUMNS, np.float32)
+    slopes, across, inputs_across, ones, zeros = memory
     columns = -(-rows // COLUMNS) * COLUMNS
     for layer in range(len(widths) - 2, -1, -1):
         inputs, outputs, start = widths[layer], widths[layer + 1], starts[layer]
@@ -361,18 +369,18 @@ def _backward(
         # biases: (1, rows) ones times (rows, outputs)
         multiply(
             1, panels,
-            ones, 0, 0, 1, 0, rows,
-            slopes, 0, COLUMNS, length,
-            no_sums, 0, 0,
-            gradient, start, panel, 0, False,
+            ones.ctypes, 0, 0, 1, 0, rows,
+            slopes.ctypes, 0, COLUMNS, length,
+            zeros.ctypes, 0, 0,
+            gradient.ctypes, start, panel, 0, False,
         )  # fmt: skip
         # weights: (inputs, rows) times (rows, outputs)
         multiply_across(
             inputs, panels,
-            scratch, row_starts[layer], row_length(inputs), 1, 0, rows,
-            slopes, 0, COLUMNS, length,
-            no_sums, 0, 0,
-            gradient, start + COLUMNS, panel, COLUMNS, False,
+            scratch.ctypes, row_starts[layer], row_length(inputs), 1, 0, rows,
+            slopes.ctypes, 0, COLUMNS, length,
+            zeros.ctypes, 0, 0,
+            gradient.ctypes, start + COLUMNS, panel, COLUMNS, False,
         )  # fmt: skip
         if layer == 0:
             return
@@ -380,10 +388,10 @@ def _backward(
         transpose(slopes, columns // COLUMNS, panels, length, across, columns)
         multiply(
             inputs, columns // COLUMNS,
-            weights, start + COLUMNS, COLUMNS, panels, panel, COLUMNS if outputs > COLUMNS else outputs,
-            across, 0, COLUMNS, columns,
-            no_sums, 0, 0,
-            inputs_across, 0, COLUMNS, columns, True,
+            weights.ctypes, start + COLUMNS, COLUMNS, panels, panel, min(outputs, COLUMNS),
+            across.ctypes, 0, COLUMNS, columns,
+            zeros.ctypes, 0, 0,
+            inputs_across.ctypes, 0, COLUMNS, columns, True,
         )  # fmt: skip
         length = row_length(inputs)
         transpose(inputs_across, -(-inputs // COLUMNS), columns // COLUMNS, columns, slopes, length)
@@ -394,7 +402,7 @@ def _backward(
                 slopes[at + j] = 0
 
 
-@kernel
+@inner
 def _clip(actor_gradient: Any, critic_gradient: Any, numbers: Any, factors: Any, metrics: Any) -> None:
     """Write the factors that keep gradients within their limits, as torch's, and the norms."""
     actor_square, critic_square = square_of_norm(actor_gradient), square_of_norm(critic_gradient)
