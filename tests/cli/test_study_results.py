@@ -7,13 +7,18 @@ import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from pyarrow.types import is_list
 
 from pneuma.store.locks import run_lock
+from pneuma.store.published import Published
 from pneuma.store.quantities import TRAINING_QUANTITIES
+from pneuma.store.row_builder import record_frame
+from pneuma.store.series import GRID_POINTS
+from pneuma.store.store import Store
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 
@@ -100,6 +105,23 @@ def test_a_table_keeps_the_curves_that_are_named(table: Path, kept: str, columns
     assert _publish(table, "--curves", kept).code == 0
     curves = {column.name.split()[0] for column in pq.read_schema(table) if is_list(column.type)}
     assert curves & {*TRAINING_QUANTITIES} == columns
+
+
+def test_kills_of_training_are_published_as_returns_are(results: Path, table: Path) -> None:
+    """A point is the mean of the episodes that ended in the last twentieth, or blank as the return's."""
+    published = Published(table, table.read_bytes())
+    store = Store(results)
+    points = 0
+    for row_id, row in published.rows().items():
+        episodes = record_frame(store, row_id, "episodes")
+        kills, returns = row.curve("kills"), row.curve("return")
+        assert np.array_equal(np.isnan(kills), np.isnan(returns)) and len(kills) == GRID_POINTS
+        for point in np.flatnonzero(np.isfinite(kills)):
+            end, window = row.grid[point], row.budget / 20
+            is_inside = (episodes["step"] > end - window) & (episodes["step"] <= end)
+            assert kills[point] == pytest.approx(episodes["kills"][is_inside].mean(), abs=1e-2)
+            points += 1
+    assert points > 0
 
 
 def test_a_damaged_table_is_reported_and_published_again(table: Path) -> None:
