@@ -88,8 +88,9 @@ class Trainer(ABC):
 
         return Evaluation(run)
 
+    @abstractmethod
     def evaluate(self, step: int) -> Row:
-        return self._evaluation.evaluate(self.policy(), step)
+        """Return one row of `EVALUATION_COLUMNS` for the current policy, whose evaluation is at `step`."""
 
     @abstractmethod
     def update(self, before: int, after: int, records: Records) -> bool:
@@ -101,7 +102,16 @@ class Trainer(ABC):
 
 
 class ResumableTrainer(Trainer):
-    """A trainer that can save and restore the complete state of its run."""
+    """A trainer that can save and restore the complete state of its run, in Pneuma's worlds or others."""
+
+    def evaluate(self, step: int) -> Row:
+        if self.run.xp_scope == "forever":  # which other environments do not have
+            return self._evaluation.evaluate(self.policy(), step, self.training_xp())
+        return self._evaluation.evaluate(self.policy(), step)
+
+    @abstractmethod
+    def training_xp(self) -> np.ndarray:
+        """Return the XP of each player of each of Pneuma's worlds in which it trains, (N, P)."""
 
     @abstractmethod
     def restore(self, checkpoint: Checkpoint) -> None:

@@ -9,18 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.config import ACTIVATIONS, Run, make_run, stream_seed
+from pneuma.config import ACTIVATIONS, ENGINES, Run, make_run, stream_seed
 from pneuma.engines.batched.initial_weights import initial_networks
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.evaluation import ActionValues, Evaluation, OwnAgent, evenness
 from pneuma.engines.gymnasium_env import GymnasiumSlots
 from pneuma.engines.loop import Trainer, evaluation_episodes, evaluation_updates
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import Records
+from pneuma.engines.records import Records, Row
 from pneuma.env.players import Hunter
+from pneuma.env.state import PLAYER
 from pneuma.presets import BASES
 
-from .trained import constant
+from .trained import constant, train
+from .trained import run_of as small_run
 
 
 def run_of(**settings: object) -> Run:
@@ -103,6 +105,10 @@ class Leaning(Trainer):
 
     def update(self, before: int, after: int, records: Records) -> bool:
         return True
+
+    def evaluate(self, step: int) -> Row:
+        row: Row = self._evaluation.evaluate(self.policy(), step)
+        return row
 
     def policy(self) -> Policy:
         if self.run.env != "CartPole-v1":
@@ -208,6 +214,79 @@ def numpy_logits(policy: Policy, observations: np.ndarray) -> np.ndarray:
     slope = 0.01 if policy.activation == "leaky-relu" else 0
     outputs = np.tanh(hidden) if policy.activation == "tanh" else np.where(hidden > 0, hidden, slope * hidden)
     return np.asarray(outputs @ last_weight + last_bias)
+
+
+# --- XP that is never reset -------------------------------------------------------------------------
+
+
+def first_xp(patch: pytest.MonkeyPatch) -> list[list[list[float]]]:
+    """Return a list to which every play adds the XP with which its episodes begin, (worlds, players)."""
+    begun: list[list[list[float]]] = []
+    play = Evaluation._play
+
+    def watched(evaluation: Evaluation, choose_actions: Any, *more: Any) -> None:
+        seen: list[list[list[float]]] = []
+
+        def watching(is_playing: np.ndarray) -> np.ndarray:
+            seen.append(evaluation.worlds.players["xp"].tolist())
+            actions: np.ndarray = choose_actions(is_playing)
+            return actions
+
+        play(evaluation, watching, *more)
+        begun.append(seen[0])
+
+    patch.setattr(Evaluation, "_play", watched)
+    return begun
+
+
+def test_worlds_take_the_xp_of_training_worlds_in_turn_and_draw_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = run_of(env="pneuma/PneumaGodot-v0", players=2, slots=2, evaluation_episodes=4, episode_steps=40)
+    evaluation = Evaluation(run)
+    policy = constant([0.3, 0.1, 0.0, 0.2, 0.4], evaluation.worlds.observations.shape[2])
+    begun = first_xp(monkeypatch)
+    without = evaluation.evaluate(policy, 100)
+    with_xp = evaluation.evaluate(policy, 100, np.array([[5.0, 6.0], [7.0, 8.0], [9.0, 10.0]]))
+    assert begun[0] == [[0, 0]] * len(evaluation.worlds)
+    in_turn = [[5, 6], [7, 8], [9, 10]] * len(evaluation.worlds)
+    assert begun[1] == in_turn[: len(evaluation.worlds)]
+    # This policy does not look at XP: it plays the same episodes.
+    unlike = {name for name, value in with_xp.items() if value != without[name]}
+    assert unlike <= {"return", "argmax_return"}
+
+
+def test_estimated_values_are_of_states_with_the_xp_of_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The policy's greatest value is the XP that it observes, and nobody kills or ends within two steps."""
+    run = run_of(env="pneuma/PneumaGodot-v0", algorithm="dqn", episode_steps=2, gamma=0.5)
+    values = ActionValues(run, 1)
+    features = values.worlds.observations.shape[2]
+    weight = np.zeros((features, 5), np.float32)
+    weight[3, 4] = 1.0
+    policy = Policy("tanh", ((weight, np.zeros(5, np.float32)),), (), exploration=0.1)
+    assert values.measure(policy, np.array([[6.0], [99.0]]))["q_estimate"] == 6.0
+    assert values.measure(policy)["q_estimate"] == 0.0
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_evaluations_begin_with_the_xp_of_the_slots_where_it_is_never_reset(
+    engine: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a checkpoint of the same update has it; elsewhere with 0."""
+    for env, is_kept in (("pneuma/PneumaGodot-v0", True), ("pneuma/PneumaArena-v0", False)):
+        with monkeypatch.context() as patch:
+            begun = first_xp(patch)
+            _, checkpoints = train(small_run("slots", env=env, engine=engine))
+        at_random, *evaluated = begun
+        zeros = [[0.0]] * len(at_random)
+        assert at_random == zeros and len(evaluated) == len(checkpoints) == 6
+        if not is_kept:
+            assert evaluated == [zeros] * 6
+            continue
+        for checkpoint, worlds_xp in zip(checkpoints, evaluated, strict=True):
+            slots_xp = checkpoint.arrays["worlds/players"].view(PLAYER)["xp"].tolist()
+            assert worlds_xp == [[slots_xp[world % 2]] for world in range(len(worlds_xp))]
+        assert any(slots_xp)
 
 
 # --- Estimated and true values of actions ---------------------------------------------------------

@@ -61,6 +61,10 @@ class BatchedTrainer(ResumableTrainer):
         critic = _stack([policy.critic for policy in policies])
         return Policy(self.run.activation, actor, critic)
 
+    def training_xp(self) -> np.ndarray:
+        xp: np.ndarray = self.collector.slots.worlds.players["xp"]
+        return xp
+
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
         worlds = self.collector.slots.saved_state()
         arrays = {f"worlds/{name}": array for name, array in worlds.items()}
