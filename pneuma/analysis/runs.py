@@ -5,8 +5,7 @@
     `open_study` → StudyData: those that have finished, with their rows
 
 A run counts for a cell if its fields are the cell's. Nothing else is shown: no other seed or budget, and no
-run that another study trained for itself. Studies without a file (imported logs, published forks) list their
-runs.
+run that another study trained for itself. Studies without a file (imported logs) list their runs.
 """
 
 from __future__ import annotations

@@ -156,15 +156,13 @@ def _are_evaluations(column: pa.ChunkedArray) -> bool:
 
 # --- Reading ----------------------------------------------------------------------------------------
 
-FORK_TYPES: dict[str, tuple[type, ...]] = {"parent": (str,), "fork_step": (int,)}
-"""Fields that published runs may have which an earlier version forked from others: no run has them now."""
 _TYPES_BY_DEFAULT = {str: (str,), list: (list,), type(None): (int, float, list)}
 
 
 @cache
 def _field_types() -> dict[str, tuple[type, ...]]:
     """Return the types that the value of a field may have, by those of its default."""
-    types_by_field = dict(FORK_TYPES)
+    types_by_field: dict[str, tuple[type, ...]] = {}
     for field_name, default in as_fields(Run()).items():
         types_by_field[field_name] = _TYPES_BY_DEFAULT.get(type(default), (int, float))
     return types_by_field
@@ -242,11 +240,6 @@ class Row:
         """The checksum of its policy; None if it has none, or its table is older."""
         checksum: str | None = self.cell(POLICY)
         return checksum
-
-    @property
-    def start_step(self) -> int:
-        """Agent steps at the start: for a published fork of another run, those of its parent."""
-        return self.fields.get("fork_step") or 0
 
     @property
     def origin(self) -> str:

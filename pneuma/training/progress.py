@@ -56,7 +56,7 @@ def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
     for run_id in dict.fromkeys([*names_first, *store.runs()[:SAMPLE]]):
         try:
             run_row = stored_row(store, run_id)
-            pace = (run_row.wall_seconds or 0) / (run_row.end - run_row.start_step)
+            pace = (run_row.wall_seconds or 0) / run_row.end
             machines = [attempt["machine"] for attempt in run_row.provenance["attempts"]]
             processors = {(machine["cpu"], machine["device"]) for machine in machines}
         except (UserError, KeyError, TypeError, ValueError, ArithmeticError):
