@@ -208,7 +208,7 @@ class Row:
         published: whether it is in a published table.
         config_id: the id of its configuration, without seed and steps.
         budget: agent steps that were planned.
-        end: agent steps trained; fewer than the budget if it diverged.
+        end: agent steps trained, to the end of the last update: at least the budget, unless it diverged.
         status: 'done' or 'diverged'.
         fields: its configuration, which may be untrusted.
         provenance: what produced it, and how long that took.

@@ -94,7 +94,7 @@ class ProgressDisplay:
         self._until = until
         self._show = bool(to_train) and not quiet
         self._live = self._show and sys.stderr.isatty()
-        self._budgets = {run_id: run.steps for run_id, run in to_train.items()}
+        self._budgets = {run_id: run.trained_steps for run_id, run in to_train.items()}
         self._steps = {run_id: kept_step(store.status(run_id, quick=True)) for run_id in to_train}
         self._ended: set[str] = set()
         self._bar = Progress(

@@ -51,8 +51,9 @@ def test_only_what_is_missing_is_trained_and_printed_as_one_document(results: Pa
         (seed, condition, "done") for seed in (0, 1) for condition in ("tanh", "relu")
     ]
     assert [run["run_id"] for run in document["runs"] if run["trained"]] == [first.name]
-    assert "250 steps are rounded up to 256" in called.err
+    assert "256 steps are trained, because an update has 64" in called.err
     assert "4 done; 0 trained now, 4 were stored." in printed(*run)
+    assert "2 x         250 steps (256 trained)" in printed("study", "plan", *run[2:])
     assert call(*run, "--quiet") == Called(0, "", "")
 
 
@@ -113,6 +114,8 @@ def test_kills_of_training_are_published_as_returns_are(results: Path, table: Pa
     store = Store(results)
     points = 0
     for row_id, row in published.rows().items():
+        assert (row.budget, row.end) == (250, 256)
+        assert row.evaluations("step").tolist() == [62, 125, 187, 250]
         episodes = record_frame(store, row_id, "episodes")
         kills, returns = row.curve("kills"), row.curve("return")
         assert np.array_equal(np.isnan(kills), np.isnan(returns)) and len(kills) == GRID_POINTS

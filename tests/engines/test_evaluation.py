@@ -14,7 +14,7 @@ from pneuma.engines.batched.initial_weights import initial_networks
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.evaluation import ActionValues, Evaluation, OwnAgent, evenness
 from pneuma.engines.gymnasium_env import GymnasiumSlots
-from pneuma.engines.loop import Trainer, evaluation_episodes, evaluation_updates
+from pneuma.engines.loop import Trainer, evaluation_episodes, planned_evaluations
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import Records, Row
 from pneuma.env.players import Hunter
@@ -81,23 +81,55 @@ def test_evaluation_worlds_are_none_of_the_training_worlds() -> None:
 @pytest.mark.parametrize(
     ("steps", "horizon", "updates", "episodes"),
     [
-        (100_352, 256, (20, 40, 59, 79, 98, 118, 138, 157, 177, 196), 50),  # of 392: after ceil(392 k / 20) …
+        (100_352, 256, (19, 39, 58, 78, 98, 117, 137, 156, 176, 196), 50),  # at 5,017, 10,035, …
         (50_176, 256, (28, 56, 84, 112, 140, 168, 196), 10),  # one for each 8,000 steps, and one more
         (10_240, 256, (20, 40), 10),
         (24_576, 8192, (1, 2, 3), 50),  # no more updates than evaluations
-        (4_096, 256, (2, 4, 5, 7, 8, 10, 12, 13, 15, 16), 10),
+        (4_096, 256, (1, 3, 4, 6, 8, 9, 11, 12, 14, 16), 10),  # at 409, 819, …
     ],
 )
 def test_evaluations_are_spread_evenly_and_follow_the_budget(
     steps: int, horizon: int, updates: tuple[int, ...], episodes: int
 ) -> None:
     run = make_run({"steps": steps, "horizon": horizon})
-    planned = sorted(evaluation_updates(run))
-    assert tuple(planned[:10]) == updates and planned[-1] == run.updates
+    planned = planned_evaluations(run)
+    assert tuple(evaluation.updates for evaluation in planned[:10]) == updates
+    assert (planned[-1].step, planned[-1].updates) == (steps, run.updates)
     assert evaluation_episodes(run) == episodes
     assert evaluation_episodes(replace(run, evaluation_episodes=30)) == 30
     elsewhere = replace(run, env="CartPole-v1", evaluation_episodes=30)
-    assert (len(evaluation_updates(elsewhere)), evaluation_episodes(elsewhere)) == (min(20, run.updates), 30)
+    assert (len(planned_evaluations(elsewhere)), evaluation_episodes(elsewhere)) == (min(20, run.updates), 30)
+
+
+@pytest.mark.parametrize(
+    ("steps", "horizon", "slots", "planned"),
+    [  # by hand: at k nths of the budget, the updates that have ended by then
+        (1000, 64, 2, {125: 0, 250: 1, 375: 2, 500: 3, 625: 4, 750: 5, 875: 6, 1000: 7}),  # 8 updates of 128
+        (1000, 50, 2, {100: 1, 200: 2, 300: 3, 400: 4, 500: 5, 600: 6, 700: 7, 800: 8, 900: 9, 1000: 10}),
+        (1000, 64, 1, {100: 1, 200: 3, 300: 4, 400: 6, 500: 7, 600: 9, 700: 10, 800: 12, 900: 14, 1000: 15}),
+        (257, 256, 1, {128: 0, 257: 1}),
+        (256, 256, 1, {256: 1}),
+        (100, 256, 1, {100: 1}),  # less than an update: its only evaluation is after it
+        (1, 256, 4, {1: 1}),
+    ],
+)
+def test_the_policy_that_acts_at_a_step_is_evaluated_there_whatever_the_horizon(
+    steps: int, horizon: int, slots: int, planned: dict[int, int]
+) -> None:
+    run = make_run({"steps": steps, "horizon": horizon, "slots": slots})
+    assert {evaluation.step: evaluation.updates for evaluation in planned_evaluations(run)} == planned
+
+
+def test_long_runs_share_twenty_steps_and_evaluate_no_policy_twice() -> None:
+    for horizon in (2, 100, 256, 2048, 4096, 5000):
+        run = make_run({"steps": 100_000, "horizon": horizon, "minibatch": 2})
+        planned = planned_evaluations(run)
+        assert [evaluation.step for evaluation in planned] == [5000 * k for k in range(1, 21)], horizon
+        assert [evaluation.number for evaluation in planned] == [*range(1, 21)]
+    for steps in (*range(1, 700), *range(99_990, 100_010)):
+        planned = planned_evaluations(make_run({"steps": steps, "horizon": 64, "minibatch": 2}))
+        updates = [evaluation.updates for evaluation in planned]
+        assert updates == sorted(set(updates)) and planned[-1].step == steps
 
 
 class Leaning(Trainer):
@@ -133,7 +165,7 @@ def test_evaluations_elsewhere_play_few_steps_compared_with_training(
         return step_one(slots, *arguments)
 
     monkeypatch.setattr(GymnasiumSlots, "step_one", counted_step)
-    rows = [trainer.evaluate(update) for update in sorted(evaluation_updates(run))]
+    rows = [trainer.evaluate(evaluation.step) for evaluation in planned_evaluations(run)]
     assert [row["episodes"] for row in rows] == [episodes] * evaluations
     assert len(played) <= 0.6 * steps
 
