@@ -10,10 +10,10 @@ import pytest
 
 from pneuma.algorithms import ALGORITHMS
 from pneuma.analysis.outcomes import ONLY_ELSEWHERE, ONLY_IN_PNEUMA
-from pneuma.config import make_run
+from pneuma.config import Run, make_run
 from pneuma.engines import evaluation, gymnasium_evaluation
 from pneuma.engines.batched.training import BatchedTrainer
-from pneuma.engines.loop import Progress, ResumableTrainer, train_run
+from pneuma.engines.loop import Progress, Result, ResumableTrainer, train_run
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import (
     EPISODE_COLUMNS,
@@ -75,6 +75,10 @@ def test_episodes_of_slots_add_up_to_the_steps_of_all(engine: str) -> None:
     assert [row["step"] for row in result.records.evaluations] == [64, 128, 192, 256, 320, 384]
 
 
+def stopped_at(run: Run, end: int) -> Result:
+    return train_run(run, lambda progress: progress.step < end)
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_budget_within_an_update_is_trained_to_its_end_and_each_policy_is_evaluated_where_it_acts(
     engine: str, monkeypatch: pytest.MonkeyPatch
@@ -104,7 +108,7 @@ def test_a_budget_within_an_update_is_trained_to_its_end_and_each_policy_is_eval
     trainer: dict[str, type[ResumableTrainer]] = {"batched": BatchedTrainer, "sb3": Sb3Trainer}
     policies: list[Any] = [trainer[engine](run).policy()]
     for end in [*seen][:-1]:
-        policies.append(train_run(run, lambda progress, end=end: progress.step < end).policy)
+        policies.append(stopped_at(run, end).policy)
     assert [evaluated[step] for step in steps] == [policy.checksum for policy in policies]
     # At the end of the last update the learning rate is 0.
     assert isinstance(result.policy, Policy) and result.policy.checksum == policies[-1].checksum
