@@ -194,10 +194,8 @@ def _runs_of_earlier_versions(
     is_of_other_version = ~stored_runs["config_id"].isin(missing_cells["config_id"])
     finished_runs = stored_runs[stored_runs["status"].isin(FINISHED) & is_of_other_version]
     cells = missing_cells[["condition", "seed", "steps"]]
-    rounded_steps = [
-        replace(configurations[condition], steps=steps).trained_steps
-        for condition, steps in zip(cells["condition"], cells["steps"], strict=True)
-    ]
+    update_steps = cells["condition"].map(lambda condition: configurations[condition].steps_per_update)
+    rounded_steps = -(-cells["steps"] // update_steps) * update_steps
     cells = pd.concat([cells, cells.assign(steps=rounded_steps)]).drop_duplicates()
     candidates = cells.merge(finished_runs, on=["seed", "steps"])
     same_fields = []

@@ -94,7 +94,7 @@ class Evaluation:
     def evaluate(
         self, policy: Policy | OwnAgent, step: int, training_xp: np.ndarray | None = None
     ) -> dict[str, Any]:
-        """Return one row of `records.EVALUATION_COLUMNS` for the policy after `step` agent steps.
+        """Return one row of `records.EVALUATION_COLUMNS` for the policy that acts at agent step `step`.
 
         It also has some of `VALUE_COLUMNS`, as `q_estimate` and `q_true` for a policy of action values.
 

@@ -148,7 +148,9 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
     evaluation_steps = {evaluation.updates: evaluation.step for evaluation in planned_evaluations(run)}
     evaluation_seconds = 0.0
     if step == 0 and 0 in evaluation_steps:
+        started = time.perf_counter()
         records.evaluations.append(trainer.evaluate(evaluation_steps[0]))
+        evaluation_seconds += time.perf_counter() - started
     for update in range(step // run.steps_per_update + 1, run.updates + 1):
         previous_step, step = step, update * run.steps_per_update
         if not trainer.update(previous_step, step, records):

@@ -133,10 +133,10 @@ def sound_rows(table: pa.Table) -> pa.Table:
             raise ValueError(f"column {column_name} is missing")
         if table[column_name].null_count:
             raise ValueError(f"column {column_name} is invalid")
-    for column_name in _PATTERNS.keys() & set(column_names):
-        for cell in table[column_name].drop_null().to_pylist():
-            if not re.fullmatch(_PATTERNS[column_name], str(cell)):
-                raise ValueError(f"column {column_name} is invalid")
+    for column_name, pattern in _PATTERNS.items():
+        cells = table[column_name].drop_null().to_pylist() if column_name in column_names else []
+        if not all(re.fullmatch(pattern, str(cell)) for cell in cells):
+            raise ValueError(f"column {column_name} is invalid")
     if not _are_evaluations(table[EVALUATIONS]):
         raise ValueError(f"column {EVALUATIONS} is invalid")
     return table.select(column_names)
