@@ -114,6 +114,8 @@ def test_a_run_of_another_version_counts_where_there_is_no_other(
     # Earlier versions rounded budgets up: 1,024 steps were trained for 1 to 1,024. Present ones do not.
     assert show(store, "activation", seeds=(0, 1), steps=1000)[0] == old
     assert show(store, "activation", seeds=(0, 1), steps=1025)[0] == []
+    finish_study(store, seeds=(5,), steps=1024, conditions=("tanh",))
+    assert show(store, "activation", seeds=(5,), steps=1000)[0] == []
     assert show(store, "activation", settings={"gamma": 0.5})[0] == []
 
 
@@ -124,6 +126,10 @@ def test_a_published_run_has_the_fields_of_its_cell_whatever_fields_have_left_si
     stored, fields = index.document("fields", run_id), as_fields(data.configurations[condition])
     assert stored.keys() - fields.keys() and have_same_fields(fields, stored)
     assert not have_same_fields(fields, {**stored, "bodies": "pass"})
+    own_reward = {**fields, "reward": ("/home/me/st/rewards.py:mine",)}
+    assert have_same_fields(own_reward, {**stored, "reward": ["rewards.py:mine"]})  # without its folders
+    for other in ("rewards.py:another", "others.py:mine", "thesis"):
+        assert not have_same_fields(own_reward, {**stored, "reward": [other]}), other
 
 
 def test_own_runs_of_the_published_cells_count_first(store: Store) -> None:
