@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -43,7 +42,7 @@ from pneuma.schema import normalize
 RULES_VERSION = 3
 """Raised by hand when the same seed and actions give a different world; part of every run id."""
 
-ENGINE_VERSIONS = {"batched": 3, "sb3": 2}
+ENGINE_VERSIONS = {"batched": 4, "sb3": 3}
 """Raised by hand when an engine trains the same run to different numbers; part of every run id."""
 
 ENGINES = tuple(ENGINE_VERSIONS)
@@ -175,7 +174,7 @@ class Run(EnvConfig):
     )
     seed: Annotated[int, Interval(ge=0, le=2**32 - 1)] = 0
     steps: Steps = declare(50_000, arguments="n_timesteps", paces=True)
-    """Budget in agent steps, summed over slots."""
+    """Budget in agent steps, summed over slots. The last update may end after it: see `trained_steps`."""
     slots: Annotated[int, Interval(ge=1, le=1024)] = declare(1, arguments="n_envs", paces=True)
     """Worlds that collect a rollout in parallel."""
     learners: Literal["shared", "independent"] = declare("shared", read_by="ppo")
@@ -191,7 +190,7 @@ class Run(EnvConfig):
     gae_lambda: Share = declare(0.95, read_by=_ACTOR_CRITIC)
     learning_rate: Annotated[float, Interval(gt=0, le=100)] = declare(3e-4, read_by=_WITH_FIELDS)
     learning_rate_schedule: Schedule = declare("constant", read_by=_WITH_FIELDS)
-    """With "linear" it falls from its value to 0 over the budget, as Stable-Baselines3 counts progress."""
+    """With "linear" it falls from its value to 0 over all updates, as Stable-Baselines3 counts progress."""
     clip_range: Annotated[float, Interval(gt=0, le=100)] = declare(0.1, read_by="ppo")
     clip_range_schedule: Schedule = declare("constant", read_by="ppo")
     horizon: Annotated[int, Interval(ge=2, le=10**6)] = declare(256, arguments="n_steps", paces=True)
@@ -277,7 +276,13 @@ class Run(EnvConfig):
 
     @property
     def updates(self) -> int:
-        return self.steps // self.steps_per_update
+        """Number of updates: as many as the budget begins."""
+        return -(-self.steps // self.steps_per_update)
+
+    @property
+    def trained_steps(self) -> int:
+        """Agent steps at the end of the last update: the budget, or less than an update more."""
+        return self.updates * self.steps_per_update
 
 
 FIELDS = field_declarations(Run)
@@ -292,11 +297,11 @@ ANNEALED = tuple(field_name for field_name in FIELDS if f"{field_name}_schedule"
 
 
 def make_run(settings: Mapping[str, object]) -> Run:
-    """Resolve fields to a complete run: checked, rounded, with all defaults filled in.
+    """Resolve fields to a complete run: checked, with all defaults filled in.
 
     Missing fields come from the environment's preset, and from the defaults of the algorithm and the
     optimizer. What these do not read is at the default of `Run`, so that two ways to write the same training
-    give the same run. The budget is rounded up to whole horizons.
+    give the same run.
     """
     env_id = str(settings.get("env", ENVIRONMENTS[0]))
     run_defaults = vars(Run())
@@ -321,7 +326,7 @@ def make_run(settings: Mapping[str, object]) -> Run:
     if field_values.get("learners") == "independent" and run.players > 1 and run.engine != ENGINES[0]:
         _refuse("learners = independent", f"{run.engine} trains one policy for all players")
     _check_learner(run)
-    return replace(run, steps=round_up(run, run.steps))
+    return run
 
 
 def _rollout_steps(run: Run, settings: Mapping[str, Any]) -> dict[str, int]:
@@ -334,11 +339,6 @@ def _rollout_steps(run: Run, settings: Mapping[str, Any]) -> dict[str, int]:
         problem = f"algorithm_kwargs has n_steps = {n_steps}: leave one out"
         _refuse(f"horizon = {settings['horizon']}", problem)
     return {"horizon": horizon}
-
-
-def round_up(run: Run, steps: int) -> int:
-    """Round steps up to a run's whole updates."""
-    return math.ceil(steps / run.steps_per_update) * run.steps_per_update
 
 
 def effective_fields(run: Run) -> set[str]:

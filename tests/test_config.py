@@ -31,14 +31,15 @@ def test_each_base_is_the_table_of_the_thesis(base: str) -> None:
     assert {key: run[key] for key in (*COMMON_OF_BOTH_TABLES, *ROWS)} == {**COMMON_OF_BOTH_TABLES, **table}
 
 
-def test_a_budget_is_rounded_up_to_whole_horizons() -> None:
+def test_the_update_in_which_a_budget_ends_is_completed() -> None:
     for steps, slots, trained, updates in (
-        (51_200, 1, 51_200, 200),  # already whole
+        (1, 1, 256, 1),
+        (51_200, 1, 51_200, 200),  # whole updates
         (51_201, 1, 51_456, 201),
         (50_000, 4, 50_176, 49),  # 49 x 1,024
     ):
         run = make_run({"steps": steps, "horizon": 256, "slots": slots})
-        assert (run.steps, run.updates) == (trained, updates)
+        assert (run.steps, run.trained_steps, run.updates) == (steps, trained, updates)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +83,7 @@ def test_an_algorithm_has_its_own_fields_and_no_others(algorithm: str) -> None:
         ({}, {"momentum": 0.9, "smoothing": 0.5}),  # Adam reads neither
         ({"optimizer": "sgd"}, {"optimizer": "sgd", "momentum": 0, "betas": [0.5, 0.5]}),
         ({}, {"betas": None, "momentum": None}),
-        ({"steps": 1}, {"steps": 2048}),
+        ({"steps": 2048}, {"steps": 2048.0}),
         ({"gamma": 1}, {"gamma": 1.0}),
         ({"env": "CartPole-v1"}, {"env": "CartPole-v1", "env_kwargs": {}}),
         ({"actor": [64, 64]}, {"actor": (64.0, 64)}),

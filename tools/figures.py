@@ -93,8 +93,6 @@ WHOLE = ("architecture", "activation", "actor-size", "breakout", "cartpole", "ro
 """Studies without a figure, because another figure shows every condition, or a table shows everything."""
 EARLIER: Mapping[str, tuple[str, dict[str, Any]]] = {"fig-6-2": ("one-environment", {"slots": 1})}
 """Figures that show earlier runs too: the preset and the changed fields that these have."""
-FORKS, FORK_OUTCOMES = "-forks-", ("final-share-killed", "final-return")
-"""A part of the names of forks, and their outcomes that are shown."""
 IN_ONE_ACTION = ("betas-by-clip", "betas-longer")
 """Studies whose figure shows when runs come to stay in one action."""
 BESIDE = {"published-logs": "author-logs"}
@@ -244,12 +242,6 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
         ours, beside = data.of_conditions(names), every.of_conditions([*whole])
         answer = find_curves({"": ours}, ["return"], beside, band="runs", window=TRAILING_WINDOW)
         return [curves_page(answer, study)]
-    if FORKS in study:  # runs end episodes at unlike steps: curves of all of them have holes
-        columns = {
-            title: replace(data, study=data.study.model_copy(update={"outcomes": FORK_OUTCOMES}))
-            for title, data in columns.items()
-        }
-        data = next(iter(columns.values()))
     if len(data.study.outcomes) > 1:
         pages = []
         for data in columns.values():

@@ -70,8 +70,7 @@ def diagnose(run: Row) -> Diagnosis:
     lasting_losses = _lasting(loss_periods or [], gap, least_length)
     spells = joined(spells + fall_periods + lasting_losses, gap)
     if not spells:
-        is_evaluated = len(steps) > 0 and not run.start_step  # a fork's best was its parent's
-        is_known = NO_ENTROPY in signs or loss_periods is not None or is_evaluated
+        is_known = NO_ENTROPY in signs or loss_periods is not None or len(steps) > 0
         return Diagnosis(False if is_known else None)
     onset, last_step = spells[0]
     present_signs = []

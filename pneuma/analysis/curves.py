@@ -167,11 +167,10 @@ def _on_one_grid(run_series: Sequence[pd.Series], is_even: bool) -> pd.DataFrame
 
 
 def _seconds(run: Row, steps: np.ndarray) -> np.ndarray:
-    """Return the seconds that a run had trained at some steps, from its own start."""
-    trained_steps = run.end - run.start_step
-    if not run.wall_seconds or trained_steps <= 0:
+    """Return the seconds that a run had trained at some steps."""
+    if not run.wall_seconds or run.end <= 0:
         raise UserError(Hint("x", WALL_CLOCK), f": run {run.run_id} in {run.origin} has no times")
-    return (steps - run.start_step) * run.wall_seconds / trained_steps
+    return steps * run.wall_seconds / run.end
 
 
 def _episodes(run: Row, steps: np.ndarray) -> np.ndarray:

@@ -164,13 +164,13 @@ def log_growth(run: Row) -> float:
 def low_entropy_share(run: Row) -> float:
     """Return the share of training in which the entropy is below `LEAST_ENTROPY`; NaN if not recorded."""
     stretches, update_steps = run.signs.get(NO_ENTROPY), run.update_steps
-    if stretches is None or update_steps is None or run.end <= run.start_step:
+    if stretches is None or update_steps is None or run.end <= 0:
         return NAN
     low_entropy_steps = 0.0
     for first_step, last_step in stretches:
         if first_step <= run.end:
             low_entropy_steps += min(last_step, run.end) - first_step + update_steps
-    return low_entropy_steps / (run.end - run.start_step)
+    return low_entropy_steps / run.end
 
 
 def stuck_share(run: Row) -> float:
@@ -194,10 +194,10 @@ def diagnosed(run: Row, name: str) -> float:
 
 
 def wall_seconds(run: Row) -> float:
-    """Return the seconds of training, without those of a fork's parent; NaN if not known."""
+    """Return the seconds of training; NaN if not known."""
     return run.wall_seconds or NAN
 
 
 def pace(run: Row) -> float:
     """Return the steps trained per second."""
-    return (run.end - run.start_step) / run.wall_seconds if run.wall_seconds else NAN
+    return run.end / run.wall_seconds if run.wall_seconds else NAN

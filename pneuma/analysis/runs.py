@@ -5,8 +5,7 @@
     `open_study` → StudyData: those that have finished, with their rows
 
 A run counts for a cell if its fields are the cell's. Nothing else is shown: no other seed or budget, and no
-run that another study trained for itself. Studies without a file (imported logs, published forks) list their
-runs.
+run that another study trained for itself. Studies without a file (imported logs) list their runs.
 """
 
 from __future__ import annotations
@@ -163,7 +162,7 @@ def runs_of_plan(index: RunIndex, plan: Plan) -> StudyData:
     """Return the runs of a plan's cells, finished or not.
 
     Of a cell that has no run of the present version of rules, engine and the user's own files, the newest one
-    of another version counts.
+    of an earlier version counts.
     """
     cell_frame = _cell_frame(plan)
     stored_runs = index.frame[["run_id", "config_id", "seed", "steps", "status", "end", "where"]]
@@ -171,7 +170,7 @@ def runs_of_plan(index: RunIndex, plan: Plan) -> StudyData:
     runs = cell_frame.merge(stored_runs, on=["config_id", "seed", "steps"], how="left")
     is_missing = runs["run_id"].isna()
     if is_missing.any():
-        older_runs = _runs_of_older_versions(index, stored_runs, runs[is_missing], plan.configurations)
+        older_runs = _runs_of_earlier_versions(index, stored_runs, runs[is_missing], plan.configurations)
         runs = pd.concat([runs[~is_missing], older_runs]).astype({"end": int})
         runs = cell_frame[["condition", "seed"]].merge(runs, on=["condition", "seed"])
     return StudyData(plan.study, _fields_by_condition(plan.configurations), runs, plan.configurations, plan)
@@ -185,12 +184,20 @@ def _cell_frame(plan: Plan) -> pd.DataFrame:
     return pd.DataFrame(cell_rows, columns=CELL_COLUMNS)
 
 
-def _runs_of_older_versions(
+def _runs_of_earlier_versions(
     index: RunIndex, stored_runs: pd.DataFrame, missing_cells: pd.DataFrame, configurations: Mapping[str, Run]
 ) -> pd.DataFrame:
-    """Return finished runs that have the fields of cells, but were trained by other versions."""
-    finished_runs = stored_runs[stored_runs["status"].isin(FINISHED)]
-    candidates = missing_cells[["condition", "seed", "steps"]].merge(finished_runs, on=["seed", "steps"])
+    """Return finished runs that have the fields of cells, but were trained by other versions.
+
+    Versions before batched 4 and sb3 3 rounded a budget up to whole updates: to what now is trained for it.
+    """
+    is_of_other_version = ~stored_runs["config_id"].isin(missing_cells["config_id"])
+    finished_runs = stored_runs[stored_runs["status"].isin(FINISHED) & is_of_other_version]
+    cells = missing_cells[["condition", "seed", "steps"]]
+    update_steps = cells["condition"].map(lambda condition: configurations[condition].steps_per_update)
+    rounded_steps = -(-cells["steps"] // update_steps) * update_steps
+    cells = pd.concat([cells, cells.assign(steps=rounded_steps)]).drop_duplicates()
+    candidates = cells.merge(finished_runs, on=["seed", "steps"])
     same_fields = []
     for (condition, _), runs in candidates.groupby(["condition", "config_id"], sort=False):
         stored_fields = index.document("fields", str(runs["run_id"].iloc[0]))
@@ -229,9 +236,10 @@ def _with_bare_names(value: Any) -> Any:
     """Return a field's value with the user's own files by their names alone."""
     if isinstance(value, list | tuple):
         return tuple(_with_bare_names(element) for element in value)
-    if isinstance(value, str) and value.startswith("/"):
+    if isinstance(value, str):
         file, colon, inside = value.partition(":")
-        return Path(file).name.removesuffix(".py") + colon + inside
+        if file.startswith("/") or file.endswith(".py"):  # published fields have no folders
+            return Path(file).name.removesuffix(".py") + colon + inside
     return value
 
 

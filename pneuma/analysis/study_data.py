@@ -154,7 +154,7 @@ class StudyData:
         if query.seeds is not None:
             phrases.append(f"seeds {format_seeds(query.seeds)}")
         if query.steps:
-            phrases.append(f"{self.steps or query.steps:,} steps")
+            phrases.append(f"{query.steps:,} steps")
         return ", ".join(phrases)
 
     @property
@@ -174,7 +174,7 @@ class StudyData:
             present_ids = {config_id(run) for run in self.configurations.values()}
             older_count = int((~finished_runs["config_id"].isin(present_ids)).sum())
             if older_count:
-                origins.append(f"{older_count} by another version")
+                origins.append(f"{older_count} by an earlier version")
         coverage_text = f"{self.label}: {finished_count} of {counted(planned_count, 'run')}"
         if origins:
             coverage_text += f" ({'; '.join(origins)})"

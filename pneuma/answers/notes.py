@@ -60,7 +60,7 @@ def notes_on_runs(
 
 
 def notes_on_ends(study_data: StudyData) -> list[str]:
-    """Return where runs end, unless all end alike, apart from rounding to whole horizons."""
+    """Return where runs end, unless all end alike, apart from budgets that earlier versions rounded up."""
     least_steps, most_steps = study_data.runs["steps"].min(), study_data.runs["steps"].max()
     if most_steps <= least_steps * (1 + SLACK):
         return []

@@ -44,7 +44,7 @@ def plan_answer(index: RunIndex, plan: Plan, workers: int) -> Answer:
     paces = stored_paces(index.store, statuses)
     seconds_by_run: dict[str, float | None] = {}
     for run_id, run in missing_runs.items():
-        seconds_by_run[run_id] = expected_seconds(paces, run, run.steps - execute.kept_step(statuses[run_id]))
+        seconds_by_run[run_id] = expected_seconds(paces, run, _steps_left(run, statuses[run_id]))
     state_rows = []
     for cell in plan.cells:
         state = _state(statuses[cell.run_id], cell.run_id in plan.published)
@@ -55,7 +55,10 @@ def plan_answer(index: RunIndex, plan: Plan, workers: int) -> Answer:
     condition_rows = []
     for condition, run in plan.configurations.items():
         states = state_table["state"][state_table["condition"] == condition]
-        condition_rows.append((condition, f"{len(states):>3} x {run.steps:>11,} steps", tallied(states)))
+        amount = f"{len(states):>3} x {run.steps:>11,} steps"
+        if run.trained_steps > run.steps:
+            amount += f" ({run.trained_steps:,} trained)"
+        condition_rows.append((condition, amount, tallied(states)))
     legend = [f"{tallied(state_table['state'])}."]
     if missing_runs:
         legend.append(
@@ -76,6 +79,10 @@ def _state(status: Status, is_published: bool) -> str:
     return "partial" if status.step else "to-train"
 
 
+def _steps_left(run: Run, status: Status) -> int:
+    return run.trained_steps - execute.kept_step(status)
+
+
 def _expected_time(
     index: RunIndex,
     missing_runs: Mapping[str, Run],
@@ -90,7 +97,7 @@ def _expected_time(
         machine = " on the machine that made the published runs"
         expected = []
         for run_id, run in missing_runs.items():
-            expected.append(_published_seconds(index, run, run.steps - execute.kept_step(statuses[run_id])))
+            expected.append(_published_seconds(index, run, _steps_left(run, statuses[run_id])))
     known_seconds = [run_seconds for run_seconds in expected if run_seconds is not None]
     if len(known_seconds) < len(missing_runs):
         return "unknown until a run of each configuration has ended"
@@ -111,7 +118,7 @@ def _published_seconds(index: RunIndex, run: Run, steps: int) -> float | None:
             evaluation_share = row.provenance.get("evaluation_share")
             evaluating = row.wall_seconds * (evaluation_share if isinstance(evaluation_share, float) else 0.0)
             learning = (row.wall_seconds - evaluating) / row.end
-            return START_SECONDS + evaluating * steps / run.steps + learning * steps
+            return START_SECONDS + evaluating * steps / run.trained_steps + learning * steps
     return None
 
 

@@ -126,7 +126,7 @@ Force = Annotated[bool, flag("--force", "Replace the file even if Pneuma did not
 Trust = Annotated[bool, flag("--trust", "Load the files, code and environment arguments that the run names.")]
 RetryFailed = Annotated[bool, flag("--retry-failed", "Retry runs that crashed before.")]
 Seeds = Annotated[Any, seeds("A count N (seeds 0 to N-1), or a list: 3,5,8 or 1..5 ('7,' is only seed 7).")]
-Steps = Annotated[Any, count("Steps of each run, rounded up to whole updates.")]
+Steps = Annotated[Any, count("Steps of each run; the last update is completed.")]
 Conditions = Annotated[Several, option("NAME", "Include only this condition (repeatable).")]
 _CHANGE = "Change a setting of the run or the world (repeatable)."
 Settings = Annotated[SeveralRead, option("KEY=VALUE", _CHANGE, _read_setting, "--set")]

@@ -37,8 +37,8 @@ CURVES, SUMMARY, PROFILE, ONE_ACTION = FIGURE_KINDS = ("curves", "summary", "pro
 EVERY_QUANTITY, ACTIONS = "all", "actions"
 _ENDINGS = ", ".join(EXPORT_SUFFIXES)
 PUBLISHED_CURVES = (
-    "return", "length", "hp", "entropy", "grad_norm", "approx_kl", "explained_variance", "dead_units",
-    *ACTION_QUANTITIES,
+    "return", "length", "kills", "hp", "entropy", "grad_norm", "approx_kl", "explained_variance",
+    "dead_units", *ACTION_QUANTITIES,
 )  # fmt: skip
 """The quantities whose curves a published table keeps by default."""
 CURVE_OPTIONS = ("band", "window", "x", "log")

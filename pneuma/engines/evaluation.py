@@ -3,6 +3,11 @@
 In Pneuma's worlds all engines evaluate in the same way: `evaluation_episodes` (50) as in training, and one
 with the best actions from each distinct start place, even if training uses only the first. The primary
 outcome is the share of monsters killed. `score` scales it from the random player (0) to all monsters (1).
+
+Where XP is never reset, policies are trained on what they observe after many episodes. So there each episode
+of an evaluation begins with the XP that a player has in one of the training worlds at that moment: evaluation
+world i takes that of training world i % N, player by player. The random player observes nothing, and XP
+changes rewards alone, which are not recorded of it: it always begins with 0. So do agents of a user's own.
 """
 
 from __future__ import annotations
@@ -86,12 +91,19 @@ class Evaluation:
         if run.algorithm in VALUE_BASED:
             self.action_values = ActionValues(run, self.argmax_starts)
 
-    def evaluate(self, policy: Policy | OwnAgent, step: int) -> dict[str, Any]:
-        """Return one row of `records.EVALUATION_COLUMNS` for the policy after `step` agent steps.
+    def evaluate(
+        self, policy: Policy | OwnAgent, step: int, training_xp: np.ndarray | None = None
+    ) -> dict[str, Any]:
+        """Return one row of `records.EVALUATION_COLUMNS` for the policy that acts at agent step `step`.
 
         It also has some of `VALUE_COLUMNS`, as `q_estimate` and `q_true` for a policy of action values.
+
+        Args:
+            policy: its features and actions are those of the worlds.
+            step: the evaluation's random stream depends on it.
+            training_xp: (N, P) the XP with which episodes begin if XP is never reset; 0 if left out.
         """
-        self._play(self._action_chooser(policy, step))
+        self._play(self._action_chooser(policy, step), training_xp)
         worlds, tallies = self.worlds, self.worlds.tallies
         cleared = tallies["cleared"]
         kills = worlds.players["kills"]
@@ -122,7 +134,7 @@ class Evaluation:
         if kills.shape[1] > 1:
             evaluation_row["kill_evenness"] = evenness(kills[sampled])
         if self.action_values and isinstance(policy, Policy):
-            evaluation_row |= self.action_values.measure(policy)
+            evaluation_row |= self.action_values.measure(policy, training_xp)
         return evaluation_row
 
     def _score(self, killed_share: np.ndarray) -> float:
@@ -169,9 +181,10 @@ class Evaluation:
 
         return call
 
-    def _play(self, choose_actions: Choose) -> None:
+    def _play(self, choose_actions: Choose, training_xp: np.ndarray | None = None) -> None:
         """Play one episode in every world, always the same one, up to its end."""
         self.worlds.seed([stream_seed(self.run.seed, "evaluation", i) for i in range(len(self.worlds))])
+        _set_xp(self.worlds, training_xp)
         self.worlds.reset(starts=self._starts)
         players = self.worlds.players.shape[1]
         running_worlds = len(self.worlds)
@@ -181,6 +194,12 @@ class Evaluation:
             if ended:
                 running_worlds -= ended
                 is_playing = np.repeat(self.worlds.worlds["ending"] == rules.RUNNING, players)
+
+
+def _set_xp(worlds: Worlds, training_xp: np.ndarray | None) -> None:
+    """Give seeded worlds the XP of training worlds, (N, P), in turn, which a reset keeps; None leaves 0."""
+    if training_xp is not None:
+        worlds.players["xp"] = training_xp[np.arange(len(worlds)) % len(training_xp)]
 
 
 def evenness(kills: np.ndarray) -> float:
@@ -204,7 +223,8 @@ class ActionValues:
     """Plays the greedy policy once from every start place, to measure the true value of its states.
 
     The greatest estimated values of actions are compared with it, as in van Hasselt, Guez and Silver (2015);
-    the difference is the overestimation (thesis section 3.3).
+    the difference is the overestimation (thesis section 3.3). Episodes begin with the XP that those of
+    evaluations begin with, because estimates depend on what the player observes.
 
     Learners bootstrap at a time limit that truncates. So episodes continue past it, until the rewards of the
     last state before it are known. A time limit that terminates ends them.
@@ -217,22 +237,25 @@ class ActionValues:
         self.worlds = Worlds(starts, replace(evaluation_config(run), episode_steps=longest_steps))
         self._is_measurable = steps_beyond is not None
 
-    def measure(self, policy: Policy) -> dict[str, float]:
+    def measure(self, policy: Policy, training_xp: np.ndarray | None = None) -> dict[str, float]:
         """Return `q_estimate` and `q_true`, means over all visited states.
 
         Both are NaN if an endless future is not discounted, or hardly at all.
         """
-        estimates, rewards, is_present = self._play(policy)
+        estimates, rewards, is_present = self._play(policy, training_xp)
         if self.worlds.truncated.any() and not self._is_measurable:
             return {"q_estimate": math.nan, "q_true": math.nan}
         true = discounted(rewards, self.run.gamma)
         is_present[self.run.episode_steps :] = False
         return {"q_estimate": float(estimates[is_present].mean()), "q_true": float(true[is_present].mean())}
 
-    def _play(self, policy: Policy) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _play(
+        self, policy: Policy, training_xp: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return estimates, rewards and whether the player was alive, each (steps, worlds, players)."""
         worlds = self.worlds
         worlds.seed([stream_seed(self.run.seed, "action-values", i) for i in range(len(worlds))])
+        _set_xp(worlds, training_xp)
         worlds.reset(starts=np.arange(len(worlds)))
         estimates, rewards, present = [], [], []
         running_worlds = len(worlds)

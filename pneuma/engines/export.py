@@ -53,7 +53,7 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
     spaces_only: gymnasium.Env[np.ndarray, np.int64] = gymnasium.Env()  # the learner is never trained
     spaces_only.observation_space, spaces_only.action_space = space, _action_space(policy)
     model = make_model(run, DummyVecEnv([lambda: spaces_only]), _extractor(policy.scaling))
-    model.num_timesteps = run.steps
+    model.num_timesteps = run.trained_steps
     with torch.no_grad():
         if policy.deviation is not None:
             model.policy.log_std.copy_(torch.from_numpy(np.log(policy.deviation)))

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,7 +38,7 @@ OPEN_TRAINER = "pneuma.engines.sb3_open:OpenTrainer"
 EVALUATIONS, EPISODES = 20, 50
 """Evaluations per run, and the default number of episodes of each."""
 SHORT_STEPS, SHORT_STEPS_ELSEWHERE = 100_000, 1_000_000
-"""A run of fewer steps, in Pneuma's worlds and in others, is short: see `_evaluation_count`."""
+"""A run of fewer steps, in Pneuma's worlds and in others, is short: see `_most_evaluations`."""
 EVALUATE_EVERY, EVALUATE_EVERY_ELSEWHERE = 8_000, 20_000
 SHORT_EPISODES, LEAST_STEPS = 10, 5_000
 
@@ -88,8 +88,9 @@ class Trainer(ABC):
 
         return Evaluation(run)
 
+    @abstractmethod
     def evaluate(self, step: int) -> Row:
-        return self._evaluation.evaluate(self.policy(), step)
+        """Return one row of `EVALUATION_COLUMNS` for the current policy, whose evaluation is at `step`."""
 
     @abstractmethod
     def update(self, before: int, after: int, records: Records) -> bool:
@@ -101,7 +102,16 @@ class Trainer(ABC):
 
 
 class ResumableTrainer(Trainer):
-    """A trainer that can save and restore the complete state of its run."""
+    """A trainer that can save and restore the complete state of its run, in Pneuma's worlds or others."""
+
+    def evaluate(self, step: int) -> Row:
+        if self.run.xp_scope == "forever":  # which other environments do not have
+            return self._evaluation.evaluate(self.policy(), step, self.training_xp())
+        return self._evaluation.evaluate(self.policy(), step)
+
+    @abstractmethod
+    def training_xp(self) -> np.ndarray:
+        """Return the XP of each player of each of Pneuma's worlds in which it trains, (N, P)."""
 
     @abstractmethod
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -135,15 +145,19 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
         except (KeyError, ValueError, TypeError, RuntimeError) as error:
             raise CheckpointError(f"cannot go on from step {step:,}: {error}") from None
         records = checkpoint.records.copy()
-    evaluated_updates = evaluation_updates(run)
+    evaluation_steps = {evaluation.updates: evaluation.step for evaluation in planned_evaluations(run)}
     evaluation_seconds = 0.0
+    if step == 0 and 0 in evaluation_steps:
+        started = time.perf_counter()
+        records.evaluations.append(trainer.evaluate(evaluation_steps[0]))
+        evaluation_seconds += time.perf_counter() - started
     for update in range(step // run.steps_per_update + 1, run.updates + 1):
         previous_step, step = step, update * run.steps_per_update
         if not trainer.update(previous_step, step, records):
             return Result("diverged", step, records, None)
-        if update in evaluated_updates:
+        if update in evaluation_steps:
             started = time.perf_counter()
-            records.evaluations.append(trainer.evaluate(step))
+            records.evaluations.append(trainer.evaluate(evaluation_steps[update]))
             evaluation_seconds += time.perf_counter() - started
         checkpoint_now = None
         if isinstance(trainer, ResumableTrainer):
@@ -168,24 +182,46 @@ def _seed_shared_generators(run: Run) -> None:
     np.random.seed(seed % 2**32)
 
 
-def evaluation_updates(run: Run) -> set[int]:
-    """Return the updates, counted from 1, after which a run is evaluated.
+class PlannedEvaluation(NamedTuple):
+    """An evaluation that a run will have.
 
-    They are evenly spread and include the last update. A run of fewer updates than evaluations has fewer.
+    Attributes:
+        number: of `EVALUATIONS`, the last one's.
+        step: the agent step at which it is.
+        updates: the number of updates of the policy that is evaluated.
     """
-    evaluation_count = _evaluation_count(run)
-    return {-(-run.updates * k // evaluation_count) for k in range(1, evaluation_count + 1)}
+
+    number: int
+    step: int
+    updates: int
+
+
+def planned_evaluations(run: Run) -> list[PlannedEvaluation]:
+    """Return a run's evaluations in order, at even steps up to its budget, whatever an update's length.
+
+    At each is evaluated the policy that acts at that step: the one after all updates that have ended by then.
+    So two of them have different policies. A run of a single update is evaluated once, after it.
+    """
+    count = min(_most_evaluations(run), run.updates)
+    evaluations = []
+    for k in range(1, count + 1):
+        step = run.steps * k // count
+        updates = step // run.steps_per_update
+        if run.updates == 1:
+            updates = 1
+        evaluations.append(PlannedEvaluation(EVALUATIONS * k // count, step, updates))
+    return evaluations
 
 
 def evaluation_episodes(run: Run) -> int:
     """Return how many episodes an evaluation plays with sampled actions."""
-    if _is_short(run) and run.evaluation_episodes == EPISODES and run.updates > _evaluation_count(run):
+    if _is_short(run) and run.evaluation_episodes == EPISODES and run.updates > _most_evaluations(run):
         return SHORT_EPISODES
     return run.evaluation_episodes
 
 
-def _evaluation_count(run: Run) -> int:
-    """Return how many evaluations a run has: 20, unless it is short.
+def _most_evaluations(run: Run) -> int:
+    """Return how many evaluations a run has if it has as many updates: 20, unless it is short.
 
     A short run has one, and one more for each 8,000 steps (20,000 in others' environments), so that they take
     at most about a fifth of its time. One of under 5,000 steps in Pneuma's worlds, which takes a second in
@@ -205,21 +241,10 @@ def _most_steps(run: Run) -> float:
     """Return how many steps one evaluation may take where the length of episodes is not known."""
     if not _is_short(run):
         return math.inf
-    return run.steps / 4 / (1 + _evaluation_count(run))  # one more for the random player
+    return run.steps / 4 / (1 + _most_evaluations(run))  # one more for the random player
 
 
 def _is_short(run: Run) -> bool:
     if is_gymnasium_id(run.env):  # where each step of an episode is Python
         return run.steps < SHORT_STEPS_ELSEWHERE and run.evaluation_episodes == EPISODES
     return run.steps < SHORT_STEPS
-
-
-def evaluation_steps(run: Run) -> dict[int, int]:
-    """Return the agent step of each evaluation, by the number of complete twentieths of training before it.
-
-    A run of fewer than `EVALUATIONS` updates lacks some numbers. That of the last evaluation is 20.
-    """
-    steps_by_number = {}
-    for update in sorted(evaluation_updates(run)):
-        steps_by_number[EVALUATIONS * update // run.updates] = update * run.steps_per_update
-    return steps_by_number

@@ -118,6 +118,10 @@ class Sb3Trainer(ResumableTrainer):
     def policy(self) -> Policy:
         return replace(self._policy, scaling=self._model.env.slots.scaling)
 
+    def training_xp(self) -> np.ndarray:
+        xp: np.ndarray = self._model.env.slots.worlds.players["xp"]
+        return xp
+
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
         return take_checkpoint(self._model, step, records)
 

@@ -170,7 +170,7 @@ def prepare(model: Any, run: Run) -> None:
     """
     model.set_logger(Logger(folder=None, output_formats=[]))
     update_progress = model._update_current_progress_remaining
-    model._update_current_progress_remaining = lambda steps, _: update_progress(steps, run.steps)
+    model._update_current_progress_remaining = lambda steps, _: update_progress(steps, run.trained_steps)
 
 
 def learn(model: Any, steps: int, callback: BaseCallback) -> None:

@@ -8,15 +8,15 @@ search: the first that has a result writes it, and the others continue from ther
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 
 from optuna.exceptions import UpdateFinishedTrialError
 from optuna.trial import TrialState
 
 from pneuma.analysis.outcomes import check_outcome
-from pneuma.config import Run, round_up
-from pneuma.engines.loop import EVALUATIONS, evaluation_steps
+from pneuma.config import Run
+from pneuma.engines.loop import EVALUATIONS, planned_evaluations
 from pneuma.errors import Say, UserError
 from pneuma.files import write_error
 from pneuma.search.decisions import make_cells, prune, suggest
@@ -39,8 +39,7 @@ class Unfinished(Exception):
 def run_search(search: Search, budget: Budget, store: Store, train: Train, say: Say) -> Iterator[Record]:
     """Search, training only runs that are not stored; yield the record at first and after each generation.
 
-    The budget's steps are rounded up alike for all trials and the base. A search that cannot be run here is
-    refused before anything is trained.
+    A search that cannot be run here is refused before anything is trained.
 
     Raises:
         Unfinished: when a run crashed; trials that ended before are stored.
@@ -52,12 +51,7 @@ def run_search(search: Search, budget: Budget, store: Store, train: Train, say: 
             raise UserError(f"objective {objective_name}: a standard deviation needs at least 2 seeds")
         for env in sorted({run.env for run in runs}):
             check_outcome(objective.outcome, [env])
-    steps = common_steps(runs, budget.steps)
-    if steps != budget.steps:
-        say(f"Note: {budget.steps:,} steps are rounded up to {steps:,} for all trials and the base.")
-    elif any(round_up(run, steps) != steps for run in runs):
-        say(f"Note: {steps:,} steps are rounded up to whole updates, which differ from trial to trial.")
-    record = open_record(store, search, budget.model_copy(update={"steps": steps}))
+    record = open_record(store, search, budget)
     yield record
     try:
         for first_number in range(0, budget.trials, search.generation):
@@ -68,16 +62,6 @@ def run_search(search: Search, budget: Budget, store: Store, train: Train, say: 
             yield record
     except OSError as error:
         raise write_error(record.path, error) from None
-
-
-def common_steps(runs: Iterable[Run], steps: int) -> int:
-    """Return the least steps from `steps` on that are whole updates of all runs.
-
-    Where they would be more than twice as many, `steps` are returned: each run rounds them up for itself.
-    """
-    common_update = math.lcm(*(run.steps_per_update for run in runs))
-    rounded_steps = math.ceil(steps / common_update) * common_update
-    return rounded_steps if rounded_steps <= 2 * steps else steps
 
 
 def _run_generation(record: Record, store: Store, trial_numbers: range, train: Train, say: Say) -> None:
@@ -145,9 +129,12 @@ def _pauses(search: Search) -> list[int]:
 
 def _evaluations(run: Run, pause: int) -> dict[int, int]:
     """Return the steps of a run's evaluations, by number, up to the first that is not before a pause."""
-    steps = evaluation_steps(run)
-    last_number = min(number for number in steps if number >= pause)
-    return {number: step for number, step in steps.items() if number <= last_number}
+    steps_by_number: dict[int, int] = {}
+    for evaluation in planned_evaluations(run):
+        steps_by_number[evaluation.number] = evaluation.step
+        if evaluation.number >= pause:
+            break
+    return steps_by_number
 
 
 def _make_plan(record: Record, cells: Sequence[Cell]) -> Plan:

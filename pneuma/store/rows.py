@@ -133,10 +133,10 @@ def sound_rows(table: pa.Table) -> pa.Table:
             raise ValueError(f"column {column_name} is missing")
         if table[column_name].null_count:
             raise ValueError(f"column {column_name} is invalid")
-    for column_name in _PATTERNS.keys() & set(column_names):
-        for cell in table[column_name].drop_null().to_pylist():
-            if not re.fullmatch(_PATTERNS[column_name], str(cell)):
-                raise ValueError(f"column {column_name} is invalid")
+    for column_name, pattern in _PATTERNS.items():
+        cells = table[column_name].drop_null().to_pylist() if column_name in column_names else []
+        if not all(re.fullmatch(pattern, str(cell)) for cell in cells):
+            raise ValueError(f"column {column_name} is invalid")
     if not _are_evaluations(table[EVALUATIONS]):
         raise ValueError(f"column {EVALUATIONS} is invalid")
     return table.select(column_names)
@@ -156,15 +156,13 @@ def _are_evaluations(column: pa.ChunkedArray) -> bool:
 
 # --- Reading ----------------------------------------------------------------------------------------
 
-FORK_TYPES: dict[str, tuple[type, ...]] = {"parent": (str,), "fork_step": (int,)}
-"""Fields that published runs may have which an earlier version forked from others: no run has them now."""
 _TYPES_BY_DEFAULT = {str: (str,), list: (list,), type(None): (int, float, list)}
 
 
 @cache
 def _field_types() -> dict[str, tuple[type, ...]]:
     """Return the types that the value of a field may have, by those of its default."""
-    types_by_field = dict(FORK_TYPES)
+    types_by_field: dict[str, tuple[type, ...]] = {}
     for field_name, default in as_fields(Run()).items():
         types_by_field[field_name] = _TYPES_BY_DEFAULT.get(type(default), (int, float))
     return types_by_field
@@ -210,7 +208,7 @@ class Row:
         published: whether it is in a published table.
         config_id: the id of its configuration, without seed and steps.
         budget: agent steps that were planned.
-        end: agent steps trained; fewer than the budget if it diverged.
+        end: agent steps trained, to the end of the last update: at least the budget, unless it diverged.
         status: 'done' or 'diverged'.
         fields: its configuration, which may be untrusted.
         provenance: what produced it, and how long that took.
@@ -242,11 +240,6 @@ class Row:
         """The checksum of its policy; None if it has none, or its table is older."""
         checksum: str | None = self.cell(POLICY)
         return checksum
-
-    @property
-    def start_step(self) -> int:
-        """Agent steps at the start: for a published fork of another run, those of its parent."""
-        return self.fields.get("fork_step") or 0
 
     @property
     def origin(self) -> str:

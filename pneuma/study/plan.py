@@ -23,7 +23,6 @@ from pneuma.config import (
     batched_limitation,
     is_gymnasium_id,
     make_run,
-    round_up,
 )
 from pneuma.env.fields import PLAYER_FIELDS, read_field
 from pneuma.errors import Hint, UserError, unknown_name
@@ -99,7 +98,7 @@ class Plan:
         study: in its world, with the query's settings.
         preset: the name of the preset that fills in what the query leaves open.
         query: the query that selected the cells.
-        notes: sentences for the user, for example that the budget was rounded up.
+        notes: sentences for the user, for example that a condition trains more than the budget.
         published: ids of runs that need no training because a published table has them.
     """
 
@@ -144,7 +143,7 @@ def make_plan(study: Study, query: Query, engine: Callable[[Run], str] | None = 
     seeds: dict[int, None] = {}
     for condition, origin in configurations.origins.items():
         run, amount = configurations.runs[condition], amounts[origin]
-        runs[condition] = replace(run, steps=round_up(run, query.steps or amount.steps))
+        runs[condition] = replace(run, steps=query.steps or amount.steps)
         seeds_by_condition[condition] = query.seeds or amount.seeds
         seeds |= dict.fromkeys(seeds_by_condition[condition])
     run_count = sum(map(len, seeds_by_condition.values()))
@@ -303,14 +302,14 @@ def find_preset(study: Study, preset_name: str) -> Preset:
 
 
 def _notes(study: Study, steps: int | None, runs: Mapping[str, Run]) -> list[str]:
-    """Return notes on rounded steps, on conditions with the same runs, and on slower engines."""
+    """Return notes on steps beyond the budget, on conditions with the same runs, and on slower engines."""
     notes: list[str] = []
     names_by_configuration: dict[str, list[str]] = {}
     for name, run in runs.items():
         names_by_configuration.setdefault(config_id(run), []).append(name)
-        if steps and steps != run.steps:
+        if steps and steps != run.trained_steps:
             update = run.steps_per_update
-            notes.append(f"{steps:,} steps are rounded up to {run.steps:,}, whole updates of {update:,}")
+            notes.append(f"{run.trained_steps:,} steps are trained, because an update has {update:,}")
     for conditions in names_by_configuration.values():
         if len(conditions) > 1:
             notes.append(f"{', '.join(conditions)} have identical settings: a comparison shows noise")

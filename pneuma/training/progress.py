@@ -56,7 +56,7 @@ def stored_paces(store: Store, names_first: Iterable[str]) -> Paces:
     for run_id in dict.fromkeys([*names_first, *store.runs()[:SAMPLE]]):
         try:
             run_row = stored_row(store, run_id)
-            pace = (run_row.wall_seconds or 0) / (run_row.end - run_row.start_step)
+            pace = (run_row.wall_seconds or 0) / run_row.end
             machines = [attempt["machine"] for attempt in run_row.provenance["attempts"]]
             processors = {(machine["cpu"], machine["device"]) for machine in machines}
         except (UserError, KeyError, TypeError, ValueError, ArithmeticError):
@@ -94,7 +94,7 @@ class ProgressDisplay:
         self._until = until
         self._show = bool(to_train) and not quiet
         self._live = self._show and sys.stderr.isatty()
-        self._budgets = {run_id: run.steps for run_id, run in to_train.items()}
+        self._budgets = {run_id: run.trained_steps for run_id, run in to_train.items()}
         self._steps = {run_id: kept_step(store.status(run_id, quick=True)) for run_id in to_train}
         self._ended: set[str] = set()
         self._bar = Progress(

@@ -140,8 +140,8 @@ class Worker:
         executor_config = self._job.config
         checkpoint = checkpoints.latest()
         first_step = checkpoint.step if checkpoint else 0
-        pause_step = executor_config.until.get(run_id) or run.steps
-        if pause_step <= first_step < run.steps:
+        pause_step = executor_config.until.get(run_id) or run.trained_steps
+        if pause_step <= first_step < run.trained_steps:
             return Status("stopped", first_step)
         self._send("step", run_id, step=first_step)
         beginning = f"resumes at step {first_step:,}" if first_step else "begins"
@@ -159,7 +159,7 @@ class Worker:
             if clock >= self._next_report:
                 self._next_report = clock + REPORT_SECONDS
                 self._send("step", run_id, step=progress.step)
-            is_stopping = self._stop.is_set() or pause_step <= progress.step < run.steps
+            is_stopping = self._stop.is_set() or pause_step <= progress.step < run.trained_steps
             live_log.update(progress)
             checkpoints.update(progress, attempt, is_stopping)
             return not is_stopping

@@ -149,7 +149,7 @@ def test_untrusted_a_table_that_lists_a_study_by_another_name_than_its_own_is_no
 def test_every_listed_study_that_comes_with_pneuma_can_be_opened(store: Store) -> None:
     index = RunIndex(store)
     names = index.listings()
-    assert "late-collapse-forks-eb57" in names and all(map(index.listing, names))
+    assert "author-logs" in names and all(map(index.listing, names))
 
 
 OWN = """
@@ -184,8 +184,8 @@ def test_runs_of_a_changed_module_count_as_of_another_version_without_the_studys
 
     assert coverage() == "1 of 2 runs."
     module.write_text("import gymnasium  # as before\n")
-    assert coverage() == "1 of 2 runs (1 by another version)."
+    assert coverage() == "1 of 2 runs (1 by an earlier version)."
     save_finished(store, make_plan(load_study("mine", copies=store.studies), Query(seeds=(0,))).cells[0].run)
     assert coverage() == "1 of 2 runs."
     module.unlink()  # its runs are still known by its name
-    assert coverage() == "1 of 2 runs (1 by another version)."
+    assert coverage() == "1 of 2 runs (1 by an earlier version)."

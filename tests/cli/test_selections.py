@@ -38,13 +38,13 @@ def test_where_nothing_was_run_the_published_preset_is_shown(store: Store) -> No
     """Tables 300 to 329 of the page: 30 runs of tanh, and 30 of ReLU though 60 are published."""
     code, out, err = call("study", "compare", "activation", *PAIR, "--results", store.root)
     assert code == 0 and "30 and 30" in out
-    coverage = "activation in the arena, preset paper, tanh and relu alone: 60 of 60 runs (published)."
-    assert err.splitlines()[-1] == coverage
+    coverage = "activation in the arena, preset paper, tanh and relu alone: 60 of 60 runs "
+    assert err.splitlines()[-1] == f"{coverage}(published; 60 by an earlier version)."
 
 
 @pytest.mark.usefixtures("unshipped")
 def test_what_was_run_last_is_shown_exactly_and_other_presets_are_counted(store: Store) -> None:
-    first = finish_study(store, seeds=(0, 1), steps=512, conditions=PAIR)  # rounded up to 1,024
+    first = finish_study(store, seeds=(0, 1), steps=512, conditions=PAIR)  # half an update
     last = finish_study(store, seeds=(1, 2), steps=2048, conditions=PAIR)
     quick = finish_study(store, noted=False)
     (tried,) = finish_study(store, seeds=(1000,), steps=2048, conditions=("tanh",), noted=False)
@@ -107,10 +107,15 @@ def test_a_run_of_another_version_counts_where_there_is_no_other(
     with monkeypatch.context() as patch:
         patch.setattr("pneuma.study.identity.RULES_VERSION", 0)
         old = finish_study(store, seeds=(0, 1), steps=1024, conditions=("tanh",))
-    assert show(store, "activation")[1].endswith(": 2 of 2 runs (2 by another version).")
+    assert show(store, "activation")[1].endswith(": 2 of 2 runs (2 by an earlier version).")
     (new,) = finish_study(store, seeds=(0,), steps=1024, conditions=("tanh",))
     run_ids, text = show(store, "activation", seeds=(0, 1))
-    assert run_ids == [new, old[1]] and text.endswith("2 of 2 runs (1 by another version).")
+    assert run_ids == [new, old[1]] and text.endswith("2 of 2 runs (1 by an earlier version).")
+    # Earlier versions rounded budgets up: 1,024 steps were trained for 1 to 1,024. Present ones do not.
+    assert show(store, "activation", seeds=(0, 1), steps=1000)[0] == old
+    assert show(store, "activation", seeds=(0, 1), steps=1025)[0] == []
+    finish_study(store, seeds=(5,), steps=1024, conditions=("tanh",))
+    assert show(store, "activation", seeds=(5,), steps=1000)[0] == []
     assert show(store, "activation", settings={"gamma": 0.5})[0] == []
 
 
@@ -121,18 +126,22 @@ def test_a_published_run_has_the_fields_of_its_cell_whatever_fields_have_left_si
     stored, fields = index.document("fields", run_id), as_fields(data.configurations[condition])
     assert stored.keys() - fields.keys() and have_same_fields(fields, stored)
     assert not have_same_fields(fields, {**stored, "bodies": "pass"})
+    own_reward = {**fields, "reward": ("/home/me/st/rewards.py:mine",)}
+    assert have_same_fields(own_reward, {**stored, "reward": ["rewards.py:mine"]})  # without its folders
+    for other in ("rewards.py:another", "others.py:mine", "thesis"):
+        assert not have_same_fields(own_reward, {**stored, "reward": [other]}), other
 
 
 def test_own_runs_of_the_published_cells_count_first(store: Store) -> None:
     (own,) = finish_study(store, seeds=(300,), steps=1_000_448, conditions=("tanh",))
     run_ids, text = show(store, "activation@paper")
     assert len(run_ids) == 90 and own in run_ids
-    assert text.endswith("90 of 90 runs (1 trained here, 89 published).")
+    assert text.endswith("90 of 90 runs (1 trained here, 89 published; 89 by an earlier version).")
 
 
 def test_cells_that_a_published_table_lacks_have_the_command_that_trains_them(store: Store) -> None:
     text = show(store, "activation@paper", "godot", conditions=("tanh",), seeds=(100, 7000))[1]
-    assert "seeds 100,7000: 1 of 2 runs (published). The others are trained by" in text
+    assert "seeds 100,7000: 1 of 2 runs (published; 1 by an earlier version). The others are" in text
     assert "`pneuma study run activation --world godot --preset paper --condition tanh " in text
 
 

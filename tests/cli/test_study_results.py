@@ -7,13 +7,18 @@ import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from pyarrow.types import is_list
 
 from pneuma.store.locks import run_lock
+from pneuma.store.published import Published
 from pneuma.store.quantities import TRAINING_QUANTITIES
+from pneuma.store.row_builder import record_frame
+from pneuma.store.series import GRID_POINTS
+from pneuma.store.store import Store
 from pneuma.study.plan import Query, make_plan
 from pneuma.study.spec import load_study
 
@@ -46,8 +51,9 @@ def test_only_what_is_missing_is_trained_and_printed_as_one_document(results: Pa
         (seed, condition, "done") for seed in (0, 1) for condition in ("tanh", "relu")
     ]
     assert [run["run_id"] for run in document["runs"] if run["trained"]] == [first.name]
-    assert "250 steps are rounded up to 256" in called.err
+    assert "256 steps are trained, because an update has 64" in called.err
     assert "4 done; 0 trained now, 4 were stored." in printed(*run)
+    assert "2 x         250 steps (256 trained)" in printed("study", "plan", *run[2:])
     assert call(*run, "--quiet") == Called(0, "", "")
 
 
@@ -100,6 +106,25 @@ def test_a_table_keeps_the_curves_that_are_named(table: Path, kept: str, columns
     assert _publish(table, "--curves", kept).code == 0
     curves = {column.name.split()[0] for column in pq.read_schema(table) if is_list(column.type)}
     assert curves & {*TRAINING_QUANTITIES} == columns
+
+
+def test_kills_of_training_are_published_as_returns_are(results: Path, table: Path) -> None:
+    """A point is the mean of the episodes that ended in the last twentieth, or blank as the return's."""
+    published = Published(table, table.read_bytes())
+    store = Store(results)
+    points = 0
+    for row_id, row in published.rows().items():
+        assert (row.budget, row.end) == (250, 256)
+        assert row.evaluations("step").tolist() == [62, 125, 187, 250]
+        episodes = record_frame(store, row_id, "episodes")
+        kills, returns = row.curve("kills"), row.curve("return")
+        assert np.array_equal(np.isnan(kills), np.isnan(returns)) and len(kills) == GRID_POINTS
+        for point in np.flatnonzero(np.isfinite(kills)):
+            end, window = row.grid[point], row.budget / 20
+            is_inside = (episodes["step"] > end - window) & (episodes["step"] <= end)
+            assert kills[point] == pytest.approx(episodes["kills"][is_inside].mean(), abs=1e-2)
+            points += 1
+    assert points > 0
 
 
 def test_a_damaged_table_is_reported_and_published_again(table: Path) -> None:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
 from pneuma.algorithms import ALGORITHMS
 from pneuma.analysis.outcomes import ONLY_ELSEWHERE, ONLY_IN_PNEUMA
-from pneuma.config import make_run
+from pneuma.config import Run, make_run
 from pneuma.engines import evaluation, gymnasium_evaluation
+from pneuma.engines.batched.training import BatchedTrainer
+from pneuma.engines.loop import Progress, Result, ResumableTrainer, train_run
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import (
     EPISODE_COLUMNS,
@@ -19,6 +22,7 @@ from pneuma.engines.records import (
     VALUE_COLUMNS,
     has_finite_losses,
 )
+from pneuma.engines.sb3 import Sb3Trainer
 
 from .trained import constant, run_of, train
 
@@ -69,6 +73,45 @@ def test_episodes_of_slots_add_up_to_the_steps_of_all(engine: str) -> None:
         assert row["ending"] in ("killed", "time-limit")
         assert (row["hp"] == 0) == (row["ending"] == "killed")
     assert [row["step"] for row in result.records.evaluations] == [64, 128, 192, 256, 320, 384]
+
+
+def stopped_at(run: Run, end: int) -> Result:
+    return train_run(run, lambda progress: progress.step < end)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_budget_within_an_update_is_trained_to_its_end_and_each_policy_is_evaluated_where_it_acts(
+    engine: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 350 steps: six updates of 64 end at 64, 128, …, 384, and sixths of the budget are 58, 116, …"""
+    evaluated: dict[int, str] = {}
+    evaluate = evaluation.Evaluation.evaluate
+
+    def watched(self: Any, policy: Policy, step: int, *more: Any) -> dict[str, Any]:
+        evaluated[step] = policy.checksum
+        return evaluate(self, policy, step, *more)
+
+    monkeypatch.setattr(evaluation.Evaluation, "evaluate", watched)
+    run = run_of(steps=350, engine=engine, learning_rate_schedule="linear")
+    seen: dict[int, list[int]] = {}
+
+    def note(progress: Progress) -> bool:
+        seen[progress.step] = [row["step"] for row in progress.records.evaluations]
+        return True
+
+    result = train_run(run, note)
+    steps = [58, 116, 175, 233, 291, 350]
+    assert (result.status, result.step, run.steps) == ("done", 384, 350)
+    assert seen == {
+        64: steps[:2], 128: steps[:3], 192: steps[:4], 256: steps[:5], 320: steps, 384: steps,
+    }  # fmt: skip
+    trainer: dict[str, type[ResumableTrainer]] = {"batched": BatchedTrainer, "sb3": Sb3Trainer}
+    policies: list[Any] = [trainer[engine](run).policy()]
+    for end in [*seen][:-1]:
+        policies.append(stopped_at(run, end).policy)
+    assert [evaluated[step] for step in steps] == [policy.checksum for policy in policies]
+    # At the end of the last update the learning rate is 0.
+    assert isinstance(result.policy, Policy) and result.policy.checksum == policies[-1].checksum
 
 
 def test_evaluations_have_the_declared_columns_and_each_is_of_the_worlds_that_record_it() -> None:

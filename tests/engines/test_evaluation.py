@@ -9,18 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.config import ACTIVATIONS, Run, make_run, stream_seed
+from pneuma.config import ACTIVATIONS, ENGINES, Run, make_run, stream_seed
 from pneuma.engines.batched.initial_weights import initial_networks
 from pneuma.engines.environment import make_vec_env
 from pneuma.engines.evaluation import ActionValues, Evaluation, OwnAgent, evenness
 from pneuma.engines.gymnasium_env import GymnasiumSlots
-from pneuma.engines.loop import Trainer, evaluation_episodes, evaluation_updates
+from pneuma.engines.loop import Trainer, evaluation_episodes, planned_evaluations
 from pneuma.engines.policy import Policy
-from pneuma.engines.records import Records
+from pneuma.engines.records import Records, Row
 from pneuma.env.players import Hunter
+from pneuma.env.state import PLAYER
 from pneuma.presets import BASES
 
-from .trained import constant
+from .trained import constant, train
+from .trained import run_of as small_run
 
 
 def run_of(**settings: object) -> Run:
@@ -79,23 +81,55 @@ def test_evaluation_worlds_are_none_of_the_training_worlds() -> None:
 @pytest.mark.parametrize(
     ("steps", "horizon", "updates", "episodes"),
     [
-        (100_352, 256, (20, 40, 59, 79, 98, 118, 138, 157, 177, 196), 50),  # of 392: after ceil(392 k / 20) …
+        (100_352, 256, (19, 39, 58, 78, 98, 117, 137, 156, 176, 196), 50),  # at 5,017, 10,035, …
         (50_176, 256, (28, 56, 84, 112, 140, 168, 196), 10),  # one for each 8,000 steps, and one more
         (10_240, 256, (20, 40), 10),
         (24_576, 8192, (1, 2, 3), 50),  # no more updates than evaluations
-        (4_096, 256, (2, 4, 5, 7, 8, 10, 12, 13, 15, 16), 10),
+        (4_096, 256, (1, 3, 4, 6, 8, 9, 11, 12, 14, 16), 10),  # at 409, 819, …
     ],
 )
 def test_evaluations_are_spread_evenly_and_follow_the_budget(
     steps: int, horizon: int, updates: tuple[int, ...], episodes: int
 ) -> None:
     run = make_run({"steps": steps, "horizon": horizon})
-    planned = sorted(evaluation_updates(run))
-    assert tuple(planned[:10]) == updates and planned[-1] == run.updates
+    planned = planned_evaluations(run)
+    assert tuple(evaluation.updates for evaluation in planned[:10]) == updates
+    assert (planned[-1].step, planned[-1].updates) == (steps, run.updates)
     assert evaluation_episodes(run) == episodes
     assert evaluation_episodes(replace(run, evaluation_episodes=30)) == 30
     elsewhere = replace(run, env="CartPole-v1", evaluation_episodes=30)
-    assert (len(evaluation_updates(elsewhere)), evaluation_episodes(elsewhere)) == (min(20, run.updates), 30)
+    assert (len(planned_evaluations(elsewhere)), evaluation_episodes(elsewhere)) == (min(20, run.updates), 30)
+
+
+@pytest.mark.parametrize(
+    ("steps", "horizon", "slots", "planned"),
+    [  # by hand: at k nths of the budget, the updates that have ended by then
+        (1000, 64, 2, {125: 0, 250: 1, 375: 2, 500: 3, 625: 4, 750: 5, 875: 6, 1000: 7}),  # 8 updates of 128
+        (1000, 50, 2, {100: 1, 200: 2, 300: 3, 400: 4, 500: 5, 600: 6, 700: 7, 800: 8, 900: 9, 1000: 10}),
+        (1000, 64, 1, {100: 1, 200: 3, 300: 4, 400: 6, 500: 7, 600: 9, 700: 10, 800: 12, 900: 14, 1000: 15}),
+        (257, 256, 1, {128: 0, 257: 1}),
+        (256, 256, 1, {256: 1}),
+        (100, 256, 1, {100: 1}),  # less than an update: its only evaluation is after it
+        (1, 256, 4, {1: 1}),
+    ],
+)
+def test_the_policy_that_acts_at_a_step_is_evaluated_there_whatever_the_horizon(
+    steps: int, horizon: int, slots: int, planned: dict[int, int]
+) -> None:
+    run = make_run({"steps": steps, "horizon": horizon, "slots": slots})
+    assert {evaluation.step: evaluation.updates for evaluation in planned_evaluations(run)} == planned
+
+
+def test_long_runs_share_twenty_steps_and_evaluate_no_policy_twice() -> None:
+    for horizon in (2, 100, 256, 2048, 4096, 5000):
+        run = make_run({"steps": 100_000, "horizon": horizon, "minibatch": 2})
+        planned = planned_evaluations(run)
+        assert [evaluation.step for evaluation in planned] == [5000 * k for k in range(1, 21)], horizon
+        assert [evaluation.number for evaluation in planned] == [*range(1, 21)]
+    for steps in (*range(1, 700), *range(99_990, 100_010)):
+        planned = planned_evaluations(make_run({"steps": steps, "horizon": 64, "minibatch": 2}))
+        updates = [evaluation.updates for evaluation in planned]
+        assert updates == sorted(set(updates)) and planned[-1].step == steps
 
 
 class Leaning(Trainer):
@@ -103,6 +137,10 @@ class Leaning(Trainer):
 
     def update(self, before: int, after: int, records: Records) -> bool:
         return True
+
+    def evaluate(self, step: int) -> Row:
+        row: Row = self._evaluation.evaluate(self.policy(), step)
+        return row
 
     def policy(self) -> Policy:
         if self.run.env != "CartPole-v1":
@@ -127,7 +165,7 @@ def test_evaluations_elsewhere_play_few_steps_compared_with_training(
         return step_one(slots, *arguments)
 
     monkeypatch.setattr(GymnasiumSlots, "step_one", counted_step)
-    rows = [trainer.evaluate(update) for update in sorted(evaluation_updates(run))]
+    rows = [trainer.evaluate(evaluation.step) for evaluation in planned_evaluations(run)]
     assert [row["episodes"] for row in rows] == [episodes] * evaluations
     assert len(played) <= 0.6 * steps
 
@@ -208,6 +246,79 @@ def numpy_logits(policy: Policy, observations: np.ndarray) -> np.ndarray:
     slope = 0.01 if policy.activation == "leaky-relu" else 0
     outputs = np.tanh(hidden) if policy.activation == "tanh" else np.where(hidden > 0, hidden, slope * hidden)
     return np.asarray(outputs @ last_weight + last_bias)
+
+
+# --- XP that is never reset -------------------------------------------------------------------------
+
+
+def first_xp(patch: pytest.MonkeyPatch) -> list[list[list[float]]]:
+    """Return a list to which every play adds the XP with which its episodes begin, (worlds, players)."""
+    begun: list[list[list[float]]] = []
+    play = Evaluation._play
+
+    def watched(evaluation: Evaluation, choose_actions: Any, *more: Any) -> None:
+        seen: list[list[list[float]]] = []
+
+        def watching(is_playing: np.ndarray) -> np.ndarray:
+            seen.append(evaluation.worlds.players["xp"].tolist())
+            actions: np.ndarray = choose_actions(is_playing)
+            return actions
+
+        play(evaluation, watching, *more)
+        begun.append(seen[0])
+
+    patch.setattr(Evaluation, "_play", watched)
+    return begun
+
+
+def test_worlds_take_the_xp_of_training_worlds_in_turn_and_draw_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = run_of(env="pneuma/PneumaGodot-v0", players=2, slots=2, evaluation_episodes=4, episode_steps=40)
+    evaluation = Evaluation(run)
+    policy = constant([0.3, 0.1, 0.0, 0.2, 0.4], evaluation.worlds.observations.shape[2])
+    begun = first_xp(monkeypatch)
+    without = evaluation.evaluate(policy, 100)
+    with_xp = evaluation.evaluate(policy, 100, np.array([[5.0, 6.0], [7.0, 8.0], [9.0, 10.0]]))
+    assert begun[0] == [[0, 0]] * len(evaluation.worlds)
+    in_turn = [[5, 6], [7, 8], [9, 10]] * len(evaluation.worlds)
+    assert begun[1] == in_turn[: len(evaluation.worlds)]
+    # This policy does not look at XP: it plays the same episodes.
+    unlike = {name for name, value in with_xp.items() if value != without[name]}
+    assert unlike <= {"return", "argmax_return"}
+
+
+def test_estimated_values_are_of_states_with_the_xp_of_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The policy's greatest value is the XP that it observes, and nobody kills or ends within two steps."""
+    run = run_of(env="pneuma/PneumaGodot-v0", algorithm="dqn", episode_steps=2, gamma=0.5)
+    values = ActionValues(run, 1)
+    features = values.worlds.observations.shape[2]
+    weight = np.zeros((features, 5), np.float32)
+    weight[3, 4] = 1.0
+    policy = Policy("tanh", ((weight, np.zeros(5, np.float32)),), (), exploration=0.1)
+    assert values.measure(policy, np.array([[6.0], [99.0]]))["q_estimate"] == 6.0
+    assert values.measure(policy)["q_estimate"] == 0.0
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_evaluations_begin_with_the_xp_of_the_slots_where_it_is_never_reset(
+    engine: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a checkpoint of the same update has it; elsewhere with 0."""
+    for env, is_kept in (("pneuma/PneumaGodot-v0", True), ("pneuma/PneumaArena-v0", False)):
+        with monkeypatch.context() as patch:
+            begun = first_xp(patch)
+            _, checkpoints = train(small_run("slots", env=env, engine=engine))
+        at_random, *evaluated = begun
+        zeros = [[0.0]] * len(at_random)
+        assert at_random == zeros and len(evaluated) == len(checkpoints) == 6
+        if not is_kept:
+            assert evaluated == [zeros] * 6
+            continue
+        for checkpoint, worlds_xp in zip(checkpoints, evaluated, strict=True):
+            slots_xp = checkpoint.arrays["worlds/players"].view(PLAYER)["xp"].tolist()
+            assert worlds_xp == [[slots_xp[world % 2]] for world in range(len(worlds_xp))]
+        assert any(slots_xp)
 
 
 # --- Estimated and true values of actions ---------------------------------------------------------

@@ -40,6 +40,8 @@ LEARNERS: dict[str, dict[str, Any]] = {
 """Of the engine `sb3` in Pneuma's worlds."""
 CASES: dict[str, dict[str, Any]] = {
     "adam": {"betas": (0.9, 0.9)},
+    "within an update": {"steps": 350, "slots": 2, "horizon": 32, "learning_rate_schedule": "linear"},
+    "within an update sb3": {"steps": 350, "engine": "sb3", "learning_rate_schedule": "linear"},
     "momentum": {"optimizer": "sgd", "momentum": 0.9, "dampening": 0.9},
     "upgd": {"optimizer": "upgd", "noise": 0.1},
     "rmsprop": {"optimizer": "rmsprop", "momentum": 0.5, "weight_decay": 0.01},

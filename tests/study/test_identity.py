@@ -17,9 +17,9 @@ from pneuma.study.plan import Cell, Query, make_plan
 from pneuma.study.spec import load_study
 
 ACTIVATION_SEED_0 = {
-    "tanh": "044a83d2515676df",
-    "relu": "63b62db827f7bf47",
-    "leaky-relu": "0f86b74715fa6f79",
+    "tanh": "e56b7b085b7bf45b",
+    "relu": "dab520d8db36a850",
+    "leaky-relu": "906f306f84d47b82",
 }
 """Stored runs are found by these: a change here retrains everybody's runs. Change it on purpose only."""
 
@@ -36,7 +36,7 @@ def test_the_shipped_studys_runs_keep_their_ids() -> None:
 
 
 def test_a_configuration_is_a_run_without_its_seed_and_steps() -> None:
-    run = make_run({})
+    run = make_run({"seed": 2})
     assert config_id(replace(run, seed=1, steps=1024)) == config_id(run)
     assert config_id(replace(run, horizon=512)) != config_id(run) != run_id(run)
 

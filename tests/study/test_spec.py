@@ -234,5 +234,5 @@ def test_a_preset_may_have_other_seeds_and_steps_for_one_condition(tmp_path: Pat
     path.write_text(f"{OPTIMIZERS}[presets.quick.conditions.sgd]\nseeds = [1]\nsteps = 1_024\n")
     plan = make_plan(load_study(str(path)), Query(conditions=("adam", "sgd")))
     assert [(cell.condition, cell.seed, cell.run.steps) for cell in plan.cells] == [
-        ("adam", 0, 50_176), ("adam", 1, 50_176), ("sgd", 1, 1024),
+        ("adam", 0, 50_000), ("adam", 1, 50_000), ("sgd", 1, 1024),
     ]  # fmt: skip

@@ -19,6 +19,7 @@ from pneuma.config import Run, make_run
 from pneuma.engines.loop import OnUpdate, Progress, Result
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import METRIC_COLUMNS, Checkpoint, Records, Row
+from pneuma.store.row_builder import row_until, stored_row
 from pneuma.store.rows import decode_row
 from pneuma.store.store import Status, Store, run_identity
 from pneuma.store.tables import from_parquet
@@ -26,6 +27,8 @@ from pneuma.study.identity import run_id
 from pneuma.training import worker
 from pneuma.training.executors.base import ExecutorConfig, Job
 from pneuma.training.executors.local import worker_environment
+
+from ..engines.trained import run_of
 
 RUNS = [make_run({"seed": seed, "steps": 512, "horizon": 256}) for seed in (0, 1)]
 FIRST, SECOND = map(run_id, RUNS)
@@ -88,6 +91,26 @@ def test_every_run_of_a_group_is_stored_as_it_ended(tmp_path: Path, monkeypatch:
     assert {row.config_id for row in rows} == {run_identity(RUNS[0]).config_id}
     policy = read_sound_policy(store.read_file(FIRST, "policy.safetensors"))
     assert [row.policy for row in rows] == [policy.checksum, None]
+
+
+def test_a_pause_within_an_update_has_the_row_that_the_finished_run_has_at_that_step(tmp_path: Path) -> None:
+    """Six updates of 64 steps for a budget of 350, whose third evaluation of six is at 175."""
+    run = run_of(steps=350)
+    store, name = Store(tmp_path), run_id(run)
+    trainer = worker.Worker(io.StringIO(), threading.Event())
+    for _ in range(2):  # the second time it is there already
+        assert trainer.train(Job({name: run}, store, ExecutorConfig(until={name: 175}), last_try=True))
+        assert store.status(name) == Status("partial", 192)
+    paused = row_until(store, name, run, 175)
+    assert trainer.train(Job({name: run}, store, HERE, last_try=True))
+    whole, at_pause = stored_row(store, name), row_until(store, name, run, 175)
+    assert (whole.budget, whole.end, paused.budget, paused.end) == (350, 384, 175, 175)
+    assert paused.evaluations("step").tolist() == [58, 116, 175]
+    assert whole.evaluations("step").tolist() == [58, 116, 175, 233, 291, 350]
+    assert paused.same_numbers(at_pause) and whole.grid[-1] == 350
+    for quantity in ("return", "entropy", "kills"):
+        np.testing.assert_array_equal(paused.curve(quantity), at_pause.curve(quantity))
+        assert np.isfinite(whole.curve(quantity)[-1])
 
 
 def test_an_engine_that_breaks_is_a_crash_of_the_run_that_it_was_training(

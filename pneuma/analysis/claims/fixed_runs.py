@@ -15,7 +15,6 @@ from pneuma.analysis.intervals import mean_interval
 from pneuma.analysis.outcomes import find_outcome, outcome_values, reason, unit_of_return
 from pneuma.analysis.runs import finished_rows, runs_of_plan
 from pneuma.analysis.study_data import StudyData
-from pneuma.config import round_up
 from pneuma.seeds import seeds_option
 from pneuma.store.index import RunIndex
 from pneuma.store.rows import Row
@@ -89,11 +88,11 @@ class ClaimRuns:
             return f"trained by different engines: {', '.join(engines)}"
         rows: list[Row] = []
         missing_runs: list[str] = []
-        for condition, run in runs.items():
+        for condition in runs:
             condition_rows, seeds = self.data.of_condition(condition), claim.seeds_of(condition)
             rows += condition_rows
             if len(condition_rows) < len(seeds):
-                fixed_runs = f"{len(seeds)} fixed ones with {round_up(run, claim.steps):,} steps"
+                fixed_runs = f"{len(seeds)} fixed ones with {claim.steps:,} steps"
                 missing_runs.append(
                     f"runs missing: {condition} has {len(condition_rows)} of the {fixed_runs}"
                 )
@@ -156,8 +155,7 @@ def find_claim_runs(index: RunIndex, study: Study, claim: Claim) -> ClaimRuns:
     cells: list[Cell] = []
     configurations = configure(study, {}, list(claim.a + claim.b), index.engine_of).runs
     for condition, run in configurations.items():
-        steps = round_up(run, claim.steps)
         for seed in claim.seeds_of(condition):
-            cells.append(Cell(condition, seed, replace(run, seed=seed, steps=steps)))
+            cells.append(Cell(condition, seed, replace(run, seed=seed, steps=claim.steps)))
     study_data = finished_rows(index, runs_of_plan(index, Plan(study, tuple(cells))))
     return ClaimRuns(claim, study_data, index.store.root)

@@ -28,7 +28,7 @@ class BatchedTrainer(ResumableTrainer):
     def update(self, before: int, after: int, records: Records) -> bool:
         rollout = self.collector.collect(self.actor)
         records.episodes.extend(self.collector.episode_rows(rollout, before))
-        budget_left = 1 - after / self.run.steps
+        budget_left = 1 - after / self.run.trained_steps
         all_metrics = []
         for player, learner in enumerate(self.learners):
             player_rollout = rollout.of_player(player, len(self.learners))
@@ -38,7 +38,7 @@ class BatchedTrainer(ResumableTrainer):
             if not learner.is_finite(metrics):
                 return False
         # earlier, the next update's losses show that logits overflow
-        is_last = after == self.run.updates * self.run.steps_per_update
+        is_last = after == self.run.trained_steps
         return not (is_last and overflows(self._joint_policy(), self.collector.slots.observations))
 
     def policy(self) -> Policy:
@@ -60,6 +60,10 @@ class BatchedTrainer(ResumableTrainer):
         actor = _stack([policy.actor for policy in policies])
         critic = _stack([policy.critic for policy in policies])
         return Policy(self.run.activation, actor, critic)
+
+    def training_xp(self) -> np.ndarray:
+        xp: np.ndarray = self.collector.slots.worlds.players["xp"]
+        return xp
 
     def checkpoint(self, step: int, records: Records) -> Checkpoint:
         worlds = self.collector.slots.saved_state()
