@@ -21,8 +21,9 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 from pneuma.algorithms import OPTIMIZERS
 from pneuma.config import Run, as_fields, env_config, is_gymnasium_id, make_run
 from pneuma.engines.gymnasium_env import make_env
+from pneuma.engines.mlp import layer_widths
 from pneuma.engines.normalization import CLIP, EPSILON, Scaling
-from pneuma.engines.policy import Policy, layer_widths
+from pneuma.engines.policy import Policy
 from pneuma.engines.sb3_learners import linear_layers, make_model
 from pneuma.env.fields import REWARDS
 from pneuma.env.worlds import Worlds

@@ -15,19 +15,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 from llvmlite import ir
 from numba import njit, types
 from numba.core import cgutils
 from numba.core.caching import FunctionCache
+from numba.core.codegen import get_host_cpu_features
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
 PACKAGE = Path(__file__).parents[1]
 KERNEL_SOURCES = (
     "env/compiling.py", "env/kernel.py", "env/layouts.py", "env/observe.py", "env/reward.py", "env/rules.py",
-    "env/state.py", "engines/mlp.py", "engines/batched/initial_weights.py", "engines/batched/optimizers.py",
-    "engines/batched/rollout.py", "engines/batched/update.py",
+    "env/state.py", "engines/mlp.py", "engines/products.py", "engines/batched/initial_weights.py",
+    "engines/batched/optimizers.py", "engines/batched/rollout.py", "engines/batched/update.py",
 )  # fmt: skip
 """Files whose code, or whose constants, are compiled into kernels."""
 DIGEST = hashlib.sha256(b"".join((PACKAGE / name).read_bytes() for name in KERNEL_SOURCES)).hexdigest()[:16]
@@ -89,6 +91,15 @@ def seed_compiled(seed: int) -> None:
     """Seed numba's own generators, from which a user's compiled code may draw."""
     random.seed(seed)
     np.random.seed(seed)
+
+
+def target_features() -> str:
+    """Return the features of the processor for which numba compiles, as LLVM names them."""
+    config: Any = numba.config
+    if config.CPU_FEATURES is not None:  # set by NUMBA_CPU_FEATURES
+        return str(config.CPU_FEATURES)
+    host_features: Any = get_host_cpu_features
+    return str(host_features())
 
 
 def array_from(codegen: Any, builder: Any, array_type: Any, address: Any, lengths: Any) -> Any:

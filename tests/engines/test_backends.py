@@ -15,6 +15,7 @@ from pneuma.config import ACTIVATIONS, make_run
 from pneuma.engines import mlp
 from pneuma.engines.batched import optimizers
 from pneuma.engines.batched.update import run_numbers, used_panels
+from pneuma.engines.products import COLUMNS
 
 DEFINITIONS: dict[str, Callable[[float], float]] = {
     "tanh": math.tanh,
@@ -66,7 +67,7 @@ def test_a_unit_is_dead_at_the_outputs_that_its_activation_has(activation: str) 
 def test_slopes_are_those_of_torch(activation: str) -> None:
     x = torch.from_numpy(INPUTS).requires_grad_()
     outputs = getattr(torch.nn, ACTIVATIONS[activation])()(x)
-    outputs.sum().backward()  # type: ignore[no-untyped-call]
+    outputs.sum().backward()
     slopes = np.ones(len(INPUTS), np.float32)
     mlp.scale_by_slopes(mlp.ACTIVATION_CODES[activation], by_numba(activation, INPUTS), slopes)
     assert x.grad is not None
@@ -81,7 +82,7 @@ RMSProp by a tenth of it; UPGD's weights are equally useful, and its noise is sm
 def stepped(settings: dict[str, Any], weights: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """Return the weights of an actor and a critic, each of one panel, after one step."""
     run = make_run(settings)
-    widths = np.array([1, mlp.COLUMNS])  # two rows: biases and weights
+    widths = np.array([1, COLUMNS])  # two rows: biases and weights
     moved = weights.astype(np.float32)
     optimizers.take_step(
         moved, gradient.astype(np.float32), optimizers.initial_state(run.optimizer, len(moved)),

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from pneuma.engines import mlp
-from pneuma.engines.policy import Layers
+from pneuma.engines.mlp import Layers
 
 from .trained import random_layers
 

@@ -50,10 +50,12 @@ class Learner:
 
     def policy(self) -> Policy:
         """Return a copy of the networks."""
-        layers = []
-        for network in (self.actor, self.critic):
-            layers.append(layers_of(network.weights[0], network.widths.tolist()))
-        return Policy(self.run.activation, *layers)
+        actor, critic = self.actor, self.critic
+        return Policy(
+            self.run.activation,
+            layers_of(actor.weights[0], actor.widths.tolist()),
+            layers_of(critic.weights[0], critic.widths.tolist()),
+        )
 
     def learn_from(self, rollout: Rollout, budget_left: float = 1.0) -> dict[str, float]:
         """Take an update's gradient steps; return its metrics. A share of the budget is left after them."""

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pneuma.engines.batched.initial_weights import draw_normal, mix
-from pneuma.engines.mlp import COLUMNS, exp
+from pneuma.engines.mlp import exp
+from pneuma.engines.products import COLUMNS
 from pneuma.env.compiling import cached
 from pneuma.env.compiling import kernel as inner
 

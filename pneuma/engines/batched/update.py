@@ -24,7 +24,6 @@ from pneuma.engines.batched.initial_weights import log
 from pneuma.engines.batched.optimizers import OPTIMIZERS, take_step
 from pneuma.engines.mlp import (
     ACTIVATION_CODES,
-    COLUMNS,
     ROWS_TOGETHER,
     copy_rows,
     count_dead,
@@ -33,15 +32,12 @@ from pneuma.engines.mlp import (
     layer_starts,
     make_scratch,
     most_probable,
-    multiply,
-    multiply_across,
     note_dead,
     row_length,
     scale_by_slopes,
-    square_of_norm,
-    transpose,
     widest_layer,
 )
+from pneuma.engines.products import COLUMNS, multiply, multiply_across, square_of_norm, transpose
 from pneuma.env.compiling import DIGEST, cached
 from pneuma.env.compiling import kernel as inner
 
@@ -268,7 +264,9 @@ def _policy_loss(
     mean, deviation = 0.0, 1.0
     if numbers.normalizes and count > 1:
         mean, deviation = _mean_and_deviation(advantages, indices)
-    loss, total_entropy, clipped_count, divergence = 0.0, 0.0, 0, 0.0
+    loss: Any = 0.0
+    total_entropy: Any = 0.0
+    clipped_count, divergence = 0, 0.0
     for row in range(count):
         at, index = start + row * length, indices[row]
         logits, slopes = scratch[at : at + action_count], gradient[row * length : (row + 1) * length]
@@ -305,7 +303,8 @@ def _policy_loss(
 @inner
 def _mean_and_deviation(numbers: Any, indices: Any) -> Any:
     """Return the mean of some numbers, and what they are divided by: their sample deviation and 1e-8."""
-    mean, square = 0.0, 0.0
+    mean: Any = 0.0
+    square: Any = 0.0
     for i in range(len(indices)):
         mean += numbers[indices[i]]
     mean /= len(indices)
