@@ -123,12 +123,23 @@ def share_area(run: Row) -> float:
 
 
 def steps_to(run: Row, threshold: float, column: str) -> float:
-    """Return the step of the first evaluation that reaches a value; infinite if none does."""
+    """Return the step at which evaluations, joined by lines, first reach a value; infinite if they never do.
+
+    Conditions may be evaluated at other steps, so that the first evaluation that has reached it comes later
+    in one than in another by chance of the steps alone. Before the first evaluation there is no line.
+    """
     steps, curve_values = run.evaluation_points(column)
     if not len(curve_values):
         return NAN
-    reached = steps[curve_values >= threshold]
-    return float(reached[0]) if len(reached) else np.inf
+    reached = np.flatnonzero(curve_values >= threshold)
+    if not len(reached):
+        return np.inf
+    index = reached[0]
+    if index == 0:
+        return float(steps[0])
+    value_before, value_after = curve_values[index - 1 : index + 1]
+    part_of_line = (threshold - value_before) / (value_after - value_before)
+    return float(steps[index - 1] + part_of_line * (steps[index] - steps[index - 1]))
 
 
 def overestimation(run: Row) -> float:
