@@ -48,19 +48,27 @@ def _show(answer: VerdictsAnswer, in_detail: bool) -> Iterator[str | Table]:
 
     table, counts = answer.cells
     worlds = words.worlds_of(answer.verdicts)
-    for (claim_name, by_world), (section, heading) in zip(
-        answer.verdicts.items(), table.iloc[:, :2].to_numpy(), strict=True
-    ):
-        yield f"{claim_name} (section {section})" if section else claim_name
-        for heading_line in heading.removeprefix(f"{claim_name}\n").split("\n"):
-            yield from _indented(heading_line, "  ")
-        for world, verdict in by_world.items():
-            verdict_head = f"{worlds[world]:16}{words.word(verdict)}"
-            for verdict_line in words.lines(verdict) + [words.registration(verdict)]:
-                yield f"    {verdict_head:32}{verdict_line}".rstrip()
-                verdict_head = ""
-            for detail in words.details(verdict) if in_detail else words.remedy(verdict):
-                yield from _indented(detail, "      ")
+    for line in answer.heading:
+        yield from _indented(line, "")
+    yield ""
+    rows = words.rows_of_claims(answer.verdicts)
+    for claim_names, (section, heading) in zip(rows, table.iloc[:, :2].to_numpy(), strict=True):
+        for place, claim_name in enumerate(claim_names):
+            by_world = answer.verdicts[claim_name]
+            claim = next(iter(by_world.values())).claim
+            if place == 0:
+                yield f"{claim_name} (section {section})" if section else claim_name
+                for heading_line in heading.removeprefix(f"{claim_name}\n").split("\n"):
+                    yield from _indented(heading_line, "  ")
+            else:  # another claim on the same sentence
+                yield from _indented(f"{words.list_and_name(claim)}: {claim.context}", "  ")
+            for world, verdict in by_world.items():
+                verdict_head = f"{worlds[world]:16}{words.word(verdict)}"
+                for verdict_line in words.lines(verdict) + [words.registration(verdict)]:
+                    yield f"    {verdict_head:32}{verdict_line}".rstrip()
+                    verdict_head = ""
+                for detail in words.details(verdict) if in_detail else words.remedy(verdict):
+                    yield from _indented(detail, "      ")
         yield ""
     yield frame_table(counts)
     yield ""

@@ -131,7 +131,7 @@ BY_HAND: dict[str, float] = {
     "final-commonest-action": 0.8,
     "grad-norm-growth": (17 * np.log(9) + np.log(10)) / 18,  # of 181 points, from 1 in the first tenth
     "stuck-share": 0.0,
-    "steps-to:0.5": 500,
+    "steps-to:0.5": 250 + 250 * 0.3 / 0.4,  # on the way from 0.2 to 0.6
     "steps-to:0.9": np.inf,
     "wall-seconds": 8,
     "steps-per-second": 125,
@@ -200,6 +200,14 @@ def test_the_share_of_training_with_a_low_entropy_is_of_updates(tmp_path: Path) 
     shares = [outcome(run, "low-entropy-share") for run in data.rows]
     assert shares == pytest.approx([0, 0.5, 20 / 70, 40 / 50])
     assert outcome(data.rows[3], "steps-per-second") == pytest.approx(5_000 / 8)  # of those after the fork
+
+
+def test_steps_to_a_value_are_read_off_the_line_between_evaluations(data: StudyData) -> None:
+    """Of evaluations of 0.2, 0.6, 0.4 and 0.5 at every 250 steps."""
+    run = data.rows[0]
+    steps = {share: outcome(run, f"steps-to:{share}") for share in (0.1, 0.2, 0.3, 0.6)}
+    assert steps == pytest.approx({0.1: 250, 0.2: 250, 0.3: 312.5, 0.6: 500})  # none before the first
+    assert outcome(run, "steps-to-return:4") == pytest.approx(375)
 
 
 def test_late_updates_in_one_action_are_of_the_last_quarter_of_the_budget(tmp_path: Path) -> None:

@@ -96,6 +96,7 @@ class Claim(Table):
     """
 
     name: str
+    list_name: str = ""
     like: str = ""
     quote: str = ""
     short: str = ""
@@ -357,6 +358,7 @@ def claim_keys(contents: Mapping[str, Any], claim_name: str) -> dict[str, Any]:
         **claims.get(str(claims[claim_name].get("like")), {}),
         **claims[claim_name],
         "name": claim_name,
+        "list_name": str(contents.get("list", {}).get("title", "")).rpartition(", ")[2],
         "list_margins": contents.get("margins", {}),
         "list_registered": contents.get("registered_margins", {}),
         "list_interim": contents.get("interim_margins", {}),
