@@ -31,11 +31,17 @@ def verify(
 ) -> Result:
     """Judge the thesis's claims on their preregistered runs.
 
-    Name claims to also see what is compared, the number of runs, and the reason.
+    Name claims to also see what is compared, the number of runs, and the reason. The name random-own shows
+    what a random player earns in the thesis's own game, beside all published runs there.
     """
+    from pneuma.answers.random_own import NAME, compare_with_random
     from pneuma.answers.verdicts import verify
     from pneuma.store.index import RunIndex
 
+    if claims == [NAME]:
+        returns = compare_with_random(RunIndex(Store(results), stored=False))
+        lines = [frame_table(returns.cells[0]), "", *returns.legend]
+        return Result(returns.document, lines, returns.title, table=returns.cells[0], numbers=returns.table)
     answer = verify(RunIndex(Store(results)), file, claims or (), world)
     claim_lines = _show(answer, in_detail=bool(claims))
     table, numbers = answer.cells[0], answer.table
