@@ -2,9 +2,9 @@
 
 What `pneuma study verify --json` prints is computed again from the lists of claims, the files of studies and
 the published tables by NumPy and SciPy: the runs of each group (`recompute_runs.py`), effects, intervals and
-verdicts. Nothing of Pneuma is imported, and the rules are written from docs/claims.md. By the registered margins
-the verdicts are those of version 5 of the rules, in force when these runs were trained. Ends with 1 if anything
-differs.
+verdicts. Nothing of Pneuma is imported, and the rules are written from docs/claims.md. By the registered
+margins the verdicts are those of version 5 of the rules, in force when these runs were trained. Ends with 1
+if anything differs.
 """
 
 from __future__ import annotations
@@ -266,9 +266,7 @@ def judged(
     nobody = all(idle) and claim["kind"] != "hazard" and (len(groups) > 1 or not is_before)
     unlike_only = nobody and ((outcome in HIGHER and not counts) or way in ("equal", "no-less"))
     verdict = rule(way, together, margin, unlike_only, is_before)
-    if np.isnan(effect):
-        effect = None
-    return effect, alone or (None, None), together or (None, None), verdict
+    return None if np.isnan(effect) else effect, alone or (None, None), together or (None, None), verdict
 
 
 def at_an_end(outcome: str, values: np.ndarray, near: float) -> bool:

@@ -23,6 +23,8 @@ LEVEL = 0.95
 LEAST_RUNS = 5
 """The fewest runs of which tables and figures give an interval."""
 RESAMPLES = 2_000
+WIDE_GAP = 3.0
+"""Standard deviations of runs that a gap between two groups of them exceeds."""
 ROUNDING = 1e-12
 """Runs that differ by less, in proportion to the largest, are equal."""
 HALF_WIDTH_DIGITS = 2
@@ -75,6 +77,21 @@ def probability_of_improvement(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def is_constant(values: np.ndarray) -> bool:
     """Return whether runs differ by rounding alone."""
     return bool(np.ptp(values) <= ROUNDING * np.abs(values).max())
+
+
+def has_two_modes(runs: np.ndarray) -> bool:
+    """Return whether runs, (runs,), fall into two groups with a wide gap between them.
+
+    The widest gap is then over `WIDE_GAP` standard deviations of the larger group, as in 7 % of ten normal
+    runs, and 0.2 % of thirty.
+    """
+    if runs.size < 3 or is_constant(runs):
+        return False
+    ordered = np.sort(runs)
+    gaps = np.diff(ordered)
+    split = int(gaps.argmax()) + 1
+    larger_group = max(ordered[:split], ordered[split:], key=len)
+    return bool(gaps.max() > WIDE_GAP * deviation(larger_group))
 
 
 def distances(values: np.ndarray) -> np.ndarray:
@@ -182,7 +199,9 @@ def _combined(groups: Groups, weights: Mapping[str, float], level: float, bounds
         total += weight * mean
         squares_below += min(distances_of_ends) ** 2
         squares_above += max(distances_of_ends) ** 2
-    return Interval(total - math.sqrt(squares_below), total + math.sqrt(squares_above), "squares of t and C-P")
+    return Interval(
+        total - math.sqrt(squares_below), total + math.sqrt(squares_above), "squares of t and C-P"
+    )
 
 
 def weighted_sum(groups: Groups, weights: Mapping[str, float]) -> tuple[float, float, float]:

@@ -43,7 +43,9 @@ def compare_with_random(index: RunIndex) -> Answer:
     own_env = WORLDS["godot"].env
     worlds = [world for world in measured_worlds() if world["settings"].get("env") == own_env]
     if not worlds:
-        raise UserError("no random player's returns are published; python studies/random_returns.py measures them")
+        raise UserError(
+            "no random player's returns are published; python studies/random_returns.py measures them"
+        )
     (world,) = worlds
     random_curve = np.array(world["mean"], float), make_grid(world["steps"])
     defaults = as_fields(make_run({"env": own_env}))
@@ -53,7 +55,11 @@ def compare_with_random(index: RunIndex) -> Answer:
             continue
         for run_id in table.row_numbers:
             fields = {**defaults, **table.document("fields", run_id)}
-            if fields["env"] != own_env or fields.get("fork_step") or not has_settings(fields, world["settings"]):
+            if (
+                fields["env"] != own_env
+                or fields.get("fork_step")
+                or not has_settings(fields, world["settings"])
+            ):
                 continue
             row = table.row(run_id)
             run_rows.append({
@@ -68,8 +74,10 @@ def compare_with_random(index: RunIndex) -> Answer:
     runs = pd.DataFrame(run_rows).drop_duplicates("run_id").dropna(subset="return")
     rows: list[dict[str, Any]] = []
     for kind in (AS_THE_THESIS, OTHER_OPTIMIZERS, OTHER_INPUTS):
-        for steps, of_budget in runs[runs["settings"] == kind].groupby("steps"):
-            rows.append({"settings": kind, **_compared(of_budget, float(steps), *random_curve)})
+        of_kind = runs[runs["settings"] == kind]
+        for steps in sorted(of_kind["steps"].unique()):
+            of_budget = of_kind[of_kind["steps"] == steps]
+            rows.append({"settings": kind, **_compared(of_budget, int(steps), *random_curve)})
     returns = pd.DataFrame(rows)
     return Answer(
         title="The random player's return in the thesis's own game, and those of all published runs",
@@ -87,15 +95,15 @@ def _kind_of_settings(fields: Mapping[str, Any]) -> str:
     return AS_THE_THESIS if has_settings(fields, THESIS_FIELDS) else OTHER_OPTIMIZERS
 
 
-def _compared(runs: pd.DataFrame, steps: float, random_returns: np.ndarray, grid: np.ndarray) -> dict[str, Any]:
+def _compared(runs: pd.DataFrame, steps: int, random_returns: np.ndarray, grid: np.ndarray) -> dict[str, Any]:
     """Return a row of the table, of runs with one budget."""
     random_return = np.nan
     if steps <= grid[-1] * (1 + SLACK):  # budgets are rounded up to whole updates
         random_return = float(np.interp(min(steps, grid[-1]), grid, random_returns))
-    best = runs.loc[runs["return"].idxmax()]
+    best = runs.iloc[int(runs["return"].to_numpy().argmax())]
     above = None if np.isnan(random_return) else int((runs["return"] > random_return).sum())
     return {
-        "steps": int(steps),
+        "steps": steps,
         "runs": len(runs),
         "random": random_return,
         "mean": float(runs["return"].mean()),

@@ -18,10 +18,11 @@ from pneuma.errors import counted, unknown_name
 from pneuma.store.index import RunIndex
 
 _LEGEND = (
-    "In brackets: the confidence interval of the difference, or of the value if there is only a threshold; and "
-    "the margin (± or, of a factor, ×), the smallest difference that counts.",
+    "In brackets: the confidence interval of the difference, or of the value if there is only a threshold; "
+    "and the margin (± or, of a factor, ×), the smallest difference that counts.",
     words.RULE,
-    f"docs/claims.md explains more. Rules of the judge: version {RULES}. The intervals of a family hold jointly:",
+    f"docs/claims.md explains more. Rules of the judge: version {RULES}. The intervals of a family hold "
+    "jointly:",
 )
 LEGEND = tuple(line for sentences in _LEGEND for line in wrap(sentences, 100))
 KILLS_AND_RETURNS = "Kills are the mean of the last five evaluations, returns of the last 5 % of training."

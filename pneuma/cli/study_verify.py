@@ -40,7 +40,7 @@ def verify(
 
     if claims == [NAME]:
         returns = compare_with_random(RunIndex(Store(results), stored=False))
-        lines = [frame_table(returns.cells[0]), "", *returns.legend]
+        lines: list[str | Table] = [frame_table(returns.cells[0]), "", *returns.legend]
         return Result(returns.document, lines, returns.title, table=returns.cells[0], numbers=returns.table)
     answer = verify(RunIndex(Store(results)), file, claims or (), world)
     claim_lines = _show(answer, in_detail=bool(claims))

@@ -33,7 +33,7 @@ def profile_page(answer: StudyAnswer) -> Page:
 
 
 def one_action_page(answer: StudyAnswer) -> Page:
-    """Return the figure of a study's conditions: a curve of survival, and training in one action by fifths."""
+    """Return the figure of a study's conditions: a curve of survival, and updates in one action."""
     looks = looks_of([answer.data])
 
     def draw_survival(axes: Axes) -> None:

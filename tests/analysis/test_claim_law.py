@@ -87,7 +87,9 @@ class Planned:
         """Yield the groups with each kind of runs made up for the conditions of a alone."""
         own = [condition for condition in self.a if condition not in self.b]
         for kind_of_runs in range(5):
-            made_up = {name: self.made_up(groups[name], kind_of_runs, place) for place, name in enumerate(own)}
+            made_up = {
+                name: self.made_up(groups[name], kind_of_runs, place) for place, name in enumerate(own)
+            }
             yield {**groups, **made_up}
 
     def made_up(self, published: np.ndarray, kind_of_runs: int, place: int) -> np.ndarray:
@@ -95,7 +97,9 @@ class Planned:
         if self.claim.kind == "hazard":  # steps, and whether they are those of an event
             last_steps = np.full(published.shape[1], published[0].max())
             there = np.array([np.linspace(1, 2, published.shape[1]), np.ones(published.shape[1])])
-            return [np.array([last_steps, 0 * last_steps]), there, published, published, published][kind_of_runs]
+            return [np.array([last_steps, 0 * last_steps]), there, published, published, published][
+                kind_of_runs
+            ]
         if self.claim.is_incidence:
             return np.full(len(published), float(kind_of_runs % 2))
         first = next(iter(self.published.values()))
@@ -170,5 +174,7 @@ def test_margins_of_means_are_larger_than_spreads(contrasts: list[Planned]) -> N
     (planned,) = [one for one in contrasts if one.name == "tanh-steadier arena late-share-killed tanh"]
     margin = shipped_claims()[0].claims["tanh-better"].margin_of("arena", "late-share-killed")
     for run_count in (30, 3000):
-        verdicts = [planned.verdict(groups, DIFFERENCE_OF_SPREADS, margin) for groups in planned.possible(run_count)]
+        verdicts = [
+            planned.verdict(groups, DIFFERENCE_OF_SPREADS, margin) for groups in planned.possible(run_count)
+        ]
         assert verdicts[1] == REFUTED and SUPPORTED not in verdicts, run_count

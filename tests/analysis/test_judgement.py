@@ -163,7 +163,7 @@ def test_unlike_numbers_of_runs_are_shown(store: Store, tmp_path: Path) -> None:
 
 
 def test_what_is_never_reached_counts_as_the_runs_budget(store: Store, tmp_path: Path) -> None:
-    """Half of the runs of high get there at 512 of 1,024 steps, and two at four fifths of the way from there."""
+    """Half of the runs of high get there at 512 of 1,024 steps, and two at four fifths of the way on."""
     save_runs(store, tmp_path, {"high": [SOON] * 4 + [LATE] * 2 + [NEVER] * 2, "low": [NEVER] * 8})
     (row,) = judge_one(store, tmp_path, changed(outcome('"steps-to:0.5"'), NO_MARGIN)).contrasts
     assert [*row.contrast.means] == pytest.approx([(4 * 512 + 2 * (512 + 0.8 * 512) + 2 * 1024) / 8, 1024])

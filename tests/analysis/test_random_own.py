@@ -29,14 +29,16 @@ def publish(folder: Path, runs: dict[str, tuple[dict[str, Any], float]]) -> Stor
     """Publish runs with some fields in the thesis's own game, each of one episode a slot, at its end."""
     store, clone = Store(folder / "results"), Store(folder / "clone")
     for run_id, (own, returned) in runs.items():
-        run = make_run({**BASES["table-6-2"], "env": "pneuma/PneumaGodot-v0", "slots": 4, "steps": STEPS, **own})
+        run = make_run(
+            {**BASES["table-6-2"], "env": "pneuma/PneumaGodot-v0", "slots": 4, "steps": STEPS, **own}
+        )
         rows: list[dict[str, Any]] = [
             {"step": run.steps, "slot": slot, "return": returned} for slot in range(run.slots)
         ]
         hand_made.save_run(store, run_id, rows, [], [], run.steps, fields=as_fields(run))
-    rows = [stored_row(store, run_id) for run_id in runs]
-    about = {"study": "mine", "world": None, "settings": {}}
-    clone.write(clone.published_path("mine"), encode_published(rows, about))
+    about: dict[str, Any] = {"study": "mine", "world": None, "settings": {}}
+    stored_rows = [stored_row(store, run_id) for run_id in runs]
+    clone.write(clone.published_path("mine"), encode_published(stored_rows, about))
     return clone
 
 

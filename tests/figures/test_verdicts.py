@@ -148,7 +148,12 @@ def test_one_sentence_has_one_row_with_what_each_list_says_of_it() -> None:
     """A claim without a quote stands with an earlier one about the same conditions."""
     issue = {"quote": "To combat this issue, we used betas", "list_name": "second list"}
     first = claim("first", quote="To combat this, we used betas", list_name="first list")
-    claims = [first, claim("again", **issue), claim("described", quote=""), claim("other", quote="", b=("x",))]
+    claims = [
+        first,
+        claim("again", **issue),
+        claim("described", quote=""),
+        claim("other", quote="", b=("x",)),
+    ]
     verdicts = [Verdict(one, "text", "supported", "", label="preregistered") for one in claims]
     by_claim = words.verdicts_by_claim(verdicts)
     assert words.rows_of_claims(by_claim) == [["first", "again", "described"], ["other"]]
@@ -156,7 +161,9 @@ def test_one_sentence_has_one_row_with_what_each_list_says_of_it() -> None:
     assert table["text"].tolist() == [
         "first list, first: holds [p]\nsecond list, again: holds [p]\ndescribed: holds [p]", "holds [p]",
     ]  # fmt: skip
-    assert words.erratum(claims[1]).endswith("the thesis “To combat this, we used”.") and not words.erratum(first)
+    assert words.erratum(claims[1]).endswith("the thesis “To combat this, we used”.") and not words.erratum(
+        first
+    )
 
 
 def test_a_registered_verdict_is_shown_with_why_it_differs() -> None:

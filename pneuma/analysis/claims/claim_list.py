@@ -194,7 +194,7 @@ class Claim(Table):
         return _first(pick(self.margin, outcome, world), pick(self.list_margins, name, world))
 
     def registered_margin_of(self, world: str, outcome: str) -> float | None:
-        """Return the margin that was stated before the first run, if it was changed since; else the margin."""
+        """Return the margin that was stated before the first run, if it was changed; else the margin."""
         name = "incidence" if self.is_incidence else outcome
         registered = pick(self.registered_margin, outcome, world), pick(self.list_registered, name, world)
         return _first(*registered, self.margin_of(world, outcome))
@@ -322,6 +322,17 @@ class ClaimList:
             study = ""
         claims = self.on(study, world)
         return sum(len(claim.pairs(outcome)) for claim in claims for outcome in claim.outcome)
+
+    def level_on(self, study: Study) -> float:
+        """Return the level of the interval of each contrast that claims make on a study, in its world.
+
+        Raises:
+            UserError: if no claim is about it.
+        """
+        for study_name, own_study in self.studies.items():
+            if own_study.path == study.path and self.on(study_name, study.world):
+                return 1 - self.head.alpha / self.family_size(study.world, study_name)
+        raise UserError(f"{self.path}: no claim is about study {study.name} in the world {study.world}")
 
     def on(self, study: str, world: str) -> list[Claim]:
         """Return the claims on a study, or on any if it is empty, in a world."""

@@ -48,7 +48,7 @@ class Changes(NamedTuple):
     Attributes:
         changed: names of what differs; None if no commit is known to have its list. `THE_CLAIM` stands for a
             claim that the list did not have yet.
-        rules: the version of the judge's rules by which it was registered, or `RULES_BEFORE` for an older one.
+        rules: the version of the judge's rules by which it was registered; `RULES_BEFORE` if it is older.
     """
 
     changed: tuple[str, ...] | None

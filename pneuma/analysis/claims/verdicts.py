@@ -7,9 +7,8 @@ compares the ends of the simultaneous interval, which is printed, with 0 and wit
 decides. All intervals of a world, also those of claims without runs, hold jointly with 95 % probability. So
 the chance of any false verdict in a world is at most 5 %, whichever claims are shown and whatever was run.
 
-Where margins or the judge's rules were changed when runs were known, claims are also judged in their registered
-form: by the margins of before the first run, and by `RULES_BEFORE`. These differ from `RULES` as `SINCE_THEN`
-says.
+Where margins or the judge's rules were changed when runs were known, claims are also judged in their
+registered form: by the margins of before the first run, and by earlier rules. `SINCE_THEN` says what changed.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pneuma.analysis.claims.claim_list import RULES, RULES_BEFORE, Claim, ClaimList, Pair
+from pneuma.analysis.claims.claim_list import RULES, Claim, ClaimList, Pair
 from pneuma.analysis.claims.contrasts import DIFFERENCE_OF_SPREADS, Contrast, compare
 from pneuma.analysis.claims.fixed_runs import TRAIN_WITH, ClaimRuns, find_claim_runs
 from pneuma.analysis.claims.history import AMOUNT_KEYS, RULES_KEY, find_changes
@@ -199,7 +198,11 @@ def _judge_claim(claim_list: ClaimList, claim_runs: ClaimRuns) -> Verdict:
         registered_verdict=_of_claim(claim, claim_contrasts, "registered_verdict"),
         changed=changes.changed,
     )
-    if verdict.registered_verdict != word and verdict.rule_changes and RULES_KEY not in (verdict.changed or ()):
+    if (
+        verdict.registered_verdict != word
+        and verdict.rule_changes
+        and RULES_KEY not in (verdict.changed or ())
+    ):
         verdict = replace(verdict, changed=(*(verdict.changed or ()), RULES_KEY))
     return replace(verdict, label=_label(claim_list, verdict, has_runs=bool(claim_runs.commits)))
 
@@ -298,7 +301,7 @@ def _compare(
     reason = _why_untestable(claim_runs, outcome, groups, margin, rules)
     groups_a = {condition: groups[condition] for condition in planned.a}
     groups_b = {condition: groups[condition] for condition in planned.b}
-    kind, bounds = claim.kind, find_outcome(outcome).bounds
+    kind, bounds = str(claim.kind), find_outcome(outcome).bounds
     if isinstance(constant, str):  # each run's other outcome is subtracted, and their mean added again
         (condition_a,) = planned.a
         other_values = claim_runs.values(constant, condition_a, rules)
@@ -326,9 +329,11 @@ def _rule_changes(claim_runs: ClaimRuns, planned: ClaimContrast) -> list[str]:
         rule_changes.append("steps")
     if outcome == FORGETTING and False in map(claim_runs.learned.get, conditions):
         rule_changes.append("idle")
-    if claim.kind in ("mean", "main-effect", "interaction") and np.isfinite(find_outcome(outcome).bounds).all():
-        if any(is_constant(claim_runs.values(outcome, condition)) for condition in conditions):
-            rule_changes.append("equal")
+    has_known_ends = bool(np.isfinite(find_outcome(outcome).bounds).all())
+    is_of_means = claim.kind in ("mean", "main-effect", "interaction")
+    values = [claim_runs.values(outcome, condition) for condition in conditions]
+    if is_of_means and has_known_ends and any(map(is_constant, values)):
+        rule_changes.append("equal")
     if _have_none_learned(claim_runs, outcome, conditions, RULES):
         rule_changes.append("small")
     return rule_changes

@@ -44,10 +44,10 @@ WORDS = {
 }
 """The four words, and what each means for a sentence in a world."""
 RULE = (
-    "A claim holds if the interval lies on the claimed side of 0 (or of the threshold) and reaches beyond the "
-    "margin; it does not hold if the interval lies on the other side, or within the margin; of two measures "
-    "one suffices if the other does not speak against it, and where no agent beats the random player an "
-    "interval within the margin decides nothing."
+    "A claim holds if the interval lies on the claimed side of 0 (or of the threshold) and reaches beyond "
+    "the margin; it does not hold if the interval lies on the other side, or within the margin; of two "
+    "measures one suffices if the other does not speak against it, and where no agent beats the random "
+    "player an interval within the margin decides nothing."
 )
 """How a verdict follows from interval and margin."""
 LABELS = {
@@ -147,7 +147,7 @@ def rows_of_claims(by_claim: ByClaim) -> list[list[str]]:
 
 
 def verdict_table(by_claim: ByClaim) -> pd.DataFrame:
-    """Return a row for each sentence: section, sentence and conditions, and for each world words and effects."""
+    """Return a row for each sentence: section, sentence, conditions, and for each world words and effects."""
     worlds = worlds_of(by_claim)
     verdict_rows: list[list[str]] = []
     quoted_sentences: set[str] = set()
