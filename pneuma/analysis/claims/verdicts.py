@@ -50,8 +50,8 @@ FORGETTING = "late-fall"
 SINCE_THEN = {
     "spread": "spreads are compared by their ratio",
     "steps": "steps are read off lines between evaluations",
-    "equal": "equal runs of an outcome with known ends have an interval",
-    "idle": "agents that learned nothing are not tested for forgetting",
+    "equal": "equal runs have an interval",
+    "idle": "idle agents are not tested for forgetting",
     "small": "where none has learned, a difference within the margin decides nothing",
 }
 """How the rules of the judge differ since version 6, by short names."""

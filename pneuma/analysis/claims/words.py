@@ -14,7 +14,7 @@ from textwrap import shorten
 
 import pandas as pd
 
-from pneuma.analysis.claims.claim_list import RULES_BEFORE, Claim
+from pneuma.analysis.claims.claim_list import Claim
 from pneuma.analysis.claims.contrasts import LOGARITHMIC
 from pneuma.analysis.claims.verdicts import (
     AMENDED,
@@ -202,7 +202,7 @@ def lines(verdict: Verdict) -> list[str]:
         ]
         cell_lines = list(map(effect, tested_contrasts))
         if any(claim_contrast.none_learned for claim_contrast in tested_contrasts):
-            cell_lines.append("none plays better than at random")
+            cell_lines.append("none beats random")
         for claim_contrast in tested_contrasts[:1]:
             seeds_a, seeds_b = claim_contrast.contrast.seeds
             if seeds_b not in (0, seeds_a):
@@ -211,11 +211,8 @@ def lines(verdict: Verdict) -> list[str]:
     if verdict.registered_verdict not in ("", verdict.verdict):
         registered_word = _WORD_OF[verdict.registered_verdict]
         reasons = " and ".join(SINCE_THEN[rule_change] for rule_change in verdict.rule_changes)
-        if reasons:
-            cell_lines.append(f"by the registered margins and rules {RULES_BEFORE}: {registered_word}")
-            cell_lines.append(f"since then {reasons}")
-        else:
-            cell_lines.append(f"by the registered margins: {registered_word}")
+        since_then = f"; since then {reasons}" if reasons else ""
+        cell_lines.append(f"as registered: {registered_word}{since_then}")
     return list(filter(None, cell_lines))
 
 
