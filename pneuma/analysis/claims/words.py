@@ -379,7 +379,7 @@ def _factor(logarithm: float) -> str:
 
 def _end_factor(logarithm: float) -> str:
     """Return an end of an interval; one that would be 1 has digits that show on which side of 1 it is."""
-    factor_text, distance = _factor(logarithm), abs(math.expm1(logarithm))
+    factor_text, distance = _factor(logarithm), abs(math.exp(logarithm) - 1)
     if factor_text == "1.0" and distance:
         factor_text = number_text(math.exp(logarithm), min(-math.floor(math.log10(distance)), MOST_DECIMALS))
     return factor_text
