@@ -1,18 +1,21 @@
 """A random player's kills and returns in each world, measured as those of chapter 6's runs.
 
-    python studies/random_returns.py > results/published/random-returns.json
+    python studies/random_returns.py results/published/random-returns.json
 
 A policy whose weights are all zero draws each action with the same probability. It plays in four environments
 for a million steps, with the streams of twenty seeds. Returns are averaged over the twentieth of the budget
 before each of 200 points, as training curves are. In the published code's world XP is never reset, and its
-return rises by itself. The share of monsters killed is that of 20,000 episodes, played as evaluations are.
+return rises by itself. The share of monsters killed is that of 20,000 episodes, played as evaluations are. It
+writes the file, says on standard error how far it is, and prints the returns after some of the steps.
 """
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +28,8 @@ from pneuma.store.series import WINDOW_POINTS, episode_curve, make_grid
 
 STEPS, SLOTS, SEEDS = 1_000_448, 4, 20
 EPISODES = 20_000
+SHOWN_STEPS = (100_000, 300_000, 1_000_000)
+"""Of the points of a curve, those that are printed."""
 OBSERVATION_FIELDS = ("observation", "perceive", "order", "scale", "observe_facing")
 """Settings of a world that change nothing for a player who does not look."""
 EARNING_FIELDS = ("reward", "shared_reward", "ending_cost", "xp_scope", "time_limit", "end_on_clear")
@@ -60,7 +65,12 @@ def play(run: Run) -> np.ndarray:
 
 def measure(world: str) -> dict[str, Any]:
     """Return a random player's kills and returns in a world, and the settings on which they depend."""
-    curves = np.array([play(random_run(world, seed)) for seed in range(SEEDS)])
+    played = []
+    for seed in range(SEEDS):
+        print(f"\r{world}: run {seed + 1} of {SEEDS}", end="", file=sys.stderr, flush=True)
+        played.append(play(random_run(world, seed)))
+    print(file=sys.stderr)
+    curves = np.array(played)
     evaluated = replace(random_run(world, 0), evaluation_episodes=EPISODES)
     run = as_fields(evaluated)
     settings = {name: run[name] for name in WORLD_FIELDS if name not in OBSERVATION_FIELDS}
@@ -84,6 +94,22 @@ def _numbers(curve: np.ndarray) -> list[float | None]:
     return [None if np.isnan(value) else round(float(value), 2) for value in curve]
 
 
+def table(measured: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the returns in each world after some of the steps, as means ± standard deviations, and kills."""
+    lines = [f"{'world':8}{'kills':>8}" + "".join(f"{f'{steps:,} steps':>20}" for steps in SHOWN_STEPS)]
+    for world, numbers in measured.items():
+        line = f"{world:8}{100 * numbers['random_share_killed']:>6.1f} %"
+        for steps in SHOWN_STEPS:
+            point = np.searchsorted(make_grid(numbers["steps"]), steps)
+            mean_and_sd = f"{numbers['mean'][point]:,.1f} ± {numbers['sd'][point]:,.1f}"
+            line += f"{mean_and_sd:>20}"
+        lines.append(line)
+    return "\n".join(lines)
+
+
 if __name__ == "__main__":
-    json.dump({world: measure(world) for world in WORLDS}, sys.stdout, indent=1)
-    print()
+    if len(sys.argv) != 2:
+        sys.exit("python studies/random_returns.py FILE: name the file to write")
+    measured_worlds = {world: measure(world) for world in WORLDS}
+    Path(sys.argv[1]).write_text(json.dumps(measured_worlds, indent=1) + "\n", encoding="utf-8")
+    print(table(measured_worlds))

@@ -15,14 +15,23 @@ Values = Mapping[str, np.ndarray]
 
 
 def interval(
-    kind: str, a: Sequence[str], b: Sequence[str], values: Values, constant: float, alpha: float
+    kind: str,
+    a: Sequence[str],
+    b: Sequence[str],
+    values: Values,
+    constant: float,
+    alpha: float,
+    most: float | None = None,
 ) -> tuple[float, Ends]:
-    """Return the effect and the ends of its interval; no ends if the runs of a group do not differ."""
+    """Return the effect and the ends of its interval; no ends if the runs of a group do not differ.
+
+    Unless the values are known to lie between 0 and `most`: then equal runs have an interval, too.
+    """
     if kind == "hazard":
         return of_hazard(values[a[0]], values[b[0]], alpha)
     if kind == "incidence":
         return of_shares([values[name] for name in (*a, *b)], constant, alpha)
-    if kind == "spread":
+    if "spread" in kind:
         values = {name: abs(runs - np.median(runs)) for name, runs in values.items()}
     varies = all(
         len(runs) > 1 and np.ptp(runs) > 1e-12 * abs(runs).max()
@@ -30,6 +39,15 @@ def interval(
     )
     if kind == "range":
         effect, ends = of_range(a, b, values, constant, alpha)
+    elif kind == "spread":  # of ratios: errors in proportion to the means, in logarithms
+        if not varies:
+            return float("nan"), None
+        first, second = values[a[0]], values[b[0]]
+        effect = float(np.log(first.mean()) - np.log(second.mean()))
+        test = stats.ttest_ind(first / first.mean(), second / second.mean(), equal_var=False)
+        ends = tuple(effect + np.array(test.confidence_interval(1 - alpha)))
+    elif most is not None and not varies and kind in ("mean", "main-effect", "interaction"):
+        return of_bounded(a, b, values, constant, alpha, most, kind)
     elif kind in ("main-effect", "interaction"):
         factors = {"main-effect": [1 / len(a)] * len(a), "interaction": [1.0, -1.0]}[kind]
         weights = Counter(dict(zip(a, factors, strict=True)))
@@ -43,7 +61,7 @@ def interval(
         if not varies:
             return effect, None
         if b:
-            test = stats.ttest_ind(first, values[b[0]], equal_var=kind == "spread")
+            test = stats.ttest_ind(first, values[b[0]], equal_var=kind == "difference of spreads")
         else:
             test = stats.ttest_1samp(first, 0)
         ends = tuple(test.confidence_interval(1 - alpha))
@@ -57,6 +75,34 @@ def of_sum(weights: Mapping[str, float], values: Values) -> tuple[float, float, 
     rest = sum(square**2 / (len(values[name]) - 1) for name, square in squares.items())
     total = sum(squares.values())
     return effect, total**0.5, total**2 / rest if rest else 1.0
+
+
+def of_bounded(
+    a: Sequence[str],
+    b: Sequence[str],
+    values: Values,
+    constant: float,
+    alpha: float,
+    most: float,
+    kind: str,
+) -> tuple[float, Ends]:
+    """Return a difference of means between 0 and `most`, with the ends of each mean, squared and added.
+
+    Of equal runs a share may be unlike them that none of so many would show with a chance of alpha / 2.
+    """
+    assert kind == "mean", "no published main effect or interaction has equal runs"
+    effect, squares = -constant, np.zeros(2)
+    for names, sign in ((a, 1), (b, -1)):
+        for name in names:
+            runs = values[name]
+            unlike = 1 - (alpha / 2) ** (1 / len(runs))
+            distances = np.array([-unlike * runs[0], unlike * (most - runs[0])])
+            if np.ptp(runs) > 0:
+                distances = np.array([-1, 1]) * stats.sem(runs) * stats.t.ppf(1 - alpha / 2, len(runs) - 1)
+            effect += sign * runs.mean()
+            squares += np.sort(sign * distances) ** 2
+    low, high = effect - squares[0] ** 0.5, effect + squares[1] ** 0.5
+    return float(effect), (float(low), float(high))
 
 
 def of_hazard(first: np.ndarray, second: np.ndarray, alpha: float) -> tuple[float, Ends]:

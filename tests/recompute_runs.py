@@ -236,7 +236,17 @@ def one_action(run: Row) -> float:
 
 
 def steps_to(run: Row, least: float) -> float:
-    """Return the step of the first evaluation that kills so much; the budget if none does."""
+    """Return the step at which lines from evaluation to evaluation kill so much; the budget if none does."""
+    before: tuple[float, float] | None = None
+    for step, share in zip(*evaluations(run, "share_killed"), strict=True):
+        if share >= least:
+            return float(step if before is None else np.interp(least, (before[1], share), (before[0], step)))
+        before = step, share
+    return float(run["steps"])
+
+
+def steps_to_evaluation(run: Row, least: float) -> float:
+    """Return the step of the first evaluation that kills so much, as before version 6 of the rules."""
     reached = [step for step, share in zip(*evaluations(run, "share_killed"), strict=True) if share >= least]
     return float(min(reached, default=run["steps"]))
 
@@ -264,13 +274,15 @@ LOWER = {
     "final-died", "late-fall", "late-one-action-time", "curve-roughness", "grad-norm-growth",
     "low-entropy-share",
 }  # fmt: skip
-OF_LEARNERS = {"curve-roughness"}
+OF_LEARNERS = {"curve-roughness", "late-fall"}
+"""Outcomes that mean nothing where nothing was learned; before version 6 of the rules the first alone."""
 SHARES = {"late-share-killed", "final-action-4", "one-action", *LOWER} - {"grad-norm-growth"}
 
 
-def value_of(run: Row, outcome: str) -> float:
+def value_of(run: Row, outcome: str, is_before: bool = False) -> float:
     if outcome.startswith("steps-to:"):
-        return steps_to(run, float(outcome.removeprefix("steps-to:")))
+        least = float(outcome.removeprefix("steps-to:"))
+        return steps_to_evaluation(run, least) if is_before else steps_to(run, least)
     return OUTCOMES[outcome](run)
 
 

@@ -2,8 +2,9 @@
 
 What `pneuma study verify --json` prints is computed again from the lists of claims, the files of studies and
 the published tables by NumPy and SciPy: the runs of each group (`recompute_runs.py`), effects, intervals and
-verdicts. Nothing of Pneuma is imported, and the rules are written from docs/claims.md. Ends with 1 if
-anything differs.
+verdicts. Nothing of Pneuma is imported, and the rules are written from docs/claims.md. By the registered
+margins the verdicts are those of version 5 of the rules, in force when these runs were trained. Ends with 1
+if anything differs.
 """
 
 from __future__ import annotations
@@ -94,8 +95,9 @@ def compared(
             verdict = "untestable"
             if is_complete and "not_tested" not in claim:
                 margin = margin_of(claim, outcome, world, key)
+                is_before = key == "registered_margin"
                 effect, alone, together, verdict = judged(
-                    claim, outcome, world, (a, b), groups, alpha, margin
+                    claim, outcome, world, (a, b), groups, alpha, margin, is_before
                 )
                 if key == "margin":
                     yield "effects", place, effect, row["effect"]
@@ -178,6 +180,8 @@ def of(value: Any, *names: str) -> Any:
 def margin_of(claim: Claim, outcome: str, world: str, key: str) -> float | None:
     """Return a margin; a registered one is the margin where none was kept."""
     name = "incidence" if claim["kind"] == "incidence" else outcome
+    if claim["kind"] == "spread" and key == "margin":
+        name = "spread"  # of a ratio
     margin = of(claim.get(key), outcome, world)
     if margin is None:
         margin = of(claim["margins"][key].get(name), world)
@@ -210,13 +214,20 @@ def judged(
     groups: Mapping[str, Sequence[Row]],
     alpha: float,
     margin: float | None,
+    is_before: bool,
 ) -> Judged:
-    """Return effect, interval, simultaneous interval and verdict of a contrast that has all its runs."""
+    """Return effect, interval, simultaneous interval and verdict of a contrast that has all its runs.
+
+    `is_before`: by the rules before version 6.
+    """
     a, b = pair
-    values = {name: np.array([value_of(run, outcome) for run in runs]) for name, runs in groups.items()}
+    values = {
+        name: np.array([value_of(run, outcome, is_before) for run in runs]) for name, runs in groups.items()
+    }
     constant = of(claim.get("value"), outcome, world) if not b else 0.0
     counts, idle = claim["kind"] == "incidence", [not learned(runs) for runs in groups.values()]
-    if any(np.isnan(own).any() for own in values.values()) or (outcome in OF_LEARNERS and any(idle)):
+    needs_learners = outcome in OF_LEARNERS and not (is_before and outcome == "late-fall")
+    if any(np.isnan(own).any() for own in values.values()) or (needs_learners and any(idle)):
         return NOTHING
     if claim["kind"] == "hazard":
         ends = {name: [run["evaluations"][-1]["step"] for run in runs] for name, runs in groups.items()}
@@ -229,24 +240,33 @@ def judged(
         shares = [own.mean() for own in values.values()]
         if len(shares) > 1 and (max(shares) <= 0.1 or min(shares) >= 0.9):
             return NOTHING
-    elif len(groups) > 1 and at_an_end(outcome, np.concatenate([*values.values()]), margin or 1e-9):
-        return NOTHING
+    elif len(groups) > 1:
+        near = margin or 1e-9
+        if claim["kind"] == "spread" and not is_before:
+            near = 0.5 / 14 if outcome == "late-share-killed" else 1e-9
+        if at_an_end(outcome, np.concatenate([*values.values()]), near):
+            return NOTHING
     if isinstance(constant, str):  # another outcome of the same runs
         for name, runs in groups.items():
             values[name] = values[name] - np.array([value_of(run, constant) for run in runs])
         constant = 0.0
     elif not b and constant:
         margin = None  # the constant is the least that counts
-    effect, alone = interval(claim["kind"], a, b, values, constant or 0.0, 0.05)
-    _, together = interval(claim["kind"], a, b, values, constant or 0.0, alpha)
+    kind, most = claim["kind"], 1.0 if outcome in SHARES else None
+    if is_before:
+        kind, most = "difference of spreads" if kind == "spread" else kind, None
+    if outcome == "late-fall":  # the difference of two
+        most = None
+    effect, alone = interval(kind, a, b, values, constant or 0.0, 0.05, most)
+    _, together = interval(kind, a, b, values, constant or 0.0, alpha, most)
     way = of(claim["direction"], outcome)
     if way in ("better", "worse"):
         assert outcome in HIGHER | LOWER
         way = "greater" if (outcome in HIGHER) == (way == "better") else "less"
-    nobody = len(groups) > 1 and all(idle) and claim["kind"] != "hazard"
+    nobody = all(idle) and claim["kind"] != "hazard" and (len(groups) > 1 or not is_before)
     unlike_only = nobody and ((outcome in HIGHER and not counts) or way in ("equal", "no-less"))
-    verdict = rule(way, together, margin, unlike_only)
-    return effect, alone or (None, None), together or (None, None), verdict
+    verdict = rule(way, together, margin, unlike_only, is_before)
+    return None if np.isnan(effect) else effect, alone or (None, None), together or (None, None), verdict
 
 
 def at_an_end(outcome: str, values: np.ndarray, near: float) -> bool:
@@ -257,10 +277,11 @@ def at_an_end(outcome: str, values: np.ndarray, near: float) -> bool:
     return has_floor and outcome not in HIGHER and bool((values <= near).all())
 
 
-def rule(way: str, ends: Ends, margin: float | None, unlike_only: bool) -> str:
+def rule(way: str, ends: Ends, margin: float | None, unlike_only: bool, is_before: bool) -> str:
     """Return the verdict of docs/claims.md on a difference between these ends.
 
-    `unlike_only`: no group plays better than at random, so that being alike shows nothing.
+    `unlike_only`: no group plays better than at random, so that being alike shows nothing; nor does, since
+    version 6, a difference within the margin.
     """
     if way == "described":
         return "described"
@@ -269,7 +290,10 @@ def rule(way: str, ends: Ends, margin: float | None, unlike_only: bool) -> str:
     low, high = ends
     near = -1.0 if margin is None else margin  # nothing is nearer to 0 than a margin that there is not
     far = np.inf if margin is None else margin
-    small = max(abs(low), abs(high)) < near and not unlike_only
+    small = max(abs(low), abs(high)) < near
+    if small and unlike_only and not is_before:
+        return "inconclusive"
+    small = small and not unlike_only
     yes, no = {
         "greater": (low > 0, high < 0),
         "less": (high < 0, low > 0),

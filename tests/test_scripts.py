@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import re
 import runpy
 import signal
@@ -130,3 +131,15 @@ def test_a_run_is_that_of_the_published_table() -> None:
     """As Pneuma's engine for tables had trained it."""
     condition = TABULAR["CONDITIONS"]["noisy-double-rate-tenth"]
     assert TABULAR["train"](condition, seed=3)[0] == pytest.approx(0.6126915267749027)
+
+
+RANDOM_RETURNS = runpy.run_path(str(ROOT / "studies/random_returns.py"))
+
+
+def test_the_random_players_returns_are_printed_as_they_are_published() -> None:
+    measured = json.loads((ROOT / "results/published/random-returns.json").read_text())
+    head, *lines = RANDOM_RETURNS["table"](measured).splitlines()
+    assert head.split()[:4] == ["world", "kills", "100,000", "steps"]
+    (own,) = [line.split() for line in lines if line.startswith("godot")]
+    curve, sd = measured["godot"]["mean"], measured["godot"]["sd"]
+    assert own[1] == "20.4" and own[-3:] == [f"{curve[199]:,.1f}", "±", f"{sd[199]:,.1f}"]

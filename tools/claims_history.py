@@ -13,10 +13,11 @@ import subprocess
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
-from pneuma.analysis.claims.claim_list import shipped_claims
+from pneuma.analysis.claims.claim_list import RULES_BEFORE, shipped_claims
 from pneuma.analysis.claims.fixed_runs import find_claim_runs
-from pneuma.analysis.claims.history import changed_in_checkout, record_key
+from pneuma.analysis.claims.history import changes_in_checkout, record_key
 from pneuma.store.index import RunIndex
 from pneuma.store.store import Store
 from pneuma.study.shipped import claims_history_file
@@ -31,8 +32,11 @@ def has_history() -> bool:
 
 
 def written() -> str:
-    """Return what the file should hold: by `record_key` what changed, or null if no commit has the list."""
-    changes: dict[str, tuple[str, ...] | None] = {}
+    """Return what the file should hold: by `record_key` what changed, or null if no commit has the list.
+
+    The commits that this repository lacks are older than the versions of the judge's rules.
+    """
+    recorded: dict[str, dict[str, Any]] = {}
     with TemporaryDirectory() as folder:
         index = RunIndex(Store(Path(folder)))  # of the published runs alone
         for claims in shipped_claims():
@@ -41,8 +45,10 @@ def written() -> str:
                     runs = find_claim_runs(index, claims.studies[claim.study].in_world(world), claim)
                     facts = claims, claim, world, runs.commits
                     if runs.commits:
-                        changes[record_key(*facts)] = changed_in_checkout(*facts)
-    return json.dumps(changes, indent=1, sort_keys=True) + "\n"
+                        changes = changes_in_checkout(*facts)
+                        rules = RULES_BEFORE if changes.changed is None else changes.rules
+                        recorded[record_key(*facts)] = {"changed": changes.changed, "rules": rules}
+    return json.dumps(recorded, indent=1, sort_keys=True) + "\n"
 
 
 if __name__ == "__main__":

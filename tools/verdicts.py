@@ -5,6 +5,8 @@ An interval is drawn as a multiple of its margin, and so that the side on the ri
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
@@ -23,6 +25,7 @@ from pneuma.analysis.claims.words import (
     UNDECIDED,
     ByClaim,
     letter,
+    rows_of_claims,
     verdict_table,
     word,
     worlds_of,
@@ -56,18 +59,20 @@ LOOKS: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the figure: its text, its verdict in each world, and its place in lines."""
+    """A row of the figure: its text, its verdicts in each world, and its place in lines."""
 
     section: str
     sentence: list[str]
     compared: str
     is_apart: bool  # what is compared has a line of its own
-    verdicts: dict[str, Verdict]
+    verdicts: dict[str, list[Verdict]]
     top: float
 
     @property
     def bottom(self) -> float:
-        return self.top + max(2, len(self.sentence) + self.is_apart) + GAP_LINES
+        intervals = [sum(len(_drawn(verdict)) for verdict in verdicts) for verdicts in self.verdicts.values()]
+        lines = max(2, len(self.sentence) + self.is_apart, 0.7 * max(intervals))
+        return self.top + lines + GAP_LINES
 
 
 def draw_verdicts(claims: ByClaim, folder: Path) -> list[Path]:
@@ -89,8 +94,9 @@ def draw_verdicts(claims: ByClaim, folder: Path) -> list[Path]:
             _draw_scale(axes, lines)
             for row in rows:
                 if world in row.verdicts:
-                    _draw_verdict(axes, row, row.verdicts[world])
-        _draw_legend(figure, {word(verdict) for row in rows for verdict in row.verdicts.values()})
+                    _draw_verdicts(axes, row, row.verdicts[world])
+        words = {word(verdict) for by_world in claims.values() for verdict in by_world.values()}
+        _draw_legend(figure, words)
         paths = save_figure(figure, folder, STEM, ("png",), _origin(claims))
         plt.close(figure)
     return paths
@@ -100,14 +106,18 @@ def _rows(claims: ByClaim) -> list[Row]:
     width = characters(TYPE, SENTENCES_INCHES - TEXT_INCHES + 0.15)
     rows: list[Row] = []
     texts = verdict_table(claims).iloc[:, :2].to_numpy().tolist()
-    for (section, text), verdicts in zip(texts, claims.values(), strict=True):
+    for (section, text), claim_names in zip(texts, rows_of_claims(claims), strict=True):
+        verdicts: dict[str, list[Verdict]] = {}
+        for claim_name in claim_names:
+            for world, verdict in claims[claim_name].items():
+                verdicts.setdefault(world, []).append(verdict)
         sentence, compared = text.rsplit("\n", 1)
         top = rows[-1].bottom if rows else 0.0
         while len(wrap(sentence, width)) > MOST_LINES and ". " in sentence:
             sentence = sentence.rpartition(". ")[0] + "."
         wrapped = wrap(sentence, width, max_lines=MOST_LINES, placeholder=" …")
         is_apart = len(wrapped) == 1 or len(f"{wrapped[-1]}  {compared}") > width
-        rows.append(Row(section, wrapped, compared, is_apart, dict(verdicts), top))
+        rows.append(Row(section, wrapped, compared, is_apart, verdicts, top))
     return rows
 
 
@@ -143,16 +153,15 @@ def _draw_scale(axes: Axes, lines: float) -> None:
     axes.axvline(0, color="#999999", linewidth=0.6, zorder=1)
 
 
-def _draw_verdict(axes: Axes, row: Row, verdict: Verdict) -> None:
-    """Draw the intervals of a verdict below each other, in its own colour, and the letter of its label."""
-    look = LOOKS[word(verdict)]
+def _draw_verdicts(axes: Axes, row: Row, verdicts: Sequence[Verdict]) -> None:
+    """Draw the intervals of verdicts below each other, in their own colours, and the letters of labels."""
     middle = (row.top + row.bottom) / 2
-    contrasts = [contrast for contrast in verdict.deciding if contrast.has_effect and _scale(contrast)]
-    if word(verdict) == NOT_TESTED:
-        axes.plot(0, middle, markersize=4, **look)
-        contrasts = []
-    for line, contrast in enumerate(contrasts, start=1):
-        height = row.top + (row.bottom - row.top) * line / (len(contrasts) + 1)
+    drawn = [(verdict, contrast) for verdict in verdicts for contrast in _drawn(verdict)]
+    if all(word(verdict) == NOT_TESTED for verdict in verdicts):
+        axes.plot(0, middle, markersize=4, **LOOKS[NOT_TESTED])
+    for line, (verdict, contrast) in enumerate(drawn, start=1):
+        look = LOOKS[word(verdict)]
+        height = row.top + (row.bottom - row.top) * line / (len(drawn) + 1)
         low, centre, high = _in_margins(contrast)
         axes.plot([low, high], [height, height], color=look["color"], linewidth=1.0, zorder=2)
         axes.plot(centre, height, markersize=3.2, markeredgewidth=0.7, zorder=3, clip_on=False, **look)
@@ -162,7 +171,19 @@ def _draw_verdict(axes: Axes, row: Row, verdict: Verdict) -> None:
                 end, height, arrow, markersize=2.6, markeredgewidth=0, color=look["color"], clip_on=False
             )
     where = axes.get_yaxis_transform()  # a share of the width, and a line
-    axes.text(1.02, middle, letter(verdict), transform=where, va="center", ha="left", color=GREY)
+    letters = "\n".join(dict.fromkeys(map(letter, verdicts)))
+    axes.text(1.02, middle, letters, transform=where, va="center", ha="left", color=GREY)
+
+
+def _drawn(verdict: Verdict) -> list[ClaimContrast]:
+    """Return the contrasts of a verdict that are drawn: those with an effect and a margin."""
+    if word(verdict) == NOT_TESTED:
+        return []
+    return [
+        contrast
+        for contrast in verdict.deciding
+        if math.isfinite(contrast.contrast.effect) and _scale(contrast)
+    ]
 
 
 def _in_margins(row: ClaimContrast) -> tuple[float, float, float]:
@@ -194,7 +215,7 @@ def _draw_legend(figure: Figure, words: set[str]) -> None:
         "Differences with their intervals, in margins: to the right as the sentence says;\n"
         "grey: too small to count. “Little to no effect” and “similar” hold within the grey.\n"
         "The axis is compressed beyond ±1; an arrow: the interval goes on beyond its end. A mark alone\n"
-        "has no interval. p: preregistered; 3: same runs as list 3; d: descriptive; *: changed."
+        "has no interval. p: preregistered; a: amended; 3: same runs as list 3; d: descriptive; *: changed."
     )
     figure.text(0.99, 0.01, text, ha="right", va="bottom", color=GREY, linespacing=1.25)
 

@@ -251,8 +251,8 @@ def random_levels(study_data: StudyData, quantity: str) -> dict[str, float]:
     levels = study_data.evaluations.groupby("condition", sort=False)[column].mean().dropna()
     kill_shares: dict[str, float] = {}
     for condition in levels.index:
-        for world in _measured_worlds():
-            if column in world and _has_settings(study_data.fields[condition], world["kill_settings"]):
+        for world in measured_worlds():
+            if column in world and has_settings(study_data.fields[condition], world["kill_settings"]):
                 kill_shares[condition] = world[column]
     levels.update(pd.Series(kill_shares))
     if len(levels) and np.ptp(levels) <= NEAR:
@@ -267,8 +267,8 @@ def random_returns(study_data: StudyData, last_step: float) -> pd.Series | None:
     (`studies/random_returns.py`). Where XP is never reset, it depends on both. Elsewhere it is the same at
     every step up to the end.
     """
-    for world in _measured_worlds():
-        if all(_has_settings(fields, world["settings"]) for fields in study_data.fields.values()):
+    for world in measured_worlds():
+        if all(has_settings(fields, world["settings"]) for fields in study_data.fields.values()):
             mean_returns = pd.Series(world["mean"], make_grid(world["steps"]), dtype=float).dropna()
             if world["settings"]["xp_scope"] == "episode":
                 return pd.Series(mean_returns.mean(), [0.0, last_step])
@@ -276,7 +276,7 @@ def random_returns(study_data: StudyData, last_step: float) -> pd.Series | None:
     return None
 
 
-def _has_settings(fields: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:
+def has_settings(fields: Mapping[str, Any], settings: Mapping[str, Any]) -> bool:
     """Return whether fields have all the settings on which a random player's numbers depend."""
     return all(
         normalize(fields.get(field_name)) == normalize(value) for field_name, value in settings.items()
@@ -284,7 +284,7 @@ def _has_settings(fields: Mapping[str, Any], settings: Mapping[str, Any]) -> boo
 
 
 @cache
-def _measured_worlds() -> list[dict[str, Any]]:
+def measured_worlds() -> list[dict[str, Any]]:
     returns_file = random_returns_file()
     if not returns_file.is_file():
         return []

@@ -23,6 +23,8 @@ LEVEL = 0.95
 LEAST_RUNS = 5
 """The fewest runs of which tables and figures give an interval."""
 RESAMPLES = 2_000
+WIDE_GAP = 3.0
+"""Standard deviations of runs that a gap between two groups of them exceeds."""
 ROUNDING = 1e-12
 """Runs that differ by less, in proportion to the largest, are equal."""
 HALF_WIDTH_DIGITS = 2
@@ -34,6 +36,9 @@ DIGITS_WITHOUT_INTERVAL = 3
 
 Groups = Mapping[str, np.ndarray]
 """The values of runs, (runs,), by the names of conditions."""
+Bounds = tuple[float, float]
+"""The least and the greatest possible value; infinite if there is none."""
+NO_BOUNDS: Bounds = (-math.inf, math.inf)
 
 # --- Estimates -------------------------------------------------------------------------------------
 
@@ -72,6 +77,21 @@ def probability_of_improvement(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def is_constant(values: np.ndarray) -> bool:
     """Return whether runs differ by rounding alone."""
     return bool(np.ptp(values) <= ROUNDING * np.abs(values).max())
+
+
+def has_two_modes(runs: np.ndarray) -> bool:
+    """Return whether runs, (runs,), fall into two groups with a wide gap between them.
+
+    The widest gap is then over `WIDE_GAP` standard deviations of the larger group, as in 7 % of ten normal
+    runs, and 0.2 % of thirty.
+    """
+    if runs.size < 3 or is_constant(runs):
+        return False
+    ordered = np.sort(runs)
+    gaps = np.diff(ordered)
+    split = int(gaps.argmax()) + 1
+    larger_group = max(ordered[:split], ordered[split:], key=len)
+    return bool(gaps.max() > WIDE_GAP * deviation(larger_group))
 
 
 def distances(values: np.ndarray) -> np.ndarray:
@@ -136,11 +156,52 @@ def difference_interval(a: np.ndarray, b: np.ndarray, level: float = LEVEL) -> I
     return interval_of_sum({"a": a, "b": b}, {"a": 1, "b": -1}, level)
 
 
-def interval_of_sum(groups: Groups, weights: Mapping[str, float], level: float) -> Interval:
-    """Return the t interval of a weighted sum of means, with Satterthwaite's degrees of freedom."""
-    if reason := no_interval_reason(*groups.values()):
-        return no_interval(reason)
-    return around(*weighted_sum(groups, weights), level, "Welch t")
+def interval_of_sum(
+    groups: Groups, weights: Mapping[str, float], level: float, bounds: Bounds = NO_BOUNDS
+) -> Interval:
+    """Return the t interval of a weighted sum of means, with Satterthwaite's degrees of freedom.
+
+    If the runs of a group are all equal, and their values have bounds, it is that of `_combined`.
+    """
+    reason = no_interval_reason(*groups.values())
+    if not reason:
+        return around(*weighted_sum(groups, weights), level, "Welch t")
+    if np.isfinite(bounds).all() and min(runs.size for runs in groups.values()) > 1:
+        return _combined(groups, weights, level, bounds)
+    return no_interval(reason)
+
+
+def equal_runs_interval(runs: np.ndarray, level: float, bounds: Bounds) -> Interval:
+    """Return an interval of the mean of equal runs, whose values have bounds.
+
+    Clopper and Pearson's interval says which share of runs may be unlike these at most. The mean is farthest
+    from their value if all unlike ones are at one of the bounds.
+    """
+    value = float(runs.mean())
+    unlike_share = incidence_interval(0, runs.size, level).high
+    low, high = value - unlike_share * (value - bounds[0]), value + unlike_share * (bounds[1] - value)
+    return Interval(low, high, "Clopper-Pearson")
+
+
+def _combined(groups: Groups, weights: Mapping[str, float], level: float, bounds: Bounds) -> Interval:
+    """Return an interval of a weighted sum of means, from the interval of each mean.
+
+    The distances of their ends from the means add up as squares (Zou and Donner 2008), as in Newcombe's
+    interval of two shares.
+    """
+    total = squares_below = squares_above = 0.0
+    for name, runs in groups.items():
+        weight, mean = weights.get(name, 0.0), float(runs.mean())
+        interval = mean_interval(runs, level)
+        if is_constant(runs):
+            interval = equal_runs_interval(runs, level, bounds)
+        distances_of_ends = weight * (interval.low - mean), weight * (interval.high - mean)
+        total += weight * mean
+        squares_below += min(distances_of_ends) ** 2
+        squares_above += max(distances_of_ends) ** 2
+    return Interval(
+        total - math.sqrt(squares_below), total + math.sqrt(squares_above), "squares of t and C-P"
+    )
 
 
 def weighted_sum(groups: Groups, weights: Mapping[str, float]) -> tuple[float, float, float]:
@@ -160,18 +221,37 @@ def weighted_sum(groups: Groups, weights: Mapping[str, float]) -> tuple[float, f
 
 def spread_interval(a: np.ndarray, b: np.ndarray, level: float = LEVEL) -> Interval:
     """Return Student's interval of the difference of mean distances from the median, a - b."""
-    if reason := no_interval_reason(a, b):
-        return no_interval(reason)
     distances_a, distances_b = distances(a), distances(b)
-    if is_constant(distances_a) or is_constant(distances_b):
-        far = "all runs of a group are equally far from their median"
-        return no_interval(f"{far}, so no interval can be computed")
+    if reason := _no_spread_reason(a, b):
+        return no_interval(reason)
     freedom = distances_a.size + distances_b.size - 2
     squares = distances_a.var() * distances_a.size + distances_b.var() * distances_b.size
     standard_error = np.sqrt(squares / freedom * (1 / distances_a.size + 1 / distances_b.size))
     return around(
         distances_a.mean() - distances_b.mean(), float(standard_error), freedom, level, "Brown-Forsythe t"
     )
+
+
+def spread_ratio_interval(a: np.ndarray, b: np.ndarray, level: float = LEVEL) -> Interval:
+    """Return an interval of the logarithm of the ratio of mean distances from the median, a over b.
+
+    It is Welch's t interval of the difference of both logarithms, whose standard errors are those of the mean
+    distances in proportion to them (delta method).
+    """
+    if reason := _no_spread_reason(a, b):
+        return no_interval(reason)
+    relative_distances = {"a": distances(a) / distances(a).mean(), "b": distances(b) / distances(b).mean()}
+    _, standard_error, freedom = weighted_sum(relative_distances, {"a": 1, "b": -1})
+    log_ratio = float(np.log(distances(a).mean() / distances(b).mean()))
+    return around(log_ratio, standard_error, freedom, level, "Welch t of logarithms")
+
+
+def _no_spread_reason(a: np.ndarray, b: np.ndarray) -> str:
+    """Return why the spreads of two groups have no interval; empty if they have one."""
+    reason = no_interval_reason(a, b)
+    if not reason and any(is_constant(distances(runs)) for runs in (a, b)):
+        reason = "all runs of a group are equally far from their median, so no interval can be computed"
+    return reason
 
 
 def deviation_interval(runs: np.ndarray) -> Interval:

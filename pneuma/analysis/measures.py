@@ -17,6 +17,7 @@ from pneuma.config import is_gymnasium_id
 from pneuma.env.fields import ACTION_NAMES
 from pneuma.store.rows import PEAK, STUCK, Row
 from pneuma.store.series import NO_ENTROPY, mean_height
+from pneuma.store.series import ONE_ACTION as ONE_ACTION_SIGN
 
 Measure = Callable[[Row], float]
 Take = Callable[[np.ndarray], float]
@@ -26,6 +27,8 @@ LATE = 5
 """The number of last evaluations from which late outcomes are taken."""
 ONE_ACTION = 0.9
 """A run is in one action if that takes more than this share of an evaluation's steps."""
+LATE_SHARE = 0.25
+"""The last part of the budget from which late outcomes of updates are taken."""
 LEAST_NORM = 1e-8
 """Smaller gradient norms count as this, in logarithms."""
 
@@ -120,12 +123,23 @@ def share_area(run: Row) -> float:
 
 
 def steps_to(run: Row, threshold: float, column: str) -> float:
-    """Return the step of the first evaluation that reaches a value; infinite if none does."""
+    """Return the step at which evaluations, joined by lines, first reach a value; infinite if they never do.
+
+    Conditions may be evaluated at other steps, so that the first evaluation that has reached it comes later
+    in one than in another by chance of the steps alone. Before the first evaluation there is no line.
+    """
     steps, curve_values = run.evaluation_points(column)
     if not len(curve_values):
         return NAN
-    reached = steps[curve_values >= threshold]
-    return float(reached[0]) if len(reached) else np.inf
+    reached = np.flatnonzero(curve_values >= threshold)
+    if not len(reached):
+        return np.inf
+    index = reached[0]
+    if index == 0:
+        return float(steps[0])
+    value_before, value_after = curve_values[index - 1 : index + 1]
+    part_of_line = (threshold - value_before) / (value_after - value_before)
+    return float(steps[index - 1] + part_of_line * (steps[index] - steps[index - 1]))
 
 
 def overestimation(run: Row) -> float:
@@ -171,6 +185,33 @@ def low_entropy_share(run: Row) -> float:
         if first_step <= run.end:
             low_entropy_steps += min(last_step, run.end) - first_step + update_steps
     return low_entropy_steps / run.end
+
+
+def late_one_action_updates(run: Row) -> float:
+    """Return the share of updates in one action over the last quarter of the budget, before the run's end."""
+    return one_action_updates(run, run.end - LATE_SHARE * run.budget, run.end)
+
+
+def one_action_updates(run: Row, after_step: float, last_step: float) -> float:
+    """Return in what share of updates one action makes up nearly all of the rollout; NaN if not recorded.
+
+    Args:
+        run: a finished run.
+        after_step: only updates that end after this step …
+        last_step: … and at this step or before it count.
+    """
+    stretches, update_steps = run.signs.get(ONE_ACTION_SIGN), run.update_steps
+    if stretches is None or update_steps is None:
+        return NAN
+    first_update, last_update = run.start_step // update_steps + 1, run.end // update_steps
+    update_ends = update_steps * np.arange(first_update, last_update + 1)
+    update_ends = update_ends[(update_ends > after_step) & (update_ends <= last_step)]
+    if not len(update_ends):
+        return NAN
+    in_one_action = np.zeros(len(update_ends), bool)
+    for first_step, last_of_stretch in stretches:
+        in_one_action |= (update_ends >= first_step) & (update_ends <= last_of_stretch)
+    return float(in_one_action.mean())
 
 
 def stuck_share(run: Row) -> float:

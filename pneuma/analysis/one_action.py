@@ -1,7 +1,9 @@
 """When runs come to stay in one action, and how much of training they are in it.
 
 A run is in one action at an evaluation in which that takes more than `ONE_ACTION` of the steps, and comes to
-stay in it at the first of `LATE` such evaluations in a row.
+stay in it at the first of `LATE` such evaluations in a row. In training it is in one action in an update
+whose rollout has that sign of collapse. Where XP is never reset, these are unlike: evaluations begin with no
+XP, which agents observe, and training does not come back there.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from scipy import stats
 
 from pneuma.analysis.curves import Curve
 from pneuma.analysis.intervals import LEVEL
-from pneuma.analysis.measures import ONE_ACTION, lasting_one_action
+from pneuma.analysis.measures import ONE_ACTION, lasting_one_action, one_action_updates
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
 
@@ -61,4 +63,14 @@ def time_in_one_action(study_data: StudyData, condition: str) -> Curve:
         fifths = 1 + np.floor(PARTS * update_starts / run.budget).clip(0, PARTS - 1)
         share_by_fifth = pd.Series(actions > ONE_ACTION).groupby(fifths).mean()
         shares_by_run.append(share_by_fifth.reindex(range(1, PARTS + 1)).tolist())
+    return Curve(condition, pd.DataFrame(np.transpose(shares_by_run), range(1, PARTS + 1)))
+
+
+def updates_in_one_action(study_data: StudyData, condition: str) -> Curve:
+    """Return in which share of their updates runs are in one action, over the fifths of training."""
+    shares_by_run: list[list[float]] = []
+    for run in study_data.of_condition(condition):
+        ends = run.budget * np.arange(PARTS + 1) / PARTS
+        fifths = zip(ends[:-1], ends[1:], strict=True)
+        shares_by_run.append([one_action_updates(run, first, last) for first, last in fifths])
     return Curve(condition, pd.DataFrame(np.transpose(shares_by_run), range(1, PARTS + 1)))

@@ -10,12 +10,18 @@ import pandas as pd
 from pneuma.analysis.claims.claim_list import Claim, shipped_claims
 from pneuma.analysis.environments import OUTCOME, by_environment, improvements
 from pneuma.analysis.intervals import LEAST_RUNS
-from pneuma.analysis.outcomes import find_outcome
+from pneuma.analysis.outcomes import find_outcome, known_values
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import Group, compare_groups, outcomes_to_compare
 from pneuma.answers.answer import Answer
 from pneuma.answers.cells import comparison_cells, with_cells
-from pneuma.answers.notes import averaging, notes_on_ends, notes_on_few_episodes, notes_on_few_runs
+from pneuma.answers.notes import (
+    averaging,
+    notes_on_ends,
+    notes_on_failing_runs,
+    notes_on_few_episodes,
+    notes_on_few_runs,
+)
 from pneuma.answers.summary import SCALE
 from pneuma.errors import UserError, counted
 from pneuma.study.plan import Query
@@ -152,6 +158,7 @@ def _compare_pairs(
     """
     comparison_rows = []
     notes = notes_on_ends(study_data)
+    notes_on_runs: list[str] = []
     for pair_key, (a, b) in pairs.items():
         for outcome in dict.fromkeys([*first_outcomes, *(outcomes or outcomes_to_compare(a, b))]):
             row = compare_groups(a, b, outcome)
@@ -159,6 +166,8 @@ def _compare_pairs(
             counts = row["seeds_a"], row["seeds_b"]
             if outcomes or all(counts) or (a.data is b.data and any(counts)):
                 comparison_rows.append({**row, "shared": pair_key})
+                values = {group.name: known_values(group.data, group.condition, outcome) for group in (a, b)}
+                notes_on_runs += notes_on_failing_runs(outcome, values)
         notes += _notes_on_pair(a, b)
     if not comparison_rows:
         raise UserError(f"{' and '.join(headings)} share no outcome: name one that both have")
@@ -169,7 +178,7 @@ def _compare_pairs(
             f"A condition with fewer than {LEAST_RUNS} runs, or whose runs are all equal, has no interval."
         )
     outcome_names = list(comparison_table["outcome"])
-    notes += notes_on_few_episodes(study_data, outcome_names)
+    notes += notes_on_runs + notes_on_few_episodes(study_data, outcome_names)
     if any(find_outcome(outcome).is_return for outcome in outcome_names):
         notes += _notes_on_averages(*next(iter(pairs.values())))
     if not shared_column:

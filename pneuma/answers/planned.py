@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import pandas as pd
 
 from pneuma.analysis.environments import by_environment
+from pneuma.analysis.intervals import LEVEL
 from pneuma.analysis.outcomes import primary, with_unit
 from pneuma.analysis.power import ENOUGH_RUNS, POWER, seeds_for_means, seeds_table, seeds_text
 from pneuma.analysis.study_data import StudyData
@@ -20,11 +21,6 @@ from pneuma.study.plan import Plan
 from pneuma.training import execute
 from pneuma.training.progress import START_SECONDS, duration, expected_seconds, stored_paces
 from pneuma.values import per_cent
-
-DETECT_LEGEND = (
-    "Seeds of each condition with which the 95 % interval of the difference leaves out 0",
-    f"in {per_cent(POWER)} of studies, if it is that large.",
-)
 
 
 def plan_answer(index: RunIndex, plan: Plan, workers: int) -> Answer:
@@ -125,7 +121,9 @@ def _published_seconds(index: RunIndex, run: Run, steps: int) -> float | None:
 # --- How many seeds -------------------------------------------------------------------------------
 
 
-def seeds_to_detect(study_data: StudyData | None, detect: float, outcome: str, sd: float | None) -> Answer:
+def seeds_to_detect(
+    study_data: StudyData | None, detect: float, outcome: str, sd: float | None, level: float = LEVEL
+) -> Answer:
     """Return how many seeds a condition needs to find a difference.
 
     Args:
@@ -133,6 +131,7 @@ def seeds_to_detect(study_data: StudyData | None, detect: float, outcome: str, s
         detect: the difference.
         outcome: its outcome; default: the study's primary one.
         sd: the standard deviation of runs.
+        level: that of the interval which decides.
 
     Returns:
         The table `seeds` has a row for each condition.
@@ -143,19 +142,22 @@ def seeds_to_detect(study_data: StudyData | None, detect: float, outcome: str, s
     for option, amount in {"detect": detect, "sd": sd}.items():
         if amount is not None and amount <= 0:
             raise UserError(Hint(option, f"{amount:g}"), ": must be above 0")
-    legend = list(DETECT_LEGEND)
+    legend = [
+        f"Seeds of each condition with which the {100 * level:.4g} % interval of the difference leaves out 0",
+        f"in {per_cent(POWER)} of studies, if it is that large.",
+    ]
     if study_data is None:
         assert sd is not None
         outcome = outcome or "any outcome"
         detection_table = pd.DataFrame(
-            [{"SD": f"{sd:g}", "seeds": seeds_text(seeds_for_means(detect, sd, sd))}]
+            [{"SD": f"{sd:g}", "seeds": seeds_text(seeds_for_means(detect, sd, sd, level=level))}]
         )
         title = f"Seeds to detect {detect:g} of {outcome}"
     else:
         outcome = outcome or primary(study_data)
         tables_by_env = {}
         for env, env_data in by_environment(study_data).items():
-            tables_by_env[env] = seeds_table(env_data, outcome, detect)
+            tables_by_env[env] = seeds_table(env_data, outcome, detect, level)
         detection_table = pd.concat(tables_by_env, names=["environment"]).reset_index(level=0)
         if len(tables_by_env) == 1:
             detection_table = detection_table.drop(columns="environment")
@@ -165,5 +167,5 @@ def seeds_to_detect(study_data: StudyData | None, detect: float, outcome: str, s
                 f"With fewer than {ENOUGH_RUNS} runs the SD is a rough estimate: you may need three times "
                 "the seeds, or half."
             )
-    about = {"outcome": outcome, "detect": detect}
+    about = {"outcome": outcome, "detect": detect, "level": level}
     return Answer(title, about, {"seeds": detection_table}, [detection_table], (), legend)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import pandas as pd
@@ -13,14 +14,17 @@ from pneuma.analysis.claims import words
 from pneuma.analysis.claims.claim_list import RULES, Claim, ClaimList, load_claims, shipped_claims
 from pneuma.analysis.claims.verdicts import ClaimContrast, Verdict, judge
 from pneuma.answers.answer import Answer
-from pneuma.errors import unknown_name
+from pneuma.errors import counted, unknown_name
 from pneuma.store.index import RunIndex
 
-LEGEND = (
-    "In brackets: the confidence interval of the difference, and the margin (± or, of a factor, ×), the",
-    "smallest difference that counts. docs/claims.md explains words, labels and margins.",
-    f"Rules of the judge: version {RULES}. The intervals of a family hold jointly:",
+_LEGEND = (
+    "In brackets: the confidence interval of the difference, or of the value if there is only a threshold; "
+    "and the margin (± or, of a factor, ×), the smallest difference that counts.",
+    words.RULE,
+    f"docs/claims.md explains more. Rules of the judge: version {RULES}. The intervals of a family hold "
+    "jointly:",
 )
+LEGEND = tuple(line for sentences in _LEGEND for line in wrap(sentences, 100))
 KILLS_AND_RETURNS = "Kills are the mean of the last five evaluations, returns of the last 5 % of training."
 CLAIM_FIELDS = ("row", "section", "quote", "context", "study", "kind", "direction", "need", "seen")
 """The fields of a claim in a document, apart from its name."""
@@ -32,9 +36,11 @@ class VerdictsAnswer(Answer):
 
     Attributes:
         verdicts: by claim and world.
+        heading: what must be known before the verdicts are read: the lists, and their labels.
     """
 
     verdicts: Mapping[str, Mapping[str, Verdict]] = field(default_factory=dict)
+    heading: Sequence[str] = ()
 
     @property
     def document(self) -> dict[str, Any]:
@@ -98,7 +104,22 @@ def verify(
         notes=[f"{problem}." for problem in index.problems],
         legend=legend + [_origin(index, verdicts)],
         verdicts=by_claim,
+        heading=_heading(claim_lists, verdicts),
     )
+
+
+def _heading(claim_lists: Sequence[ClaimList], verdicts: Sequence[Verdict]) -> list[str]:
+    """Return which lists are judged, and what the labels mean that occur."""
+    heading = []
+    for claim_list in claim_lists:
+        if claim_list.head.title:
+            claim_count = counted(len(claim_list.claims), "claim")
+            heading.append(f"{claim_list.head.title}: {claim_list.path.name}, {claim_count}.")
+    for label in dict.fromkeys([*words.LABELS, *(verdict.label for verdict in verdicts)]):
+        if any(verdict.label == label for verdict in verdicts):
+            meaning = words.LABELS.get(label, "its runs were known when it was stated")
+            heading.append(f"{label.capitalize()}: {meaning}.")
+    return heading
 
 
 def _origin(index: RunIndex, verdicts: Sequence[Verdict]) -> str:
@@ -149,6 +170,9 @@ def _contrast_row(claim_contrast: ClaimContrast) -> dict[str, Any]:
         "alpha": claim_contrast.alpha,
         "margin": claim_contrast.margin,
         "registered_margin": claim_contrast.registered_margin,
+        "interim_margin": claim_contrast.claim.interim_margin_of(
+            claim_contrast.world, claim_contrast.outcome
+        ),
         "effect": contrast.effect,
         "mean_a": contrast.means[0],
         "mean_b": contrast.means[1],
@@ -158,6 +182,7 @@ def _contrast_row(claim_contrast: ClaimContrast) -> dict[str, Any]:
         "simultaneous_high": contrast.simultaneous.high,
         "verdict": claim_contrast.verdict,
         "registered_verdict": claim_contrast.registered_verdict,
+        "rule_changes": claim_contrast.rule_changes,
         "reason": contrast.reason,
         "seeds_a": contrast.seeds[0],
         "seeds_b": contrast.seeds[1],

@@ -43,15 +43,27 @@ def plan_(
     sd: Annotated[
         float | None, opt.option("SD", "With --detect: the SD to assume if there are no runs.")
     ] = None,
+    claims: Annotated[
+        Path | None, opt.option("FILE", "With --detect: a list of claims, whose intervals decide.")
+    ] = None,
 ) -> Answer:
     """Show which runs are stored, which would be trained, and how long that would take."""
+    from pneuma.analysis.intervals import LEVEL
     from pneuma.answers import planned
 
     if detect is not None:
+        level = LEVEL
+        if claims:
+            from pneuma.analysis.claims.claim_list import load_claims
+
+            level = load_claims(claims).level_on(
+                spec.load_study(selection.query(name).study, selection.world)
+            )
         study_data = None if sd else selection.open(name)
-        return planned.seeds_to_detect(study_data, detect, outcome or "", sd)
-    if outcome or sd:
-        raise UserError(f"{'--outcome' if outcome else '--sd'} requires --detect")
+        return planned.seeds_to_detect(study_data, detect, outcome or "", sd, level)
+    for option, value in {"--outcome": outcome, "--sd": sd, "--claims": claims}.items():
+        if value:
+            raise UserError(f"{option} requires --detect")
     planned_runs = _plan(selection, name, unpublished)
     return planned.plan_answer(selection.index, planned_runs, opt.Resources().config().workers)
 

@@ -31,11 +31,17 @@ def verify(
 ) -> Result:
     """Judge the thesis's claims on their preregistered runs.
 
-    Name claims to also see what is compared, the number of runs, and the reason.
+    Name claims to also see what is compared, the number of runs, and the reason. The name random-own shows
+    what a random player earns in the thesis's own game, beside all published runs there.
     """
+    from pneuma.answers.random_own import NAME, compare_with_random
     from pneuma.answers.verdicts import verify
     from pneuma.store.index import RunIndex
 
+    if claims == [NAME]:
+        returns = compare_with_random(RunIndex(Store(results), stored=False))
+        lines: list[str | Table] = [frame_table(returns.cells[0]), "", *returns.legend]
+        return Result(returns.document, lines, returns.title, table=returns.cells[0], numbers=returns.table)
     answer = verify(RunIndex(Store(results)), file, claims or (), world)
     claim_lines = _show(answer, in_detail=bool(claims))
     table, numbers = answer.cells[0], answer.table
@@ -48,19 +54,27 @@ def _show(answer: VerdictsAnswer, in_detail: bool) -> Iterator[str | Table]:
 
     table, counts = answer.cells
     worlds = words.worlds_of(answer.verdicts)
-    for (claim_name, by_world), (section, heading) in zip(
-        answer.verdicts.items(), table.iloc[:, :2].to_numpy(), strict=True
-    ):
-        yield f"{claim_name} (section {section})" if section else claim_name
-        for heading_line in heading.removeprefix(f"{claim_name}\n").split("\n"):
-            yield from _indented(heading_line, "  ")
-        for world, verdict in by_world.items():
-            verdict_head = f"{worlds[world]:16}{words.word(verdict)}"
-            for verdict_line in words.lines(verdict) + [words.registration(verdict)]:
-                yield f"    {verdict_head:32}{verdict_line}".rstrip()
-                verdict_head = ""
-            for detail in words.details(verdict) if in_detail else words.remedy(verdict):
-                yield from _indented(detail, "      ")
+    for line in answer.heading:
+        yield from _indented(line, "")
+    yield ""
+    rows = words.rows_of_claims(answer.verdicts)
+    for claim_names, (section, heading) in zip(rows, table.iloc[:, :2].to_numpy(), strict=True):
+        for place, claim_name in enumerate(claim_names):
+            by_world = answer.verdicts[claim_name]
+            claim = next(iter(by_world.values())).claim
+            if place == 0:
+                yield f"{claim_name} (section {section})" if section else claim_name
+                for heading_line in heading.removeprefix(f"{claim_name}\n").split("\n"):
+                    yield from _indented(heading_line, "  ")
+            else:  # another claim on the same sentence
+                yield from _indented(f"{words.list_and_name(claim)}: {claim.context}", "  ")
+            for world, verdict in by_world.items():
+                verdict_head = f"{worlds[world]:16}{words.word(verdict)}"
+                for verdict_line in words.lines(verdict) + [words.registration(verdict)]:
+                    yield f"    {verdict_head:32}{verdict_line}".rstrip()
+                    verdict_head = ""
+                for detail in words.details(verdict) if in_detail else words.remedy(verdict):
+                    yield from _indented(detail, "      ")
         yield ""
     yield frame_table(counts)
     yield ""

@@ -33,7 +33,7 @@ def profile_page(answer: StudyAnswer) -> Page:
 
 
 def one_action_page(answer: StudyAnswer) -> Page:
-    """Return the figure of a study's conditions: a curve of survival, and the time by fifths of training."""
+    """Return the figure of a study's conditions: a curve of survival, and updates in one action."""
     looks = looks_of([answer.data])
 
     def draw_survival(axes: Axes) -> None:
@@ -42,11 +42,11 @@ def one_action_page(answer: StudyAnswer) -> Page:
         axes.set(xlim=(0, answer.data.budget), ylim=(-grid.BELOW_ZERO, 1 + grid.BELOW_ZERO))
 
     def draw_times(axes: Axes) -> None:
-        _draw_lines(axes, answer.tables["time"], looks)
+        _draw_lines(axes, answer.tables["updates"], looks)
         axes.set(ylim=(-grid.BELOW_ZERO, max(axes.get_ylim()[1], 0.01)))
 
     survival = ("Not yet staying in one action", "Environment steps", "Share of runs")
-    times = ("Time in one action", "Fifth of training", "Share of evaluations")
+    times = ("Training in one action", "Fifth of training", "Share of updates")
     panels = [Panel(draw_survival, *survival, y_kind=SHARES), Panel(draw_times, *times, y_kind=SHARES)]
     caption = list(answer.notes)
     caption.insert(1, "Left: after Kaplan and Meier. Right: means over runs.")

@@ -59,6 +59,18 @@ def test_events_have_a_number_and_what_is_better_has_a_direction(tmp_path: Path)
     assert [claim.direction_of(name) for name in claim.outcome] == ["less", "greater"]
 
 
+def test_a_list_has_one_level_for_all_that_it_compares_on_a_study(tmp_path: Path) -> None:
+    """Two contrasts in the text's world, one in the arena; none on another study."""
+    text = changed(('"final-share-killed"', '["final-share-killed", "final-return"]')) + LIKE
+    claims = load_claims(
+        write_files(tmp_path, text.replace('worlds = ["arena"]', 'worlds = ["arena"]\nb = "middle"'))
+    )
+    study = claims.studies["mine.toml"]
+    assert claims.level_on(study) == pytest.approx(1 - 0.05 / 2)
+    with pytest.raises(UserError, match="no claim is about study mine in the world godot"):
+        claims.level_on(study.in_world("godot"))
+
+
 WORLDS_LINE = 'worlds = ["text"]'
 VALUE, TWO = ('b = "low"', "value = 1"), ('"final-share-killed"', '["final-share-killed", "final-return"]')
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from pneuma.analysis.claims import contrasts
-from pneuma.analysis.claims.contrasts import Contrast
+from pneuma.analysis.claims.contrasts import DIFFERENCE_OF_SPREADS, Contrast
 from pneuma.analysis.intervals import Interval
 
 from .two_groups import compare
@@ -56,11 +56,38 @@ def test_shares_have_the_exact_interval_and_newcombes_for_their_difference() -> 
     assert contrast.effect == pytest.approx(0.55) and ends(contrast.interval) == pytest.approx((low, high))
 
 
-def test_spreads_have_the_interval_of_brown_and_forsythes_test() -> None:
+def test_differences_of_spreads_have_the_interval_of_brown_and_forsythes_test() -> None:
     """It ends at 0 at the level at which SciPy's test just decides."""
-    contrast = compare("spread", A, B, 1 - stats.levene(A, B, center="median").pvalue)
+    contrast = compare(DIFFERENCE_OF_SPREADS, A, B, 1 - stats.levene(A, B, center="median").pvalue)
     assert contrast.means == pytest.approx(((4.5 + 0 + 3.5 + 1.5 + 0.5) / 5, (1.25 + 0.25 + 2.75 + 0.25) / 4))
     assert contrast.simultaneous.low == pytest.approx(0, abs=1e-12)
+
+
+def test_spreads_have_welchs_interval_of_the_logarithm_of_their_ratio() -> None:
+    """Distances in proportion to their means, 2 and 1.125, have the standard errors of the logarithms."""
+    distances_a, distances_b = np.array([4.5, 0, 3.5, 1.5, 0.5]), np.array([1.25, 0.25, 2.75, 0.25])
+    welch = stats.ttest_ind(distances_a / 2, distances_b / 1.125, equal_var=False)
+    contrast = compare("spread", A, B, LEVEL)
+    assert contrast.means == pytest.approx((2, 1.125)) and contrast.effect == pytest.approx(np.log(2 / 1.125))
+    low, high = ends(welch.confidence_interval(LEVEL))
+    expected = contrast.effect + low, contrast.effect + high
+    assert ends(contrast.simultaneous) == pytest.approx(expected)
+    wider = compare("spread", 3 * np.array(A) + 7, B, LEVEL)  # which does not depend on units
+    assert ends(wider.simultaneous) == pytest.approx(np.log(3) + np.array(expected))
+    assert not compare("spread", [5.0, 5.0, 5.0], B).interval.exists
+
+
+def test_equal_runs_have_clopper_and_pearsons_bound_between_known_ends() -> None:
+    """Of 30 runs at 0 at most 1 - 0.025 ** (1 / 30), 11.6 %, are above; at 0.25 they are below, too."""
+    most = 1 - 0.025 ** (1 / 30)
+    zeros = contrasts.compare("mean", {"a": np.zeros(30)}, {}, constant=0.2, bounds=(0.0, 1.0))
+    assert ends(zeros.interval) == pytest.approx((-0.2, most - 0.2))
+    quarters = contrasts.compare("mean", {"a": np.full(30, 0.25)}, {}, bounds=(0.0, 1.0))
+    assert ends(quarters.interval) == pytest.approx((0.25 - 0.25 * most, 0.25 + 0.75 * most))
+    against = contrasts.compare("mean", {"a": np.zeros(30)}, {"b": np.array(B)}, bounds=(0.0, 5.0))
+    half = stats.sem(B) * stats.t.ppf(0.975, 3)
+    assert ends(against.interval) == pytest.approx((-2.625 - half, -2.625 + np.hypot(5 * most, half)))
+    assert not contrasts.compare("mean", {"a": np.zeros(30)}, {}, bounds=(0.0, np.inf)).interval.exists
 
 
 # --- Main effects, interactions, hazards -----------------------------------------------------------

@@ -31,6 +31,14 @@ def test_probability_of_improvement_is_the_u_statistic_and_halves_ties() -> None
     assert intervals.probability_of_improvement(np.ones(2), np.ones(1)) == 0.5
 
 
+def test_a_wide_gap_parts_runs_of_two_kinds() -> None:
+    """The larger group has an SD of 1, and the gap is 3.5 or 2.5 times as wide."""
+    around = np.array([-1.0, 0.0, 1.0])
+    assert intervals.has_two_modes(np.concatenate([around, [-4.5]]))
+    assert not intervals.has_two_modes(np.concatenate([around, [-3.5]]))
+    assert not intervals.has_two_modes(np.full(10, 0.3)) and not intervals.has_two_modes(around[:2])
+
+
 # --- Intervals ------------------------------------------------------------------------------------
 
 RUNS = np.random.default_rng(1).gamma(2, size=12)

@@ -131,12 +131,12 @@ BY_HAND: dict[str, float] = {
     "final-commonest-action": 0.8,
     "grad-norm-growth": (17 * np.log(9) + np.log(10)) / 18,  # of 181 points, from 1 in the first tenth
     "stuck-share": 0.0,
-    "steps-to:0.5": 500,
+    "steps-to:0.5": 250 + 250 * 0.3 / 0.4,  # on the way from 0.2 to 0.6
     "steps-to:0.9": np.inf,
     "wall-seconds": 8,
     "steps-per-second": 125,
 }
-IN_TESTS_OF_THEIR_OWN = {"collapse-step", "low-entropy-share"}
+IN_TESTS_OF_THEIR_OWN = {"collapse-step", "low-entropy-share", "late-one-action-updates"}
 """Of runs that collapse: in `test_collapse.py`, and below."""
 
 
@@ -201,6 +201,26 @@ def test_the_share_of_training_with_a_low_entropy_is_of_updates(tmp_path: Path) 
     assert outcome(data.rows[2], "steps-per-second") == pytest.approx(7_000 / 8)
 
 
+def test_steps_to_a_value_are_read_off_the_line_between_evaluations(data: StudyData) -> None:
+    """Of evaluations of 0.2, 0.6, 0.4 and 0.5 at every 250 steps."""
+    run = data.rows[0]
+    steps = {share: outcome(run, f"steps-to:{share}") for share in (0.1, 0.2, 0.3, 0.6)}
+    assert steps == pytest.approx({0.1: 250, 0.2: 250, 0.3: 312.5, 0.6: 500})  # none before the first
+    assert outcome(run, "steps-to-return:4") == pytest.approx(375)
+
+
+def test_late_updates_in_one_action_are_of_the_last_quarter_of_the_budget(tmp_path: Path) -> None:
+    """Of 100 updates, the last 25: none; 81 to 100; 61 to 70, diverged at the 70th; 21 to 30 alone."""
+    store = Store(tmp_path / "results")
+    ids = {("a", seed): f"a{seed}" * 8 for seed in range(4)}
+    save_collapse(store, ids["a", 0], healthy(), learning())
+    save_collapse(store, ids["a", 1], one_action(81), learning())
+    save_collapse(store, ids["a", 2], one_action(61), learning(), 7_000)
+    save_collapse(store, ids["a", 3], one_action(21, 30), learning())
+    shares = [outcome(run, "late-one-action-updates") for run in study_of(store, ids).rows]
+    assert shares == pytest.approx([0, 20 / 25, 10 / 25, 0])
+
+
 # --- What there is not ----------------------------------------------------------------------------
 
 
@@ -226,7 +246,8 @@ def test_every_outcome_has_a_value_by_hand() -> None:
 
 def test_outcomes_lie_within_their_bounds(data: StudyData) -> None:
     none_has = {"collapse-step"}  # of healthy runs
-    none_has |= {"low-entropy-share"}  # of runs whose fields do not contain the steps of an update
+    # of runs whose fields do not contain the steps of an update
+    none_has |= {"low-entropy-share", "late-one-action-updates"}
     for name in (*OUTCOMES, "steps-to:0.5"):
         low, high = find_outcome(name).bounds
         values = [outcome(run, name) for run in data.rows]

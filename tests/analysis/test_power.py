@@ -25,6 +25,13 @@ def test_a_group_without_spread_needs_what_a_single_sample_does(effect: float, s
     assert seeds_for_means(effect, 1, 1e-9) == seeds_for_means(effect, 1e-9, 1) == seeds
 
 
+def test_a_stricter_level_needs_what_cohens_tables_say() -> None:
+    """Cohen (1988), Table 2.4.1: two-sided, alpha 0.01, power 0.8, effect 0.5."""
+    assert seeds_for_means(0.5, 1, 1, level=0.99) == pytest.approx(96, abs=1)
+    strict, usual = (seeds_for_shares(0.9, 0.1, level=level) for level in (0.999, 0.95))
+    assert strict and usual and strict > usual
+
+
 def test_simulated_studies_find_a_difference_that_often() -> None:
     generator = np.random.default_rng(1)
     seeds = seeds_for_means(0.05, 0.03, 0.06)

@@ -161,6 +161,22 @@ def test_four_runs_have_a_difference_without_an_interval_and_steps_without_end_a
     assert steps["p_better"] == pytest.approx((2 * 4 + 2 * 4 * 0.5) / 16)  # two of a's runs get there
 
 
+def test_a_comparison_says_that_runs_are_few_or_of_two_kinds(tmp_path: Path) -> None:
+    """Of ten runs one ends at 0.1 and nine around 0.8; nine of another condition are too few to tell."""
+    around = [0.78, 0.79, 0.795, 0.8, 0.8, 0.805, 0.81, 0.82, 0.8]
+    data = study(tmp_path, {"a": [*around, 0.1], "b": around, "c": [*around, 0.785]})
+    notes = {
+        pair: compare(data, pair[0], pair[1], ["final-share-killed"]).notes for pair in ("ab", "ac", "bc")
+    }
+    two_kinds, few = (
+        "Note: by final-share-killed runs of a are of two kinds.",
+        "Note: fewer than 10 runs of b.",
+    )
+    found = {pair: [note.split(". ")[0] + "." for note in notes[pair]] for pair in notes}
+    assert found == {"ab": [few, two_kinds], "ac": [two_kinds], "bc": [few]}
+    assert "41, 65 and 91 %" in notes["ac"][0]
+
+
 def test_the_overview_has_five_columns_and_what_never_happens_is_a_line(tmp_path: Path) -> None:
     """Where two of four runs diverge, a mean makes room."""
     store, cells = Store(tmp_path), {("a", seed): f"a{seed}" * 8 for seed in range(4)}

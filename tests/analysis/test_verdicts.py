@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from pneuma.analysis.claims.claim_list import RULES_BEFORE
 from pneuma.analysis.claims.verdicts import combine, decide
 from pneuma.analysis.intervals import Interval, no_interval
 
@@ -38,6 +39,7 @@ S, R, I, U = "supported", "refuted", "inconclusive", "untestable"  # noqa: E741
         ((-0.001, 0.001), None, True, [I, I, I, I, I]),
         # what nobody learned may well be alike, and no loss
         ((-0.1, 0.1), 1.0, False, [I, I, I, I, I]),
+        ((0.1, 0.9), 1.0, False, [I, I, I, I, I]),  # nor does a small difference count there
         ((0.5, 3.0), 1.0, False, [S, R, S, I, I]),
         ((-3.0, -2.0), 1.0, False, [R, S, S, R, R]),
     ],
@@ -48,6 +50,12 @@ def test_the_ends_of_the_interval_decide(
     interval = Interval(*ends, "hand") if ends else no_interval()
     assert [decide(interval, way, margin, alike_counts) for way in DIRECTIONS] == expected
     assert decide(interval, "described", margin, alike_counts) == "described"
+
+
+def test_by_the_rules_before_a_small_difference_of_agents_that_learned_nothing_counted() -> None:
+    interval = Interval(0.1, 0.9, "hand")
+    assert decide(interval, "greater", 1.0, alike_counts=False, rules=RULES_BEFORE) == S
+    assert decide(interval, "greater", 1.0, alike_counts=True, rules=RULES_BEFORE) == R
 
 
 # --- Several outcomes --------------------------------------------------------------------------------

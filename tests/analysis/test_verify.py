@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from pneuma.analysis.claims.claim_list import load_claims
+from pneuma.analysis.power import seeds_for_means
 from pneuma.store.store import Store
 
-from ..cli.calls import described, printed
+from ..cli.calls import described, printed, refused
 from .claim_files import BETTER, CLAIMS, HIGH, LOW, save_runs, write_files
 
 OTHER = BETTER.replace("better", "other").replace('"high"', '"middle"')
@@ -43,3 +44,14 @@ def test_all_views_have_every_claim_in_its_worlds(tmp_path: Path) -> None:
     (shown,) = [line.split() for line in lines if "holds   " in line]
     assert " ".join(shown) == "text holds kills 74 against 24 % (47 to 53; ±4.0)"
     assert "partly trained" in "\n".join(lines) and "Read 16 runs from" in lines[-1]
+
+
+def test_seeds_are_planned_by_the_level_of_a_list(tmp_path: Path) -> None:
+    """By two contrasts: 97.5 %; for an SD of the difference of two, more seeds than by 95 %."""
+    path = write_files(tmp_path, CLAIMS + OTHER)
+    words = ["study", "plan", tmp_path / "mine.toml", "--world", "text", "--detect", "1", "--sd", "1"]
+    alone, jointly = printed(*words), printed(*words, "--claims", path)
+    assert "the 95 % interval" in alone and "the 97.5 % interval" in jointly
+    seeds = [int(text.split("seeds\n")[1].split()[1]) for text in (alone, jointly)]
+    assert seeds == [seeds_for_means(1, 1, 1), seeds_for_means(1, 1, 1, level=0.975)]
+    assert "--claims requires --detect" in refused(*words[:3], "--claims", path)

@@ -35,6 +35,7 @@ EVENT_SHARE = 0.2
 ERRORS = 4.5
 """Standard errors to the margin of means: at which about half of arms that are alike are found to be."""
 SHARE_MARGIN = 0.4
+SPREAD_MARGIN = float(np.log(1.5))
 
 Draw = Callable[[np.random.Generator, int], np.ndarray]
 
@@ -121,6 +122,8 @@ def make_arms(
         return a, (generator.random(seeds) < EVENT_SHARE) * 1.0, SHARE_MARGIN
     margin = ERRORS * float(np.sqrt(1 / few + setting.spread**-2 / seeds))
     a = draw(generator, few) + margin * setting.is_at_margin
+    if kind == "spread":
+        margin = SPREAD_MARGIN
     return a, draw(generator, seeds) / setting.spread, margin
 
 

@@ -30,7 +30,8 @@ class HandMade:
     """A results folder that is filled by hand, with a study called 'mine' that lists its runs."""
 
     def __init__(self, folder: Path, env: str = "pneuma/Pneuma-v0") -> None:
-        self.store, self.fields = Store(folder / "results"), {"env": env}
+        self.store = Store(folder / "results")
+        self.fields: dict[str, Any] = {"env": env}
         self.cells: dict[tuple[str, int], str] = {}
 
     def add(

@@ -39,9 +39,17 @@ STAY = {"kind": "hazard", "outcome": "lasting-one-action-step", "direction": "le
         ({}, MEANS, ENDS, KILLS),
         (RETURN, (8.6, 7.5), (0.3, 2.0), "return 8.6 against 7.5 (0.3 to 2.0)"),
         (LESS, (3401, 3902), (-900, -101), "return 3,400 against 3,900 (−900 to −100)"),
-        ({"kind": "spread"}, (0.025, 0.04), (-0.037, 0.007), "spread of kills 2 against 4 % (−4 to 1)"),
+        (  # a quarter to 1.002 times as far
+            {"kind": "spread", "margin": 0.405}, (0.025, 0.04), (-1.386, 0.002),
+            "spread of kills 2.5 against 4.0 % (0.25 to 1.002 times; ×1.5)",
+        ),
         (RANGES, (0.4, 0.1), (0.1, 0.5), "range of kills 40 against 10 % (10 to 50)"),
-        (SHARE, (1, 0.2), (0.7, 0.8), "runs with one action 100 %, threshold 20 % (70 to 80)"),
+        # of a threshold the interval is that of the value
+        (SHARE, (1, 0.2), (0.7, 0.8), "runs with one action 100 % (90 to 100), threshold 20 %"),
+        (
+            {**RATIO, "b": (), "value": 0.693}, (1.163, 0.693), (0.3, 0.642),
+            "greatest gradient norm 3.2 (2.7 to 3.8), threshold 2.0",
+        ),
         (  # of 100 and 50; 1 to 4
             RATIO, (4.605, 3.912), (0.0, 1.386),
             "greatest gradient norm 100 against 50 (1.0 to 4.0 times)",
@@ -94,7 +102,7 @@ def test_every_outcome_is_told_and_that_nobody_learned() -> None:
         comparison("supported", 1.1, (0.3, 2.0), of=one_claim, means=(8.6, 7.5), outcome="final-return"),
     )
     returns = "return 8.6 against 7.5 (0.3 to 2.0)"
-    text = ["holds [p]", KILLS, returns, "none plays better than at random"]
+    text = ["holds [p]", KILLS, returns, "none beats random"]
     assert cell(judged(one_claim, text=("supported", "", rows))["text"]).split("\n") == text
 
 
@@ -117,29 +125,64 @@ def test_sentences_are_without_tex_and_short_ones_are_the_thesiss_words() -> Non
 
 
 def test_the_table_is_by_section_and_says_a_sentence_once() -> None:
-    """What is like another claim stands in its row, unless it is about the same world."""
+    """What is like another claim stands in its row, unless it is about the same world or another sentence."""
     sections = {"first": "5.10", "second": "5.9", "third": "6"}
     verdicts = [
-        Verdict(claim(name, section=section, context=name), "text", "inconclusive", "")
+        Verdict(claim(name, section=section, short=name, context=name), "text", "inconclusive", "")
         for name, section in sections.items()
     ]
-    there, again = claim("there", like="third", section="6"), claim("again", like="third", section="6")
+    there = claim("there", like="third", section="6", short="third")
+    again = claim("again", like="third", section="6", short="again")
     verdicts += [Verdict(there, "arena", "refuted", ""), Verdict(again, "text", "supported", "")]
     ordered = words.verdicts_by_claim(verdicts)
     assert {name: [*worlds] for name, worlds in ordered.items()} == {
         "second": ["text"], "first": ["text"], "third": ["text", "arena"], "again": ["text"],
     }  # fmt: skip
-    headings = ["“improves performance”", "first", "third", "again"]
-    text = [f"{heading}\ntanh against relu" for heading in headings]
+    text = [f"“{heading}”\ntanh against relu" for heading in ("second", "first", "third", "again")]
     assert verdict_table(ordered)["The thesis's sentence"].tolist() == text
     counts = words.count_words(ordered).to_numpy().tolist()
     assert counts == [["text", 1, 0, 3, 0], ["arena", 0, 1, 0, 0]]
+
+
+def test_one_sentence_has_one_row_with_what_each_list_says_of_it() -> None:
+    """A claim without a quote stands with an earlier one about the same conditions."""
+    issue = {"quote": "To combat this issue, we used betas", "list_name": "second list"}
+    first = claim("first", quote="To combat this, we used betas", list_name="first list")
+    claims = [
+        first,
+        claim("again", **issue),
+        claim("described", quote=""),
+        claim("other", quote="", b=("x",)),
+    ]
+    verdicts = [Verdict(one, "text", "supported", "", label="preregistered") for one in claims]
+    by_claim = words.verdicts_by_claim(verdicts)
+    assert words.rows_of_claims(by_claim) == [["first", "again", "described"], ["other"]]
+    table = verdict_table(by_claim)
+    assert table["text"].tolist() == [
+        "first list, first: holds [p]\nsecond list, again: holds [p]\ndescribed: holds [p]", "holds [p]",
+    ]  # fmt: skip
+    assert words.erratum(claims[1]).endswith("the thesis “To combat this, we used”.") and not words.erratum(
+        first
+    )
+
+
+def test_a_registered_verdict_is_shown_with_why_it_differs() -> None:
+    one_claim = claim(kind="spread")
+    row = comparison("inconclusive", 0.02, ENDS, of=one_claim, means=MEANS, registered_verdict="refuted")
+    for rule_changes, text in (
+        ((), ["as registered: does not hold"]),
+        (("spread",), ["as registered: does not hold; since then spreads are compared by their ratio"]),
+    ):
+        contrasts = (replace(row, rule_changes=rule_changes),)
+        verdict = Verdict(one_claim, "text", "inconclusive", "", contrasts, registered_verdict="refuted")
+        assert words.lines(verdict)[1:] == text
 
 
 def test_the_letter_of_a_label_has_a_star_if_the_claim_was_changed() -> None:
     verdict = Verdict(claim(), "text", "supported", "", label="same runs as list 3", changed=("seeds",))
     assert (words.letter(verdict), words.letter(replace(verdict, changed=()))) == ("3*", "3")
     assert words.registration(verdict) == "same runs as list 3; changed since the first run: seeds"
+    assert words.letter(replace(verdict, label="amended")) == "a"
 
 
 def test_an_interval_is_drawn_in_margins_and_as_claimed_to_the_right(
@@ -151,7 +194,7 @@ def test_an_interval_is_drawn_in_margins_and_as_claimed_to_the_right(
     """
     claims = {}
     for name, way in (("one", "greater"), ("two", "less")):
-        one_claim = claim(name, section="6.1", direction=way, margin=0.04)
+        one_claim = claim(name, section="6.1", short=name, direction=way, margin=0.04)
         row = comparison("supported", 0.02, ENDS, of=one_claim, means=MEANS)
         claims[name] = judged(
             one_claim, text=("supported", "", (row,)), arena=("untestable", "A/A: same", ())
@@ -169,7 +212,7 @@ def test_an_interval_is_drawn_in_margins_and_as_claimed_to_the_right(
         pytest.approx(pair) for pair in ([-0.3, 1.3], [-1.3, 0.3], [0.0, 2.0])
     ]
     assert [line.get_marker() for line in arena.lines[1:]] == ["_", "_"]
-    assert "“improves performance”" in [one.get_text() for one in sentences.texts]
+    assert "“one”" in [one.get_text() for one in sentences.texts]
     with Image.open(path) as image:
         assert image.width / image.info["dpi"][0] == pytest.approx(7.4, abs=0.01)
     assert min(float(one.get_fontsize()) for axes in figures[0].axes for one in axes.texts) >= 5.5

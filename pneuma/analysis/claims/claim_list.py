@@ -3,7 +3,8 @@
     [list]                      title, what was learned before, alpha, the first seed
     [defaults]                  seeds, steps, worlds, outcome and kind of a claim that has none
     [margins]                   by outcome, of claims that state none
-    [registered_margins]        those stated before the runs, where margins were changed since
+    [registered_margins]        those stated before the first run, where margins were changed since
+    [interim_margins]           those stated while runs were trained, where they were changed twice
     [claims.tanh-better]        quote, section, study, a, b, outcome, kind, direction, margin …
 
 studies/claims.toml → ClaimList → its runs (`fixed_runs.py`) → `verdicts.py`. The file's checksum and the
@@ -37,8 +38,10 @@ DEFAULTS = ("seeds", "steps", "worlds", "outcome", "kind")
 """The keys of a claim that a list may set for all."""
 LISTS_OF_NAMES = ("a", "b", "beside", "outcome")
 """The keys of a claim whose value is one name or several."""
-RULES = 5
+RULES = 6
 """The version of the rules by which claims are judged; raised whenever a verdict could change."""
+RULES_BEFORE = 5
+"""An earlier version, by which lists that were stated before this one are judged as well."""
 
 
 def _count_or_seeds(value: Any) -> Any:
@@ -47,8 +50,8 @@ def _count_or_seeds(value: Any) -> Any:
     return value if type(value) is int else seeds
 
 
-def _check_outcome_or_event(outcome_name: str) -> None:
-    if outcome_name != "incidence":
+def _check_outcome_or_kind(outcome_name: str) -> None:
+    if outcome_name not in ("incidence", "spread"):
         find_outcome(outcome_name)
 
 
@@ -62,7 +65,7 @@ TOGETHER = ("range", "main-effect", "interaction")
 """Kinds in which all conditions of a and of b make one contrast."""
 Direction = Literal["greater", "less", "different", "equal", "no-less", "better", "worse", "described"]
 Outcome = Annotated[Words, passes(find_outcome)]
-OutcomeOrEvent = Annotated[str, passes(_check_outcome_or_event)]
+OutcomeOrKind = Annotated[str, passes(_check_outcome_or_kind)]
 ByWorld = Positive | dict[World, Positive]
 """One number for all worlds, or one for each."""
 ByOutcome = Positive | dict[str, ByWorld] | None
@@ -87,11 +90,13 @@ class Claim(Table):
     """A sentence of the thesis, or a statement of one's own, as a test; docs/claims.md explains its keys.
 
     Each condition of a is compared with each of b, or the first with the first and so on if they are paired.
-    In kinds that are `TOGETHER` all of a make one contrast with all of b. `list_margins` and
-    `list_registered` are the list's own.
+    In kinds that are `TOGETHER` all of a make one contrast with all of b. `list_margins`,
+    `list_registered` and `list_interim` are the list's own. The margin of a spread is the logarithm of a
+    ratio, but the registered one a difference, as before version 6 of the rules.
     """
 
     name: str
+    list_name: str = ""
     like: str = ""
     quote: str = ""
     short: str = ""
@@ -119,9 +124,11 @@ class Claim(Table):
     direction: Direction | dict[str, Direction]
     margin: ByOutcome = None
     registered_margin: ByOutcome = None
+    interim_margin: ByOutcome = None
     note: str = ""
     list_margins: Mapping[str, Any] = {}
     list_registered: Mapping[str, Any] = {}
+    list_interim: Mapping[str, Any] = {}
 
     @property
     def conditions(self) -> tuple[str, ...]:
@@ -183,20 +190,24 @@ class Claim(Table):
 
     def margin_of(self, world: str, outcome: str) -> float | None:
         """Return the smallest difference that counts: the claim's, or its list's; None without one."""
-        return self._stated(self.margin, self.list_margins, world, outcome)
+        name = self.kind if self.kind in ("incidence", "spread") else outcome
+        return _first(pick(self.margin, outcome, world), pick(self.list_margins, name, world))
 
     def registered_margin_of(self, world: str, outcome: str) -> float | None:
-        """Return the margin that was stated before the runs, if it was changed since; else the margin."""
-        registered = self._stated(self.registered_margin, self.list_registered, world, outcome)
-        return self.margin_of(world, outcome) if registered is None else registered
+        """Return the margin that was stated before the first run, if it was changed; else the margin."""
+        name = "incidence" if self.is_incidence else outcome
+        registered = pick(self.registered_margin, outcome, world), pick(self.list_registered, name, world)
+        return _first(*registered, self.margin_of(world, outcome))
 
-    def _stated(
-        self, by_outcome: ByOutcome, list_by_outcome: Mapping[str, Any], world: str, outcome: str
-    ) -> float | None:
-        margin = pick(by_outcome, outcome, world)
-        if margin is None:
-            margin = pick(list_by_outcome, "incidence" if self.is_incidence else outcome, world)
-        return margin
+    def interim_margin_of(self, world: str, outcome: str) -> float | None:
+        """Return the margin that was stated while runs were trained; else the registered one."""
+        name = "incidence" if self.is_incidence else outcome
+        return _first(
+            pick(self.interim_margin, outcome, world),
+            pick(self.registered_margin, outcome, world),
+            pick(self.list_interim, name, world),
+            self.registered_margin_of(world, outcome),
+        )
 
     def value_of(self, world: str, outcome: str) -> float | str | None:
         """Return what a is compared with instead of b: a constant, or another outcome of each run."""
@@ -233,7 +244,7 @@ class Claim(Table):
         return self
 
     def _check_outcomes(self) -> None:
-        for field_name in ("direction", "margin", "registered_margin", "value"):
+        for field_name in ("direction", "margin", "registered_margin", "interim_margin", "value"):
             stated_values = getattr(self, field_name)
             for outcome in stated_values if isinstance(stated_values, dict) else ():
                 if outcome not in self.outcome:
@@ -264,6 +275,11 @@ class Claim(Table):
                 raise wrong(f"{field_name} = {number:g} is not allowed: a share of runs, 0 to 1", field_name)
 
 
+def _first(*numbers: float | None) -> float | None:
+    """Return the first of some numbers that there is."""
+    return next((number for number in numbers if number is not None), None)
+
+
 def pick(value: Any, *names: str) -> Any:
     """Return a value that may be stated by outcome and world; None if there is none for these."""
     for name in names:
@@ -272,12 +288,13 @@ def pick(value: Any, *names: str) -> Any:
 
 
 class ClaimsFile(Table):
-    """The whole file. Margins are by outcome, or 'incidence' for all incidences."""
+    """The whole file. Margins are by outcome, 'incidence' for all incidences, 'spread' for all spreads."""
 
     list: ListHead = ListHead()
     defaults: dict[Annotated[str, OneOf(DEFAULTS)], Any] = {}
-    margins: dict[OutcomeOrEvent, ByWorld] = {}
-    registered_margins: dict[OutcomeOrEvent, ByWorld] = {}
+    margins: dict[OutcomeOrKind, ByWorld] = {}
+    registered_margins: dict[OutcomeOrKind, ByWorld] = {}
+    interim_margins: dict[OutcomeOrKind, ByWorld] = {}
     claims: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
 
 
@@ -305,6 +322,17 @@ class ClaimList:
             study = ""
         claims = self.on(study, world)
         return sum(len(claim.pairs(outcome)) for claim in claims for outcome in claim.outcome)
+
+    def level_on(self, study: Study) -> float:
+        """Return the level of the interval of each contrast that claims make on a study, in its world.
+
+        Raises:
+            UserError: if no claim is about it.
+        """
+        for study_name, own_study in self.studies.items():
+            if own_study.path == study.path and self.on(study_name, study.world):
+                return 1 - self.head.alpha / self.family_size(study.world, study_name)
+        raise UserError(f"{self.path}: no claim is about study {study.name} in the world {study.world}")
 
     def on(self, study: str, world: str) -> list[Claim]:
         """Return the claims on a study, or on any if it is empty, in a world."""
@@ -341,8 +369,10 @@ def claim_keys(contents: Mapping[str, Any], claim_name: str) -> dict[str, Any]:
         **claims.get(str(claims[claim_name].get("like")), {}),
         **claims[claim_name],
         "name": claim_name,
+        "list_name": str(contents.get("list", {}).get("title", "")).rpartition(", ")[2],
         "list_margins": contents.get("margins", {}),
         "list_registered": contents.get("registered_margins", {}),
+        "list_interim": contents.get("interim_margins", {}),
     }
     for list_key in LISTS_OF_NAMES:
         if list_key in keys and not isinstance(keys[list_key], tuple):

@@ -2,8 +2,9 @@
 
     values of runs by condition → `compare` → Contrast; `verdicts.py` compares its interval with the margin
 
-A group in which nothing varies has no interval, because so few runs cannot show how rare other values are.
-docs/claims.md explains the intervals and what they assume.
+A group in which nothing varies has no interval, because so few runs cannot show how far off other values are,
+unless the outcome has a least and a greatest value. docs/claims.md explains the intervals and what they
+assume.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from scipy import special
 
 from pneuma.analysis.intervals import (
     LEVEL,
+    NO_BOUNDS,
+    Bounds,
     Groups,
     Interval,
     distances,
@@ -27,6 +30,7 @@ from pneuma.analysis.intervals import (
     no_interval,
     no_interval_reason,
     spread_interval,
+    spread_ratio_interval,
     weighted_sum,
 )
 
@@ -36,9 +40,9 @@ class Contrast:
     """The result of one comparison.
 
     Attributes:
-        effect: the mean of a, its mean distance from the median, its share of runs with an event, or the
-            range of its means, minus that of b or the constant; of an interaction, the difference of two
-            such differences; of a hazard, the logarithm of the ratio of two rates.
+        effect: the mean of a, its share of runs with an event, or the range of its means, minus that of b or
+            the constant; of an interaction, the difference of two such differences; of a spread, the
+            logarithm of the ratio of mean distances from the median, and of a hazard, of two rates.
         interval: its 95 % interval.
         simultaneous: its interval at the level of a whole list of contrasts.
         seeds: runs of the first condition of a and of b; 0 for a constant.
@@ -55,7 +59,12 @@ class Contrast:
 
 
 def compare(
-    contrast_kind: str, a: Groups, b: Groups, level: float = LEVEL, constant: float = 0.0
+    contrast_kind: str,
+    a: Groups,
+    b: Groups,
+    level: float = LEVEL,
+    constant: float = 0.0,
+    bounds: Bounds = NO_BOUNDS,
 ) -> Contrast:
     """Compare groups with others, of which some may be the same, or with a constant.
 
@@ -67,11 +76,12 @@ def compare(
         b: the same; none if a is compared with a constant.
         level: of the simultaneous interval.
         constant: in the unit of a, or a share of runs.
+        bounds: the least and the greatest value that a run may have.
     """
-    means, interval = KINDS[contrast_kind](a, b, constant, LEVEL)
-    _, simultaneous = KINDS[contrast_kind](a, b, constant, level)
+    means, interval = KINDS[contrast_kind](a, b, constant, LEVEL, bounds)
+    _, simultaneous = KINDS[contrast_kind](a, b, constant, level, bounds)
     effect = means[0] - means[1]
-    if contrast_kind == "hazard":
+    if contrast_kind in LOGARITHMIC:
         effect = (interval.low + interval.high) / 2
     return Contrast(
         effect=effect,
@@ -95,20 +105,20 @@ Estimate = tuple[tuple[float, float], Interval]
 """The two numbers that are compared, and the interval of the effect at a level."""
 
 
-def _compare_means(a: Groups, b: Groups, constant: float, level: float) -> Estimate:
+def _compare_means(a: Groups, b: Groups, constant: float, level: float, bounds: Bounds) -> Estimate:
     """Compare the mean over some groups' means with that over others, or with a constant."""
     means = float(np.mean(_means(a))), float(np.mean(_means(b) or [constant]))
     weights = dict.fromkeys(a, 1 / len(a))
     for condition in b:
         weights[condition] = weights.get(condition, 0.0) - 1 / len(b)
-    return means, interval_of_sum({**a, **b}, weights, level).minus(constant)
+    return means, interval_of_sum({**a, **b}, weights, level, bounds).minus(constant)
 
 
-def _compare_differences(a: Groups, b: Groups, constant: float, level: float) -> Estimate:
+def _compare_differences(a: Groups, b: Groups, constant: float, level: float, bounds: Bounds) -> Estimate:
     """Compare the difference between the first of a and of b with that between the second ones."""
     (a_first, a_second), (b_first, b_second) = _means(a), _means(b)
     weights = _weights(a, b)
-    return (a_first - b_first, a_second - b_second), interval_of_sum({**a, **b}, weights, level)
+    return (a_first - b_first, a_second - b_second), interval_of_sum({**a, **b}, weights, level, bounds)
 
 
 def _weights(a: Iterable[str], b: Iterable[str]) -> dict[str, float]:
@@ -127,13 +137,24 @@ def _means(groups: Groups) -> list[float]:
     return [float(runs.mean()) for runs in groups.values()]
 
 
-def _compare_spreads(a: Groups, b: Groups, constant: float, level: float) -> Estimate:
+def _compare_spreads(a: Groups, b: Groups, constant: float, level: float, bounds: Bounds) -> Estimate:
     (runs_a,), (runs_b,) = a.values(), b.values()
-    means = float(distances(runs_a).mean()), float(distances(runs_b).mean())
-    return means, spread_interval(runs_a, runs_b, level)
+    return _mean_distances(runs_a, runs_b), spread_ratio_interval(runs_a, runs_b, level)
 
 
-def _compare_shares(a: Groups, b: Groups, constant: float, level: float) -> Estimate:
+def _compare_differences_of_spreads(
+    a: Groups, b: Groups, constant: float, level: float, bounds: Bounds
+) -> Estimate:
+    """Compare spreads as the rules of the judge did before version 6, by their difference."""
+    (runs_a,), (runs_b,) = a.values(), b.values()
+    return _mean_distances(runs_a, runs_b), spread_interval(runs_a, runs_b, level)
+
+
+def _mean_distances(runs_a: np.ndarray, runs_b: np.ndarray) -> tuple[float, float]:
+    return float(distances(runs_a).mean()), float(distances(runs_b).mean())
+
+
+def _compare_shares(a: Groups, b: Groups, constant: float, level: float, bounds: Bounds) -> Estimate:
     (runs_a,) = a.values()
     count_a, size_a = int(runs_a.sum()), runs_a.size
     if not b:
@@ -144,7 +165,7 @@ def _compare_shares(a: Groups, b: Groups, constant: float, level: float) -> Esti
     return (count_a / size_a, count_b / size_b), interval
 
 
-def _compare_hazards(a: Groups, b: Groups, constant: float, level: float) -> Estimate:
+def _compare_hazards(a: Groups, b: Groups, constant: float, level: float, bounds: Bounds) -> Estimate:
     """Compare the rates at which runs get somewhere, by the log-rank test (Peto and Peto 1972).
 
     The logarithm of their ratio is the number of runs of a that got there, minus the number that is expected
@@ -169,7 +190,7 @@ def _compare_hazards(a: Groups, b: Groups, constant: float, level: float) -> Est
     return shares, Interval(effect - half_width, effect + half_width, "log-rank")
 
 
-def _compare_ranges(a: Groups, b: Groups, constant: float, level: float) -> Estimate:
+def _compare_ranges(a: Groups, b: Groups, constant: float, level: float, bounds: Bounds) -> Estimate:
     """Compare the range of the means of some groups, best minus worst, with that of others or a constant.
 
     The range of a is above that of b by more than d exactly if some step from one of a's groups to another is
@@ -195,13 +216,17 @@ def _compare_ranges(a: Groups, b: Groups, constant: float, level: float) -> Esti
     return means, Interval(float(low), float(high), "steps by Welch t").minus(constant)
 
 
-KINDS: Mapping[str, Callable[[Groups, Groups, float, float], Estimate]] = {
+DIFFERENCE_OF_SPREADS = "difference of spreads"
+LOGARITHMIC = ("spread", "hazard")
+"""Kinds whose effect is the logarithm of a ratio."""
+KINDS: Mapping[str, Callable[[Groups, Groups, float, float, Bounds], Estimate]] = {
     "mean": _compare_means,
     "spread": _compare_spreads,
+    DIFFERENCE_OF_SPREADS: _compare_differences_of_spreads,
     "incidence": _compare_shares,
     "range": _compare_ranges,
     "main-effect": _compare_means,
     "interaction": _compare_differences,
     "hazard": _compare_hazards,
 }
-"""How each kind of contrast is made at a level, of groups a and b, or a and a constant."""
+"""How each kind of contrast is made at a level, of groups a and b, or a and a constant, and their bounds."""

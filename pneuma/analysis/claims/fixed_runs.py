@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pneuma.analysis.claims.claim_list import Claim
+from pneuma.analysis.claims.claim_list import RULES, Claim
 from pneuma.analysis.intervals import mean_interval
 from pneuma.analysis.outcomes import find_outcome, outcome_values, reason, unit_of_return
 from pneuma.analysis.runs import finished_rows, runs_of_plan
@@ -126,7 +126,7 @@ class ClaimRuns:
             command_words.append("--unpublished")
         return shlex.join(command_words + results_words(self.folder))
 
-    def values(self, outcome_name: str, condition: str) -> np.ndarray:
+    def values(self, outcome_name: str, condition: str, rules: int = RULES) -> np.ndarray:
         """Return an outcome of each run of a condition, whose runs have all finished and have one.
 
         It is (seeds,) in the order of seeds; 1 or 0 if runs with an event are counted. Of a hazard it is
@@ -134,6 +134,10 @@ class ClaimRuns:
         """
         rows = self.data.of_condition(condition)
         run_values = self._outcome_values(outcome_name, condition)
+        if outcome_name.startswith("steps-to") and rules < RULES:
+            run_values = np.array(
+                [_at_evaluation(row, outcome_name, step) for row, step in zip(rows, run_values, strict=True)]
+            )
         if self.claim.kind == "hazard":
             last_seen = [row.evaluations("step")[-1] for row in rows]
             return np.array([np.minimum(run_values, last_seen), np.isfinite(run_values)])
@@ -148,6 +152,13 @@ class ClaimRuns:
         if values_key not in self._values:
             self._values[values_key] = outcome_values(self.data, condition, outcome_name)
         return self._values[values_key]
+
+
+def _at_evaluation(row: Row, outcome_name: str, step: float) -> float:
+    """Return the first evaluation at or after a step, which counted before version 6 of the rules."""
+    evaluation_steps, _ = row.evaluation_points(find_outcome(outcome_name).column)
+    following_steps = evaluation_steps[evaluation_steps >= step]
+    return float(following_steps[0]) if len(following_steps) else np.inf
 
 
 def find_claim_runs(index: RunIndex, study: Study, claim: Claim) -> ClaimRuns:

@@ -1,9 +1,10 @@
 """Whether a claim is what it was when its runs were trained, by the history of its file.
 
-    ClaimList, and the commits of each claim's runs → names of what changed since
+    ClaimList, and the commits of each claim's runs → `Changes`: names of what changed since, and the rules
 
 Everything that decides a verdict counts: conditions, seeds, steps, outcomes, direction, value, need, margins
-(the registered ones, if margins were changed), and the version of the judge's rules. Words do not count. The
+(the registered ones, if margins were changed), and the version of the judge's rules, unless it is
+`RULES_BEFORE`, by which claims can still be judged. Words do not count. The
 file is found by its title, wherever it was. Nothing is known of a file outside a git checkout, or of a commit
 that the checkout lacks, or at which there was no such list yet.
 
@@ -19,9 +20,9 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from pneuma.analysis.claims.claim_list import RULES, Claim, ClaimList, claim_keys
+from pneuma.analysis.claims.claim_list import RULES, RULES_BEFORE, Claim, ClaimList, claim_keys
 from pneuma.analysis.claims.fixed_runs import find_claim_runs
 from pneuma.analysis.claims.preset import claims_on
 from pneuma.errors import Hint, UserError
@@ -41,6 +42,19 @@ OUTCOME_KEYS = ("kind", "above", "below", "value", "margin")
 """Keys that change with the outcome."""
 
 
+class Changes(NamedTuple):
+    """What has changed of a claim since its runs were trained.
+
+    Attributes:
+        changed: names of what differs; None if no commit is known to have its list. `THE_CLAIM` stands for a
+            claim that the list did not have yet.
+        rules: the version of the judge's rules by which it was registered; `RULES_BEFORE` if it is older.
+    """
+
+    changed: tuple[str, ...] | None
+    rules: int = RULES
+
+
 def refuse_changed(index: RunIndex, study: Study) -> None:
     """Refuse claims on a study that were changed after their first run: they are not preregistered any more.
 
@@ -49,7 +63,7 @@ def refuse_changed(index: RunIndex, study: Study) -> None:
     """
     for claim_list, claim in claims_on(study):
         commits = find_claim_runs(index, study, claim).commits
-        changed = changed_since(claim_list, claim, study.world, commits)
+        changed = find_changes(claim_list, claim, study.world, commits).changed
         if changed:
             raise UserError(
                 Hint("preset", CLAIMS),
@@ -58,36 +72,29 @@ def refuse_changed(index: RunIndex, study: Study) -> None:
             )
 
 
-def changed_since(
-    claim_list: ClaimList, claim: Claim, world: str, commits: Sequence[str]
-) -> tuple[str, ...] | None:
-    """Return what has changed of a claim since commits; None if no commit is known to have its list.
-
-    `THE_CLAIM` stands for a claim that the list did not have yet.
-    """
+def find_changes(claim_list: ClaimList, claim: Claim, world: str, commits: Sequence[str]) -> Changes:
+    """Return what has changed of a claim since commits, by the package's record or else by the checkout."""
     recorded, claim_key = _recorded(), record_key(claim_list, claim, world, commits)
     if claim_key not in recorded:
-        return changed_in_checkout(claim_list, claim, world, commits)
-    return recorded[claim_key]
+        return changes_in_checkout(claim_list, claim, world, commits)
+    return Changes(**recorded[claim_key])
 
 
 def record_key(claim_list: ClaimList, claim: Claim, world: str, commits: Sequence[str]) -> str:
-    """Return all that `changed_since` depends on: the list, the judge's rules, and the runs."""
+    """Return all that `find_changes` depends on: the list, the judge's rules, and the runs."""
     return " ".join([claim.name, world, claim_list.digest, f"rules={RULES}"] + list(commits))
 
 
 @cache
-def _recorded() -> Mapping[str, tuple[str, ...] | None]:
-    """Return what has changed, by `record_key`."""
-    recorded: Mapping[str, tuple[str, ...] | None] = normalize(
+def _recorded() -> Mapping[str, dict[str, Any]]:
+    """Return the fields of `Changes` by `record_key`."""
+    recorded: Mapping[str, dict[str, Any]] = normalize(
         json.loads(claims_history_file().read_text(encoding="utf-8"))
     )
     return recorded
 
 
-def changed_in_checkout(
-    claim_list: ClaimList, claim: Claim, world: str, commits: Sequence[str]
-) -> tuple[str, ...] | None:
+def changes_in_checkout(claim_list: ClaimList, claim: Claim, world: str, commits: Sequence[str]) -> Changes:
     """Return the same by the history of the checkout that the list is in."""
     file_text = claim_list.path.read_text(encoding="utf-8")
     (title,) = re.findall("^title = .*", file_text, flags=re.MULTILINE)[:1] or ["[defaults]"]
@@ -95,6 +102,7 @@ def changed_in_checkout(
     is_own = SOURCE in claim_list.path.resolve().parents
     changed: list[str] = []
     is_known = False
+    rules = RULES
     for commit in commits:
         text_then = file_at(claim_list.path, commit, title)
         if text_then is None:
@@ -107,11 +115,14 @@ def changed_in_checkout(
         for claim_key, value in keys_then.items():
             if value != keys_now[claim_key] and (has_outcome or claim_key not in OUTCOME_KEYS):
                 changed.append(claim_key)
-        if is_own and _rules_at(claim_list.path, commit) != RULES:
+        rules_then = _rules_at(claim_list.path, commit) if is_own else RULES
+        if rules_then != RULES:
+            rules = RULES_BEFORE
+        if rules_then not in (RULES, RULES_BEFORE):
             changed.append(RULES_KEY)
     if not is_known:
-        return None
-    return tuple(dict.fromkeys(changed))
+        return Changes(None)
+    return Changes(tuple(dict.fromkeys(changed)), rules)
 
 
 @cache

@@ -6,6 +6,9 @@ Every claim is judged, separately in each world, by exactly the runs that it fix
 compares the ends of the simultaneous interval, which is printed, with 0 and with the margin; nothing else
 decides. All intervals of a world, also those of claims without runs, hold jointly with 95 % probability. So
 the chance of any false verdict in a world is at most 5 %, whichever claims are shown and whatever was run.
+
+Where margins or the judge's rules were changed when runs were known, claims are also judged in their
+registered form: by the margins of before the first run, and by earlier rules. `SINCE_THEN` says what changed.
 """
 
 from __future__ import annotations
@@ -16,11 +19,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pneuma.analysis.claims.claim_list import Claim, ClaimList, Pair
-from pneuma.analysis.claims.contrasts import Contrast, compare
+from pneuma.analysis.claims.claim_list import RULES, Claim, ClaimList, Pair
+from pneuma.analysis.claims.contrasts import DIFFERENCE_OF_SPREADS, Contrast, compare
 from pneuma.analysis.claims.fixed_runs import TRAIN_WITH, ClaimRuns, find_claim_runs
-from pneuma.analysis.claims.history import AMOUNT_KEYS, changed_since
-from pneuma.analysis.intervals import Interval
+from pneuma.analysis.claims.history import AMOUNT_KEYS, RULES_KEY, find_changes
+from pneuma.analysis.intervals import NO_BOUNDS, Interval, is_constant
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.store.index import RunIndex
 
@@ -39,8 +42,19 @@ RARE = 0.1
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but too small to count"
 """The reason if a claim is refuted although its interval lies wholly on the claimed side of 0."""
 
-PREREGISTERED, DESCRIPTIVE, UNVERIFIED = "preregistered", "descriptive", "unverified"
+PREREGISTERED, AMENDED, DESCRIPTIVE = "preregistered", "amended", "descriptive"
+UNVERIFIED = "unverified"
 """Labels. A claim is unverified if no commit shows that it was stated before its runs."""
+
+FORGETTING = "late-fall"
+SINCE_THEN = {
+    "spread": "spreads are compared by their ratio",
+    "steps": "steps are read off lines between evaluations",
+    "equal": "equal runs have an interval",
+    "idle": "idle agents are not tested for forgetting",
+    "small": "where none has learned, a difference within the margin decides nothing",
+}
+"""How the rules of the judge differ since version 6, by short names."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +68,8 @@ class ClaimContrast:
         margin: the smallest difference that counts; None against a constant, which is itself what counts.
         runs: the ids of the runs that were read, by condition.
         contrast: what the runs show; its reason is not empty if nothing can be concluded.
-        registered_verdict: the same by the margin that was registered.
+        registered_verdict: the same by the margin, and the rules, that were registered.
+        rule_changes: the keys of `SINCE_THEN` that make a difference here, if it was registered before.
         none_learned: whether no condition is shown to play better than the random player, so that being alike
             counts for nothing.
     """
@@ -72,6 +87,7 @@ class ClaimContrast:
     contrast: Contrast = Contrast()
     verdict: str = UNTESTABLE
     registered_verdict: str = UNTESTABLE
+    rule_changes: tuple[str, ...] = ()
     none_learned: bool = False
 
     @property
@@ -84,7 +100,7 @@ class ClaimContrast:
 
     @property
     def has_effect(self) -> bool:
-        return math.isfinite(self.contrast.effect)
+        return math.isfinite(self.contrast.means[0])
 
 
 @dataclass(frozen=True)
@@ -95,9 +111,9 @@ class Verdict:
         verdict: supported, refuted, mixed, inconclusive, untestable or described.
         reason: why it is untestable, what is missing, or `AS_CLAIMED_BUT_SMALL`; empty for a plain result.
         contrasts: its rows of the table.
-        registered_verdict: the verdict by the margins that were registered.
-        label: whether it tests: `PREREGISTERED`, `DESCRIPTIVE`, `UNVERIFIED`, or on which list's runs it was
-            stated.
+        registered_verdict: the verdict by the margins, and the rules, that were registered.
+        label: whether it tests: `PREREGISTERED`, `AMENDED`, `DESCRIPTIVE`, `UNVERIFIED`, or on which list's
+            runs it was stated.
         changed: what has changed of the claim since its runs were trained; None if that is unknown.
     """
 
@@ -134,6 +150,15 @@ class Verdict:
     def lacks_runs(self) -> bool:
         return TRAIN_WITH in self.reason
 
+    @property
+    def rule_changes(self) -> tuple[str, ...]:
+        """The keys of `SINCE_THEN` because of which the registered verdict may differ."""
+        rule_changes: list[str] = []
+        for claim_contrast in self.contrasts:
+            if claim_contrast.verdict != claim_contrast.registered_verdict:
+                rule_changes += claim_contrast.rule_changes
+        return tuple(dict.fromkeys(rule_changes))
+
 
 def judge(
     claim_list: ClaimList,
@@ -158,22 +183,28 @@ def _judge_claim(claim_list: ClaimList, claim_runs: ClaimRuns) -> Verdict:
     """Return the verdict on a claim of a list in one world by its runs."""
     claim, world = claim_runs.claim, claim_runs.world
     alpha = claim_list.head.alpha / claim_list.family_size(world, claim.study)
+    changes = find_changes(claim_list, claim, world, claim_runs.commits)
     claim_contrasts: list[ClaimContrast] = []
     for outcome in claim.outcome:
         for pair in claim.pairs(outcome):
-            claim_contrasts.append(_judge_contrast(claim_runs, outcome, pair, alpha))
-    verdict = _of_claim(claim, claim_contrasts, "verdict")
-    changed = changed_since(claim_list, claim, world, claim_runs.commits)
-    return Verdict(
+            claim_contrasts.append(_judge_contrast(claim_runs, outcome, pair, alpha, changes.rules))
+    word = _of_claim(claim, claim_contrasts, "verdict")
+    verdict = Verdict(
         claim=claim,
         world=world,
-        verdict=verdict,
-        reason=_reason(verdict, claim_contrasts),
+        verdict=word,
+        reason=_reason(word, claim_contrasts),
         contrasts=tuple(claim_contrasts),
         registered_verdict=_of_claim(claim, claim_contrasts, "registered_verdict"),
-        label=_label(claim_list, claim, changed, has_runs=bool(claim_runs.commits)),
-        changed=changed,
+        changed=changes.changed,
     )
+    if (
+        verdict.registered_verdict != word
+        and verdict.rule_changes
+        and RULES_KEY not in (verdict.changed or ())
+    ):
+        verdict = replace(verdict, changed=(*(verdict.changed or ()), RULES_KEY))
+    return replace(verdict, label=_label(claim_list, verdict, has_runs=bool(claim_runs.commits)))
 
 
 def _of_claim(claim: Claim, claim_contrasts: Iterable[ClaimContrast], column: str) -> str:
@@ -184,15 +215,16 @@ def _of_claim(claim: Claim, claim_contrasts: Iterable[ClaimContrast], column: st
     return combine([combine(verdicts, "all") for verdicts in verdicts_by_outcome.values()], claim.need)
 
 
-def _label(claim_list: ClaimList, claim: Claim, changed: tuple[str, ...] | None, has_runs: bool) -> str:
+def _label(claim_list: ClaimList, verdict: Verdict, has_runs: bool) -> str:
     """Return whether a claim was stated before its runs."""
+    claim, changed = verdict.claim, verdict.changed
     if claim.seen or set(changed or ()) - set(AMOUNT_KEYS):
         return DESCRIPTIVE
     if claim.first_seed < claim_list.head.known_below:
         return f"same runs as {claim_list.head.known_from}"
     if changed is None and has_runs:
         return UNVERIFIED
-    return PREREGISTERED
+    return AMENDED if changed else PREREGISTERED
 
 
 def _reason(verdict: str, claim_contrasts: Sequence[ClaimContrast]) -> str:
@@ -217,7 +249,9 @@ def _reason(verdict: str, claim_contrasts: Sequence[ClaimContrast]) -> str:
 # --- Contrasts -----------------------------------------------------------------------------------
 
 
-def _judge_contrast(claim_runs: ClaimRuns, outcome: str, pair: Pair, alpha: float) -> ClaimContrast:
+def _judge_contrast(
+    claim_runs: ClaimRuns, outcome: str, pair: Pair, alpha: float, registered_rules: int
+) -> ClaimContrast:
     claim, world, (a, b) = claim_runs.claim, claim_runs.world, pair
     value = None if b else claim.value_of(world, outcome)
     margin, registered_margin = claim.margin_of(world, outcome), claim.registered_margin_of(world, outcome)
@@ -243,50 +277,92 @@ def _judge_contrast(claim_runs: ClaimRuns, outcome: str, pair: Pair, alpha: floa
     reason = claim.not_tested or claim_runs.why_incomparable(compared_outcomes, conditions)
     if reason:
         return replace(claim_contrast, contrast=Contrast(reason=reason))
-    groups = {condition: claim_runs.values(outcome, condition) for condition in conditions}
-    groups_a = {condition: groups[condition] for condition in a}
-    groups_b = {condition: groups[condition] for condition in b}
-    constant = value or 0.0
-    if isinstance(constant, str):  # each run's other outcome is subtracted, and their mean added again
-        other_values = claim_runs.values(constant, a[0])
-        constant = float(other_values.mean())
-        groups_a[a[0]] = groups_a[a[0]] - other_values + constant
-    contrast = compare(claim.kind, groups_a, groups_b, 1 - alpha, constant)
-    none_learned = _have_none_learned(claim_runs, outcome, conditions)
-    verdicts: list[str] = []
-    reasons: list[str] = []
-    for smallest in (margin, registered_margin):
-        reasons.append(_why_untestable(claim_runs, outcome, groups, smallest))
-        verdict = decide(contrast.simultaneous, claim.direction_of(outcome), smallest, not none_learned)
-        verdicts.append(UNTESTABLE if reasons[-1] else verdict)
-    if reasons[0]:
-        contrast, none_learned = Contrast(seeds=contrast.seeds, reason=reasons[0]), False
+    contrast, verdict = _compare(claim_runs, claim_contrast, margin, RULES)
+    _, registered_verdict = _compare(claim_runs, claim_contrast, registered_margin, registered_rules)
+    rule_changes: list[str] = []
+    if registered_rules < RULES:
+        rule_changes = _rule_changes(claim_runs, claim_contrast)
     return replace(
         claim_contrast,
         contrast=contrast,
-        verdict=verdicts[0],
-        registered_verdict=verdicts[1],
-        none_learned=none_learned,
+        verdict=verdict,
+        registered_verdict=registered_verdict,
+        rule_changes=tuple(rule_changes),
+        none_learned=verdict != UNTESTABLE and _have_none_learned(claim_runs, outcome, conditions, RULES),
     )
 
 
+def _compare(
+    claim_runs: ClaimRuns, planned: ClaimContrast, margin: float | None, rules: int
+) -> tuple[Contrast, str]:
+    """Return what finished runs show of a planned contrast, and the verdict on it, by some rules."""
+    claim, outcome, constant = planned.claim, planned.outcome, planned.value or 0.0
+    groups = {condition: claim_runs.values(outcome, condition, rules) for condition in planned.runs}
+    reason = _why_untestable(claim_runs, outcome, groups, margin, rules)
+    groups_a = {condition: groups[condition] for condition in planned.a}
+    groups_b = {condition: groups[condition] for condition in planned.b}
+    kind, bounds = str(claim.kind), find_outcome(outcome).bounds
+    if isinstance(constant, str):  # each run's other outcome is subtracted, and their mean added again
+        (condition_a,) = planned.a
+        other_values = claim_runs.values(constant, condition_a, rules)
+        constant = float(other_values.mean())
+        groups_a[condition_a] = groups_a[condition_a] - other_values + constant
+        bounds = NO_BOUNDS
+    if rules < RULES:
+        bounds = NO_BOUNDS
+        kind = DIFFERENCE_OF_SPREADS if claim.kind == "spread" else claim.kind
+    contrast = compare(kind, groups_a, groups_b, 1 - planned.alpha, constant, bounds)
+    if reason:
+        return Contrast(seeds=contrast.seeds, reason=reason), UNTESTABLE
+    none_learned = _have_none_learned(claim_runs, outcome, tuple(groups), rules)
+    way = claim.direction_of(outcome)
+    return contrast, decide(contrast.simultaneous, way, margin, not none_learned, rules)
+
+
+def _rule_changes(claim_runs: ClaimRuns, planned: ClaimContrast) -> list[str]:
+    """Return the keys of `SINCE_THEN` that concern a contrast."""
+    claim, outcome, conditions = planned.claim, planned.outcome, tuple(planned.runs)
+    rule_changes: list[str] = []
+    if claim.kind == "spread":
+        rule_changes.append("spread")
+    if outcome.startswith("steps-to"):
+        rule_changes.append("steps")
+    if outcome == FORGETTING and False in map(claim_runs.learned.get, conditions):
+        rule_changes.append("idle")
+    has_known_ends = bool(np.isfinite(find_outcome(outcome).bounds).all())
+    is_of_means = claim.kind in ("mean", "main-effect", "interaction")
+    values = [claim_runs.values(outcome, condition) for condition in conditions]
+    if is_of_means and has_known_ends and any(map(is_constant, values)):
+        rule_changes.append("equal")
+    if _have_none_learned(claim_runs, outcome, conditions, RULES):
+        rule_changes.append("small")
+    return rule_changes
+
+
 def _why_untestable(
-    claim_runs: ClaimRuns, outcome: str, groups: Mapping[str, np.ndarray], margin: float | None
+    claim_runs: ClaimRuns,
+    outcome: str,
+    groups: Mapping[str, np.ndarray],
+    margin: float | None,
+    rules: int,
 ) -> str:
     """Return why finished runs of conditions decide nothing; empty if they can be compared.
 
     They cannot if every run of all conditions is at the outcome's least or greatest value: within the margin,
     or without one within the outcome's own tolerance. Of an incidence the shares of runs count.
     """
-    declared = find_outcome(outcome)
+    declared, kind = find_outcome(outcome), claim_runs.claim.kind
+    requires_learning = declared.requires_learning and (rules == RULES or outcome != FORGETTING)
     for condition in groups:
-        if declared.requires_learning and claim_runs.learned[condition] is False:
+        if requires_learning and claim_runs.learned[condition] is False:
             random_player = "is not shown to play better than the random player"
             return f"the agents learned nothing there: {condition} {random_player}"
-    if len(groups) < 2 or claim_runs.claim.kind == "hazard":
+    if len(groups) < 2 or kind == "hazard":
         return ""
     all_values = np.concatenate(list(groups.values()))
     bounds, tolerance = declared.bounds, margin or declared.tolerance
+    if kind == "spread" and rules == RULES:
+        tolerance = declared.tolerance  # the margin is of a ratio
     if claim_runs.claim.is_incidence:
         all_values = np.array(list(map(np.mean, groups.values())))
         bounds, tolerance = (0.0, 1.0), RARE
@@ -299,13 +375,13 @@ def _why_untestable(
     return ""
 
 
-def _have_none_learned(claim_runs: ClaimRuns, outcome: str, conditions: Sequence[str]) -> bool:
+def _have_none_learned(claim_runs: ClaimRuns, outcome: str, conditions: Sequence[str], rules: int) -> bool:
     """Return whether play is compared, and no condition is shown to play better than the random player.
 
     They may then be alike because nothing was learned, so that only a difference between them counts.
     """
     claim = claim_runs.claim
-    if claim.kind == "hazard" or len(conditions) < 2:
+    if claim.kind == "hazard" or (len(conditions) < 2 and rules < RULES):
         return False
     needs_play = _is_of_play(claim, outcome) or claim.direction_of(outcome) in ("equal", "no-less")
     return needs_play and set(map(claim_runs.learned.get, conditions)) == {False}
@@ -316,18 +392,25 @@ def _is_of_play(claim: Claim, outcome: str) -> bool:
     return find_outcome(outcome).better == "higher" and not claim.is_incidence
 
 
-def decide(interval: Interval, claimed: str, margin: float | None, alike_counts: bool = True) -> str:
+def decide(
+    interval: Interval, claimed: str, margin: float | None, alike_counts: bool = True, rules: int = RULES
+) -> str:
     """Return the verdict of an interval of a minus b on a claimed direction.
 
     A difference is shown to be too small if the whole interval is nearer to 0 than the margin. That refutes
     a claim of a difference also where the interval lies on the claimed side of 0. Without an interval nothing
-    is decided. Without a margin no difference is too small, nor is it if being alike does not count.
+    is decided, nor is it by one that is too small where being alike does not count. Without a margin no
+    difference is too small.
     """
     if claimed == DESCRIBED:
         return DESCRIBED
     if margin is None:
         margin = math.nan  # no interval lies within it or beyond it; ends that are NaN show nothing either
-    is_within = -margin < interval.low and interval.high < margin and alike_counts
+    is_within = -margin < interval.low and interval.high < margin
+    if is_within and not alike_counts:
+        if rules == RULES:
+            return INCONCLUSIVE
+        is_within = False  # before, it counted as a difference
     far_above, far_below = interval.low > margin, interval.high < -margin
     no_less = interval.low > -margin and alike_counts
     is_above, is_below = interval.low > 0, interval.high < 0

@@ -15,13 +15,16 @@ from textwrap import shorten
 import pandas as pd
 
 from pneuma.analysis.claims.claim_list import Claim
+from pneuma.analysis.claims.contrasts import LOGARITHMIC
 from pneuma.analysis.claims.verdicts import (
+    AMENDED,
     DESCRIBED,
     DESCRIPTIVE,
     INCONCLUSIVE,
     MIXED,
     PREREGISTERED,
     REFUTED,
+    SINCE_THEN,
     SUPPORTED,
     UNTESTABLE,
     UNVERIFIED,
@@ -40,7 +43,22 @@ WORDS = {
     NOT_TESTED: "The runs are missing, or cannot show whether the sentence is true.",
 }
 """The four words, and what each means for a sentence in a world."""
-_LETTERS = {PREREGISTERED: "p", DESCRIPTIVE: "d", UNVERIFIED: "u"}
+RULE = (
+    "A claim holds if the interval lies on the claimed side of 0 (or of the threshold) and reaches beyond "
+    "the margin; it does not hold if the interval lies on the other side, or within the margin; of two "
+    "measures one suffices if the other does not speak against it, and where no agent beats the random "
+    "player an interval within the margin decides nothing."
+)
+"""How a verdict follows from interval and margin."""
+LABELS = {
+    PREREGISTERED: "stated before its runs were trained",
+    AMENDED: "the same, but seeds, margins or rules were changed when runs were known",
+    "same runs as list 3": "its runs were known: the third list had fixed them for another form of it",
+    DESCRIPTIVE: "stated, or changed in more than that, when its runs were known, so it tests nothing",
+    UNVERIFIED: "no commit shows which came first",
+}
+"""What each label means."""
+_LETTERS = {PREREGISTERED: "p", AMENDED: "a", DESCRIPTIVE: "d", UNVERIFIED: "u"}
 _WORD_OF = {
     SUPPORTED: HOLDS, REFUTED: FAILS, MIXED: UNDECIDED, INCONCLUSIVE: UNDECIDED, UNTESTABLE: NOT_TESTED,
     DESCRIBED: DESCRIBED,
@@ -57,6 +75,8 @@ MOST_LOG = 23.0
 """Factors above ten thousand million are shown as infinite."""
 _LOGARITHMS = ("grad-norm-growth", "log-max-grad-norm", "log-max-kl")
 
+ERRATA = {"To combat this issue, we used": "To combat this, we used"}
+"""Words that lists quote wrongly, with the thesis's own. The lists stay as they were registered."""
 LONGEST_SENTENCE = 160
 _SUBSCRIPTS = str.maketrans("012t", "₀₁₂ₜ")
 _SYMBOLS = {"tanh": "tanh ", "beta": "β", "nabla": "∇", "vartheta": "ϑ", "leq": "≤ ", "|": "‖"}
@@ -107,27 +127,58 @@ def count_words(by_claim: ByClaim) -> pd.DataFrame:
     return pd.DataFrame(count_rows, columns=[""] + list(WORDS))
 
 
+def rows_of_claims(by_claim: ByClaim) -> list[list[str]]:
+    """Return the names of the claims in each row of a table: one row for each sentence, or part of one.
+
+    A claim without a quote stands with an earlier one that compares the same conditions of the same study.
+    """
+    rows: dict[tuple[str, ...], list[str]] = {}
+    quoted_rows: dict[tuple[object, ...], tuple[str, ...]] = {}
+    for claim_name, by_world in by_claim.items():
+        claim = next(iter(by_world.values())).claim
+        compared = claim.study, claim.a, claim.b
+        row_key: tuple[str, ...] = (sentence(claim), claim.short)
+        if claim.quote:
+            quoted_rows.setdefault(compared, row_key)
+        else:
+            row_key = quoted_rows.get(compared, (claim_name,))
+        rows.setdefault(row_key, []).append(claim_name)
+    return list(rows.values())
+
+
 def verdict_table(by_claim: ByClaim) -> pd.DataFrame:
-    """Return a row for each claim: section, sentence and conditions, and for each world word and effects."""
+    """Return a row for each sentence: section, sentence, conditions, and for each world words and effects."""
     worlds = worlds_of(by_claim)
     verdict_rows: list[list[str]] = []
     quoted_sentences: set[str] = set()
-    for claim_name, by_world in by_claim.items():
-        claim = next(iter(by_world.values())).claim
+    for claim_names in rows_of_claims(by_claim):
+        claim = next(iter(by_claim[claim_names[0]].values())).claim
         sentence_text = short_sentence(claim)
-        heading = claim.context or claim_name
+        heading = claim.context or claim_names[0]
         if sentence_text and sentence_text not in quoted_sentences:
             heading = f"“{sentence_text}”"
             quoted_sentences.add(sentence_text)
         verdict_row = [claim.section, f"{heading}\n{compared_text(claim)}"]
         for world in worlds:
-            verdict = by_world.get(world)
-            verdict_row.append(cell(verdict) if verdict else "–")
+            verdicts = [by_claim[name][world] for name in claim_names if world in by_claim[name]]
+            verdict_row.append("\n".join(_cells(verdicts)) or "–")
         verdict_rows.append(verdict_row)
     columns = ["Section", "The thesis's sentence"] + list(worlds.values())
     if not quoted_sentences:
         columns[1] = "Claim"
     return pd.DataFrame(verdict_rows, columns=columns)
+
+
+def _cells(verdicts: list[Verdict]) -> list[str]:
+    """Return the cell of each verdict; with the claim's list and name if there are several."""
+    if len(verdicts) == 1:
+        return [cell(verdicts[0])]
+    return [f"{list_and_name(verdict.claim)}: {cell(verdict)}" for verdict in verdicts]
+
+
+def list_and_name(claim: Claim) -> str:
+    """Return a claim's name after that of its list, as 'fifth list, betas-cure'."""
+    return ", ".join(filter(None, [claim.list_name, claim.name]))
 
 
 # --- One verdict -----------------------------------------------------------------------------------
@@ -151,24 +202,27 @@ def lines(verdict: Verdict) -> list[str]:
         ]
         cell_lines = list(map(effect, tested_contrasts))
         if any(claim_contrast.none_learned for claim_contrast in tested_contrasts):
-            cell_lines.append("none plays better than at random")
+            cell_lines.append("none beats random")
         for claim_contrast in tested_contrasts[:1]:
             seeds_a, seeds_b = claim_contrast.contrast.seeds
             if seeds_b not in (0, seeds_a):
                 cell_lines.append(f"{seeds_a} against {seeds_b} runs")
     cell_lines.append(why(verdict))
     if verdict.registered_verdict not in ("", verdict.verdict):
-        cell_lines.append(f"by the registered margins: {_WORD_OF[verdict.registered_verdict]}")
+        registered_word = _WORD_OF[verdict.registered_verdict]
+        reasons = " and ".join(SINCE_THEN[rule_change] for rule_change in verdict.rule_changes)
+        since_then = f"; since then {reasons}" if reasons else ""
+        cell_lines.append(f"as registered: {registered_word}{since_then}")
     return list(filter(None, cell_lines))
 
 
 def letter(verdict: Verdict) -> str:
-    """Return p for preregistered, d for descriptive, u for unverified, or the list whose runs were known.
+    """Return the first letter of a label, or the number of the list whose runs were known.
 
-    A star follows if the claim was changed after its first run.
+    A star follows if the claim was changed after its first run, unless the label says so.
     """
     label_letter = _LETTERS.get(verdict.label, verdict.label.rpartition(" ")[2])
-    if verdict.changed:
+    if verdict.changed and verdict.label != AMENDED:
         label_letter += "*"
     return label_letter
 
@@ -200,7 +254,7 @@ def remedy(verdict: Verdict) -> list[str]:
 
 def details(verdict: Verdict) -> list[str]:
     """Return the sentence, its context, and for each contrast conditions, numbers of runs and effect."""
-    detail_lines = [sentence(verdict.claim), verdict.claim.context]
+    detail_lines = [sentence(verdict.claim), erratum(verdict.claim), verdict.claim.context]
     if verdict.lacks_runs:
         return detail_lines + [verdict.reason]
     for claim_contrast in verdict.contrasts:
@@ -221,34 +275,40 @@ def effect(claim_contrast: ClaimContrast) -> str:
     """Return an effect in plain units, as 'kills 85 against 83 % (−1 to 5; ±7.1)'.
 
     In brackets: the interval of the difference, the first minus the second, which holds jointly with all
-    others of its family; and the margin. For logarithms they are factors.
+    others of its family; and the margin. For logarithms they are factors. If there is only a threshold the
+    interval is that of the value.
     """
+    has_threshold = not claim_contrast.b and not isinstance(claim_contrast.value, str)
     interval_format, margin_format = "{} to {}", "±{}"
-    if claim_contrast.claim.kind == "hazard" or claim_contrast.outcome in _LOGARITHMS:
-        interval_format, margin_format = "{} to {} times", "×{}"
-        a, b, low, high, smallest = _factors(claim_contrast)
+    if claim_contrast.claim.kind in LOGARITHMIC or claim_contrast.outcome in _LOGARITHMS:
+        margin_format = "×{}"
+        if not has_threshold:
+            interval_format = "{} to {} times"
+        a, b, low, high, smallest = _factors(claim_contrast, has_threshold)
     else:
-        a, b, low, high, smallest = _numbers(claim_contrast)
+        a, b, low, high, smallest = _numbers(claim_contrast, has_threshold)
     brackets = []
     if claim_contrast.contrast.simultaneous.exists:
         brackets.append(interval_format.format(low, high))
     if claim_contrast.margin:
         brackets.append(margin_format.format(smallest))
-    effect_text = f"{_name(claim_contrast)} {a}"
+    effect_text, threshold = f"{_name(claim_contrast)} {a}", ""
     if claim_contrast.b:
         effect_text = f"{effect_text.removesuffix(' %')} against {b}"
     elif isinstance(claim_contrast.value, str):
         effect_text += f", {_outcome_words(claim_contrast.value)} {b}"
     elif claim_contrast.value:
-        effect_text += f", threshold {b}"
+        threshold = f", threshold {b}"
     if brackets:
         effect_text += f" ({'; '.join(brackets)})"
-    return effect_text
+    return effect_text + threshold
 
 
-def _numbers(claim_contrast: ClaimContrast) -> list[str]:
-    """Return both numbers, the ends of their difference's interval, and the margin, as known."""
+def _numbers(claim_contrast: ClaimContrast, has_threshold: bool) -> list[str]:
+    """Return both numbers, the ends of the interval that is shown, and the margin, as known."""
     contrast, interval = claim_contrast.contrast, claim_contrast.contrast.simultaneous
+    if has_threshold:
+        interval = interval.minus(-contrast.means[1])
     is_share = claim_contrast.claim.is_incidence or find_outcome(claim_contrast.outcome).unit == "share"
     scale, unit, least_digits = 1, "", -MOST_DECIMALS
     if is_share:
@@ -257,17 +317,38 @@ def _numbers(claim_contrast: ClaimContrast) -> list[str]:
     low, high, margin = scale * interval.low, scale * interval.high, scale * (claim_contrast.margin or 0.0)
     digits = max(_places(scale * (contrast.means[0] - contrast.means[1]), low, high), least_digits)
     number_texts = [number_text(mean_a, digits) + unit, number_text(mean_b, digits) + unit]
+    if has_threshold:
+        number_texts[1] = number_text(mean_b, decimals(mean_b) - 1) + unit
     number_texts += [_end(low, digits), _end(high, digits), number_text(margin, decimals(margin) - 1)]
     return [number_text.replace("-", "−") for number_text in number_texts]
 
 
-def _factors(claim_contrast: ClaimContrast) -> list[str]:
-    """Return the same of logarithms as factors; of a hazard both numbers are shares of runs."""
+def _factors(claim_contrast: ClaimContrast, has_threshold: bool) -> list[str]:
+    """Return the same of logarithms as factors.
+
+    Both numbers of a hazard are shares of runs, and those of a spread mean distances.
+    """
     contrast, interval = claim_contrast.contrast, claim_contrast.contrast.simultaneous
+    if has_threshold:
+        interval = interval.minus(-contrast.means[1])
     factors = list(map(_factor, contrast.means + (interval.low, interval.high, claim_contrast.margin or 0.0)))
+    if not has_threshold:
+        factors[2:4] = _end_factor(interval.low), _end_factor(interval.high)
     if claim_contrast.claim.kind == "hazard":
         factors[:2] = [f"{100 * share:.0f} %" for share in contrast.means]
+    if claim_contrast.claim.kind == "spread":
+        factors[:2] = _distances(claim_contrast)
     return factors
+
+
+def _distances(claim_contrast: ClaimContrast) -> list[str]:
+    """Return both mean distances of a spread, with two digits in the smaller one."""
+    scale, unit = 1, ""
+    if find_outcome(claim_contrast.outcome).unit == "share":
+        scale, unit = 100, " %"
+    mean_distances = [scale * mean for mean in claim_contrast.contrast.means]
+    digits = max(decimals(mean) for mean in mean_distances) - 1
+    return [number_text(mean, digits) + unit for mean in mean_distances]
 
 
 def _end(end: float, digits: int) -> str:
@@ -294,6 +375,14 @@ def _factor(logarithm: float) -> str:
         return "∞"
     factor = math.exp(logarithm)
     return number_text(factor, decimals(factor) - 1)
+
+
+def _end_factor(logarithm: float) -> str:
+    """Return an end of an interval; one that would be 1 has digits that show on which side of 1 it is."""
+    factor_text, distance = _factor(logarithm), abs(math.exp(logarithm) - 1)
+    if factor_text == "1.0" and distance:
+        factor_text = number_text(math.exp(logarithm), min(-math.floor(math.log10(distance)), MOST_DECIMALS))
+    return factor_text
 
 
 def _name(claim_contrast: ClaimContrast) -> str:
@@ -327,9 +416,20 @@ def compared_text(claim: Claim) -> str:
     return f"{a} against {b}" if b else a
 
 
+def erratum(claim: Claim) -> str:
+    """Return that a claim's list quotes the thesis wrongly; empty if it does not."""
+    for wrong_words, words in ERRATA.items():
+        if wrong_words in claim.quote:
+            return f"Erratum: the list, which stays as registered, has “{wrong_words}”; the thesis “{words}”."
+    return ""
+
+
 def sentence(claim: Claim) -> str:
     """Return the thesis's sentence without the marks of TeX and Markdown."""
-    plain_text = re.sub(r"\$\$.*?\$\$ *|_\{[^}]*\}|[*$]|\[\d+\]", "", claim.quote)
+    quote = claim.quote
+    for wrong_words, words in ERRATA.items():
+        quote = quote.replace(wrong_words, words)
+    plain_text = re.sub(r"\$\$.*?\$\$ *|_\{[^}]*\}|[*$]|\[\d+\]", "", quote)
     plain_text = re.sub(r"\\([a-z]+|\|) ?", lambda match: _SYMBOLS.get(match[1], match[1]), plain_text)
     plain_text = re.sub(r"_(\w)", lambda match: match[1].translate(_SUBSCRIPTS), plain_text)
     return re.sub(r" (?=[,.;)])", "", " ".join(plain_text.split()))
