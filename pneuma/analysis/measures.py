@@ -203,8 +203,7 @@ def one_action_updates(run: Row, after_step: float, last_step: float) -> float:
     stretches, update_steps = run.signs.get(ONE_ACTION_SIGN), run.update_steps
     if stretches is None or update_steps is None:
         return NAN
-    first_update, last_update = run.start_step // update_steps + 1, run.end // update_steps
-    update_ends = update_steps * np.arange(first_update, last_update + 1)
+    update_ends = update_steps * np.arange(1, run.end // update_steps + 1)
     update_ends = update_ends[(update_ends > after_step) & (update_ends <= last_step)]
     if not len(update_ends):
         return NAN

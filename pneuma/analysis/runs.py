@@ -176,6 +176,25 @@ def runs_of_plan(index: RunIndex, plan: Plan) -> StudyData:
     return StudyData(plan.study, _fields_by_condition(plan.configurations), runs, plan.configurations, plan)
 
 
+def registered_runs_of_plan(index: RunIndex, plan: Plan) -> StudyData:
+    """Return the runs of a plan's cells on which a claim was registered.
+
+    Of a cell whose run was published by several versions, the earliest one counts: a later version's is a
+    replication, which cannot change a verdict. Other cells are as in `runs_of_plan`.
+    """
+    data = runs_of_plan(index, plan)
+    published_runs = index.frame[index.frame["where"] != ""].reset_index(drop=True)
+    earlier_runs = _runs_of_earlier_versions(
+        index, published_runs, _cell_frame(plan), plan.configurations, is_earliest=True
+    )
+    if not len(earlier_runs):
+        return data
+    columns = data.runs.columns
+    runs = pd.concat([earlier_runs, data.runs])[columns].drop_duplicates(["condition", "seed"])
+    runs = _cell_frame(plan)[["condition", "seed"]].merge(runs, on=["condition", "seed"])
+    return replace(data, runs=runs.astype({"end": int}))
+
+
 def _cell_frame(plan: Plan) -> pd.DataFrame:
     config_ids = {condition: config_id(run) for condition, run in plan.configurations.items()}
     cell_rows = [
@@ -185,9 +204,15 @@ def _cell_frame(plan: Plan) -> pd.DataFrame:
 
 
 def _runs_of_earlier_versions(
-    index: RunIndex, stored_runs: pd.DataFrame, missing_cells: pd.DataFrame, configurations: Mapping[str, Run]
+    index: RunIndex,
+    stored_runs: pd.DataFrame,
+    missing_cells: pd.DataFrame,
+    configurations: Mapping[str, Run],
+    is_earliest: bool = False,
 ) -> pd.DataFrame:
     """Return finished runs that have the fields of cells, but were trained by other versions.
+
+    Of several versions the newest counts, or the earliest.
 
     Versions before batched 4 and sb3 3 rounded a budget up to whole updates: to what now is trained for it.
     """
@@ -206,8 +231,8 @@ def _runs_of_earlier_versions(
             same_fields.append(runs.assign(started=[str(origin.get("started", "")) for origin in origins]))
     if not same_fields:
         return candidates.iloc[:0]
-    newest_first = pd.concat(same_fields).sort_values("started", ascending=False, kind="stable")
-    return newest_first.drop_duplicates(["condition", "seed"]).drop(columns="started")
+    by_version = pd.concat(same_fields).sort_values("started", ascending=is_earliest, kind="stable")
+    return by_version.drop_duplicates(["condition", "seed"]).drop(columns="started")
 
 
 def have_same_fields(fields: Mapping[str, Any], stored_fields: Mapping[str, Any]) -> bool:
