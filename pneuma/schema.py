@@ -175,7 +175,7 @@ class TomlFile:
 
 
 def read_toml(path: Path) -> TomlFile:
-    toml_text = read_text(path)
+    toml_text = read_text(path, most_bytes=4 * LONGEST_FILE)  # in UTF-8 a character has at most four
     try:
         if len(toml_text) > LONGEST_FILE:
             raise UserError(f"more than {LONGEST_FILE:,} characters")

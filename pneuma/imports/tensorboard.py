@@ -15,6 +15,7 @@ from typing import NamedTuple
 import pandas as pd
 
 from pneuma.errors import UserError, counted, install_extra
+from pneuma.files import read_regular
 from pneuma.imports.logs import Import, Log, choose_study_name, condition_and_seed, file_facts, store_logs
 from pneuma.store.store import Store
 
@@ -70,7 +71,7 @@ def _read_log(folder_names: tuple[str, ...], paths: Sequence[Path]) -> Log:
     scalar_rows: list[tuple[object, ...]] = []
     for file_number, path in enumerate(paths):
         try:
-            file_bytes = path.read_bytes()
+            file_bytes = read_regular(path)
         except OSError as error:
             raise UserError(f"{path}: cannot be read ({error.strerror})") from None
         files.append(file_facts(file_bytes))

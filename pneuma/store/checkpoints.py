@@ -34,6 +34,8 @@ from pneuma.store.store import CHECKPOINTS, CheckpointFile, Store, checkpoint_fi
 from pneuma.store.tables import from_parquet, to_parquet
 
 LATEST_KEPT = 2
+LARGEST_CHECKPOINT = 2**32
+"""Most bytes of a checkpoint that is read; those of large networks have 600 MB."""
 WRITE_SHARE = 40
 """The time between checkpoints is at least this many times the time to write the last one."""
 TABLES = {"episodes": EPISODE_COLUMNS, "metrics": METRIC_COLUMNS, "evaluations": EVALUATION_COLUMNS}
@@ -130,7 +132,7 @@ def file_name(step: int, encoded_checkpoint: bytes) -> str:
 def read_checkpoint(checkpoint_file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, Any]]] | None:
     """Read a checkpoint and its attempts; None if it is damaged or belongs to another run."""
     try:
-        encoded_checkpoint = read_stored(checkpoint_file.path)
+        encoded_checkpoint = read_stored(checkpoint_file.path, LARGEST_CHECKPOINT)
         if checksum(encoded_checkpoint)[:16] != checkpoint_file.digest:
             return None
         checkpoint, metadata = decode(encoded_checkpoint)

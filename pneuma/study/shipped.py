@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pneuma.errors import UserError, nearest_name
-from pneuma.files import shipped_folder
+from pneuma.files import read_regular, read_stored, shipped_folder
 
 CLAIMS_FILES = ("claims.toml", "claims-5.toml")
 """The lists of claims on the thesis, in the order in which they were stated."""
@@ -21,6 +21,13 @@ def studies_folder() -> Path:
 
 def shipped_tables() -> Path:
     return shipped_folder("pneuma.published", "results/published")
+
+
+def read_published(path: Path) -> bytes:
+    """Return a published file; one that comes with Pneuma may be a link, as some installers make them."""
+    if path.parent == shipped_tables():
+        return read_regular(path)
+    return read_stored(path)
 
 
 def random_returns_file() -> Path:
@@ -75,7 +82,7 @@ def find_file(
     if not name.endswith(".toml"):
         file_name = f"{name}.toml"
         candidates = [Path(file_name), Path("examples", file_name), folder / "examples" / file_name]
-        if copies:
+        if copies and not os.path.islink(copies / file_name):  # a link may lead out of the results folder
             candidates.append(copies / file_name)
     for file_path in candidates:
         if os.path.isfile(file_path):  # which accepts names that are too long
