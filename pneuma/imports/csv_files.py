@@ -175,6 +175,12 @@ def _read_runs(path: Path, shared_folder: Path, file_text: str, columns: Columns
 
 def _read_cells(path: Path, file_text: str) -> pd.DataFrame:
     """Return the cells of a table as text, by the number of their row."""
+    header_line = file_text.partition("\n")[0]
+    for separator, separator_name in ((";", "semicolons"), ("\t", "tabs")):
+        if separator in header_line and "," not in header_line:
+            raise UserError(
+                f"{path}: its cells end at {separator_name}; save it with commas, and decimal points"
+            )
     try:
         cell_rows = pd.read_csv(io.StringIO(file_text), header=None, dtype=str, keep_default_na=False)
     except ValueError as error:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 from safetensors.numpy import load, save
 
 from pneuma.engines.loop import Progress
@@ -28,8 +29,8 @@ from pneuma.engines.records import (
     Row,
 )
 from pneuma.errors import StorageError, UserError
-from pneuma.files import SCHEMA, checksum, read_stored
-from pneuma.store.provenance import Attempt
+from pneuma.files import SCHEMA, checksum, parse_json, read_stored, to_json
+from pneuma.store.provenance import Attempt, AttemptRecord
 from pneuma.store.store import CHECKPOINTS, CheckpointFile, Store, checkpoint_files
 from pneuma.store.tables import from_parquet, to_parquet
 
@@ -39,6 +40,9 @@ LARGEST_CHECKPOINT = 2**32
 WRITE_SHARE = 40
 """The time between checkpoints is at least this many times the time to write the last one."""
 TABLES = {"episodes": EPISODE_COLUMNS, "metrics": METRIC_COLUMNS, "evaluations": EVALUATION_COLUMNS}
+
+
+_ATTEMPTS = TypeAdapter(list[AttemptRecord])
 
 
 class RunCheckpoints:
@@ -138,7 +142,9 @@ def read_checkpoint(checkpoint_file: CheckpointFile) -> tuple[Checkpoint, list[d
         checkpoint, metadata = decode(encoded_checkpoint)
         if metadata["run_id"] != checkpoint_file.path.parent.parent.name:
             return None
-        return checkpoint, metadata["history"]["attempts"]
+        attempts = _ATTEMPTS.validate_python(metadata["history"]["attempts"])
+        parse_json(to_json({"attempts": attempts}))  # the finished run's provenance has them
+        return checkpoint, attempts
     except Exception:  # untrusted bytes may raise any error
         return None
 

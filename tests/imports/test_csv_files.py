@@ -163,6 +163,16 @@ def test_what_could_be_read_in_two_ways_or_none_is_refused(rows: str, options: s
     assert not Path("results").exists()
 
 
+def test_other_separators_are_named() -> None:
+    """As spreadsheets save where the comma is decimal."""
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        write("runs.csv", f"step{separator}return\n8{separator}1,5\n")
+        for columns in ((), ("--step", "step", "--value", "return")):
+            message = refused("import", "csv", "runs.csv", *columns)
+            advice = "save it with commas between cells and points in numbers"
+            assert message == f"runs.csv: its cells are separated by {name}; {advice}"
+
+
 def test_an_empty_condition_and_two_columns_of_one_name_are_refused() -> None:
     words = ("--step", "step", "--value", "return")
     write("runs.csv", "step,return,return\n8,5,6\n")
