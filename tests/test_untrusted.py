@@ -182,6 +182,12 @@ def test_untrusted_an_invalid_row_is_one_line_that_names_its_file(
         assert index.problems == [f"{path}: cannot be read ({reason})"]
 
 
+def test_a_damaged_record_of_a_study_is_named(store: Store) -> None:
+    store.listing_path("mine").write_bytes(b"{}")
+    with pytest.raises(UserError, match="study mine: the record of its runs is damaged; import it again"):
+        open_study(RunIndex(store, shipped=False), Query(study="mine"))
+
+
 def test_untrusted_a_published_table_of_another_version_is_one_line(store: Store, tmp_path: Path) -> None:
     clone = Store(tmp_path / "clone")
     _publish_changed(study_of(store, ONE), clone, {"schema": 2})

@@ -179,7 +179,8 @@ def _read_cells(path: Path, file_text: str) -> pd.DataFrame:
     for separator, separator_name in ((";", "semicolons"), ("\t", "tabs")):
         if separator in header_line and "," not in header_line:
             raise UserError(
-                f"{path}: its cells end at {separator_name}; save it with commas, and decimal points"
+                f"{path}: its cells are separated by {separator_name}; "
+                "save it with commas between cells and points in numbers"
             )
     try:
         cell_rows = pd.read_csv(io.StringIO(file_text), header=None, dtype=str, keep_default_na=False)

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from pneuma.errors import UserError, nearest_name
+from pneuma.errors import UserError, unknown_name
 from pneuma.files import read_regular, read_stored, shipped_folder
 
 CLAIMS_FILES = ("claims.toml", "claims-5.toml")
@@ -96,9 +96,13 @@ def find_file(
             return folder / f"{study_name}.toml"
         if name in shipped_names(folder / "search"):
             raise UserError(f"{name} is a search, not a study: `pneuma search run {name}`")
+    listed_names = list(other_names)
+    if name in listed_names:
+        raise UserError(f"study {name}: the record of its runs is damaged; import it again")
     user_names = [user_file.stem for user_file in Path().glob("*.toml")]
-    hint = nearest_name(name, shipped + list(other_names) + shipped_names(folder / "examples") + user_names)
-    raise UserError(f"unknown {category} {name!r}{hint}; `pneuma {category} list` lists the shipped ones")
+    known_names = sorted({*shipped, *listed_names, *shipped_names(folder / "examples"), *user_names})
+    error = unknown_name(category, name, known_names)
+    raise UserError(f"{error}; `pneuma {category} list` lists the shipped ones")
 
 
 def refuse_taken_name(own_file: Path, shipped_file: Path, category: str) -> None:
