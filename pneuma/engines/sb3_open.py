@@ -62,7 +62,7 @@ RESERVED = {
     "env": "the field env is for that",
     "seed": "it follows from the run's seed",
     "device": "runs are trained on the CPU",
-    "tensorboard_log": "use study run --tensorboard",
+    "tensorboard_log": "an option of the command that trains is for that",
     "_init_setup_model": "learners are always set up",
 }
 """Arguments of all learners that no run may set, and why."""
