@@ -27,6 +27,8 @@ AGENT_STEPS = ("rollout/", "train/", "time/", "eval/", "charts/", "losses/")
 """Tags of Stable-Baselines3 and CleanRL whose steps are agent steps."""
 LOG_KINDS = {"csv": "CSV files", "tensorboard": "TensorBoard logs"}
 """The kinds of logs. Messages name them instead of an environment, which logs do not contain."""
+MOST_COLUMNS = 1_000
+"""Most columns of a table, or tags of a log, all of which are kept in memory."""
 SCALAR_COLUMNS = ["tag", "step", "value", "superseded"]
 
 
