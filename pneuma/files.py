@@ -13,7 +13,7 @@ import stat
 import time
 import uuid
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -112,7 +112,7 @@ def _read(path: Path, opener: Callable[[str, int], int], most_bytes: int) -> byt
         file_size = os.fstat(file.fileno()).st_size
         if file_size > most_bytes:
             largest_text = f"is larger than {most_bytes / 2**20:,.0f} MB, the most that is read"
-            raise OSError(errno.EFBIG, largest_text, str(path))
+            raise OSError(errno.EINVAL, largest_text, str(path))
         return file.read(file_size)
 
 
@@ -139,7 +139,11 @@ def read_text(path: Path, most_bytes: int = LARGEST_FILE) -> str:
 
 # --- Writing ----------------------------------------------------------------------------------------
 
-_STORAGE_PROBLEMS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
+_STORAGE_PROBLEMS = (
+    errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOMEM,
+    errno.EIO, errno.EROFS, errno.ENODEV, errno.ENOTCONN, errno.ESTALE, errno.EHOSTDOWN,
+)  # fmt: skip
+"""There is no room, or the disk or the folder of a server is broken, read-only or gone."""
 _TEMPORARY_NAME = re.compile(r"\..+\.[0-9a-f]{32}")
 
 
@@ -156,14 +160,24 @@ def write_whole(path: Path, contents: bytes) -> None:
         replace_files(path.parent, {path.name: contents})
 
 
-def create_whole(path: Path, contents: bytes) -> None:
-    """Write a file that does not exist yet, whole or not at all; leave one that exists as it is."""
+def create_whole(path: Path, contents: bytes, lock: AbstractContextManager[bool] | None = None) -> None:
+    """Write a file that does not exist yet, whole or not at all; leave one that exists as it is.
+
+    FAT, exFAT and many shared folders have no hard links, by which two processes cannot both create it. There
+    it is written with the lock, if no other process holds that.
+    """
     temporary = _temporary_path(path)
     try:
         with _named_in_errors(path):
             temporary.write_bytes(contents)
-        with suppress(FileExistsError):
-            os.link(temporary, path)
+            try:
+                os.link(temporary, path)
+            except FileExistsError:
+                pass
+            except OSError:
+                with lock or nullcontext(True) as is_alone:
+                    if is_alone and not os.path.lexists(path):
+                        os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -204,15 +218,15 @@ def _named_in_errors(path: Path) -> Iterator[None]:
         raise
 
 
-def stale_files(folder: Path) -> list[Path]:
-    """Return the temporary files that were left in a folder when a process was killed."""
+def stale_files(folder: Path, least_seconds: float = STALE_SECONDS) -> list[Path]:
+    """Return the temporary files of at least an age that were left in a folder when a process was killed."""
     stale_paths = []
     for file_name in names_in(folder):
         if _TEMPORARY_NAME.fullmatch(file_name):
             file_path = folder / file_name
             with suppress(FileNotFoundError):  # its process has just moved it to its place
                 age_seconds = time.time() - file_path.stat().st_mtime
-                if age_seconds > STALE_SECONDS:
+                if age_seconds >= least_seconds:
                     stale_paths.append(file_path)
     return stale_paths
 
@@ -226,7 +240,7 @@ def write_error(path: Path, error: OSError) -> UserError:
 
 
 def is_storage_problem(error: BaseException) -> bool:
-    """Return whether the disk is to blame: it is full, over a quota, broken, or read-only."""
+    """Return whether the disk is to blame: it is full, over a quota, broken, read-only, or gone."""
     if isinstance(error, OSError):
         return error.errno in _STORAGE_PROBLEMS
     return isinstance(error, StorageError)

@@ -41,7 +41,7 @@ CONFIG = ConfigDict(strict=True, frozen=True, allow_inf_nan=False)
 DEEPEST = 50
 LONGEST_FILE = 1_000_000
 MOST_JOINED_KEYS = 100
-_JOINED_KEYS = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MOST_JOINED_KEYS}}}""")
+_JOINED_KEYS = re.compile(rf"""(?<![\w"'.-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MOST_JOINED_KEYS}}}""")
 """A dotted key for which `tomllib` takes a time that grows with the square of its length."""
 
 

@@ -20,6 +20,7 @@ in it is executed.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shutil
@@ -230,8 +231,9 @@ class Store:
     def plan_run(self, run_id: str, identity: Identity) -> None:
         """Note that a run will be trained, unless it has a status."""
         folder = self.run_folder(run_id)
+        document = _status_document(Status("planned", identity=identity))
         with self._writing(folder):
-            create_whole(folder / "status.json", _status_document(Status("planned", identity=identity)))
+            create_whole(folder / "status.json", document, run_lock(folder))
 
     def delete_run(self, run_id: str) -> None:
         """Remove a run with all its files, while no other process trains it.
@@ -244,6 +246,11 @@ class Store:
             if not is_free:
                 raise UserError(f"run {run_id} is training now: stop its study first")
             self.remove(folder)
+
+    def remove_temporary(self, run_id: str) -> None:
+        """Remove what killed processes left in the folder of a run, whose lock this process must hold."""
+        for stale_path in stale_files(self.run_folder(run_id), least_seconds=-math.inf):
+            self.remove(stale_path)
 
     def save_row(self, run_id: str, encoded_row: bytes) -> None:
         """Write the row of a finished run that has none."""

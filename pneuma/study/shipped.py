@@ -76,6 +76,7 @@ def find_file(
         copies: a folder of files as they were run, which is searched last.
     """
     shipped = shipped_names(folder)
+    name = os.path.expanduser(name)
     if name in shipped:
         return folder / f"{name}.toml"
     candidates = [Path(name), folder / name]  # such as examples/cartpole.toml, from any folder

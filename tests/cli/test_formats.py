@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -13,12 +14,13 @@ import pandas as pd
 import pytest
 
 from pneuma.analysis.export import encode_frame
+from pneuma.api import open_data
 from pneuma.cli.output import Result, Table, print_result
 from pneuma.store.store import Store
 
 from ..analysis.claim_files import save_runs
 from ..hand_made import healthy, learning, save_collapse, study_of
-from .calls import described, printed, refused
+from .calls import call, described, printed, refused
 
 SUMMARY = """\
 | condition | runs | final-share-killed (share) | final-return |
@@ -177,3 +179,37 @@ def test_a_terminal_of_a_hundred_columns_shows_words_and_intervals_whole(
         assert columns == 20 or max(map(len, lines)) <= 100
         assert all(any(word in line for line in lines) for word in words)
         assert lines[-1].split() == ["b", "c", "d"]
+
+
+def test_a_path_that_begins_at_home_is_expanded(
+    mine: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As no shell does in --results=~/x, nor in the value of a variable."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    words = ("study", "export", "~/mine.toml", "--world", "text", "--table", "summary", "--out", "~/x.csv")
+    printed(*words, "--results", "~/results")
+    exported = (tmp_path / "x.csv").read_text()
+    (tmp_path / "x.csv").unlink()
+    monkeypatch.setenv("PNEUMA_RESULTS", "~/results")
+    printed(*words)
+    assert (tmp_path / "x.csv").read_text() == exported and not Path("~").exists()
+    assert open_data("~/mine.toml", world="text").rows
+
+
+def test_a_style_is_a_regular_file_of_at_most_a_megabyte(mine: list[str], tmp_path: Path) -> None:
+    sheet = tmp_path / "own.mplstyle"
+    words = ("study", "plot", *mine, "--out", tmp_path / "x.svg", "--style", sheet)
+    sheet.write_text("font.size: 9\n")
+    printed(*words)
+    os.mkfifo(tmp_path / "pipe.mplstyle")
+    (tmp_path / "big.mplstyle").write_text("# x\n" * 300_000)
+    reasons = {
+        "pipe": ": is not a regular file",
+        "big": ": is larger than 1 MB, the most that is read",
+        "no": ": is neither a matplotlib style sheet nor a file",
+    }
+    for name, reason in reasons.items():
+        path = tmp_path / f"{name}.mplstyle"
+        called = call(*words[:-1], path)
+        assert (called.code, called.err.splitlines()[-1]) == (2, f"pneuma: --style {path}{reason}")

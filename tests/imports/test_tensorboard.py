@@ -288,3 +288,15 @@ def test_logs_of_too_many_tags_are_refused(tmp_path: Path) -> None:
     write_events(tmp_path / "logs" / "a_1" / FILE, [(f"rollout/{k}", 64, 1.0) for k in range(1001)])
     with pytest.raises(UserError, match="a_1: has 1,001 tags; 1,000 are the most"):
         _import(tmp_path)
+
+
+def test_what_a_killed_import_left_is_removed_by_the_next_one(tmp_path: Path) -> None:
+    write_events(tmp_path / "logs" / "a_1" / FILE, [(RETURN, 64, 1.0)])
+    ((run,), _), store = _import(tmp_path), Store(tmp_path / "results")
+    folder = store.run_folder(run.run_id)
+    sound_names = sorted(os.listdir(folder))
+    (folder / "status.json").unlink()
+    for name in ("scalars.parquet", "status.json"):
+        (folder / f".{name}.{'a' * 32}").write_bytes(b"half")
+    assert [run.new for run in _import(tmp_path)[0]] == [True]
+    assert sorted(os.listdir(folder)) == sound_names and "status.json" in sound_names
