@@ -19,12 +19,10 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from pneuma.errors import Message, UserError, printable, write_hints
+from pneuma.errors import Message, UserError, printable, shortened, write_hints
 
 STOPPED = 130
 """The exit code after Ctrl-C; it is 1 if runs failed, and 0 if all is done."""
-LONGEST_MESSAGE = 4000
-"""Characters of a message, whose middle is left out if it is longer."""
 REMOVED = {
     ("env", "play"): "play with gymnasium.utils.play, as docs/environment.md shows",
     ("run", "fork"): "published forks are studies, as late-collapse-forks-eb57",
@@ -166,8 +164,6 @@ def _refuse(message: str) -> int:
     if message.startswith("Usage:"):  # a command was left out: Typer's message is the help itself
         print(message, file=sys.stderr)
     else:
-        message_line = printable(" ".join(message.split()))
-        if len(message_line) > LONGEST_MESSAGE:  # of a value of a file, which may be endless
-            message_line = f"{message_line[: LONGEST_MESSAGE // 2]} … {message_line[-LONGEST_MESSAGE // 2 :]}"
+        message_line = shortened(printable(" ".join(message.split())))
         print(f"pneuma: {message_line}", file=sys.stderr)
     return 2

@@ -37,7 +37,7 @@ from pydantic import StringConstraints, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
 from pneuma.config import WORLD_FIELDS, Run, as_fields, is_gymnasium_id
-from pneuma.errors import Hint, StorageError, UserError
+from pneuma.errors import Hint, StorageError, UserError, shortened
 from pneuma.files import (
     SCHEMA,
     checksum,
@@ -67,6 +67,9 @@ ROW_FILE = "row.arrow"
 PUBLISHED, TABLE_SUFFIX = "published", ".parquet"
 
 CHECKPOINTS = "checkpoints"
+
+LARGEST_ERROR = 2**16
+"""Most bytes of what a run printed that are kept, the last ones."""
 
 _RUN_ID = re.compile(r"[0-9a-f]{16}")
 _CHECKPOINT_NAME = re.compile(r"([0-9]{13})-([0-9a-f]{16})\.safetensors")
@@ -280,7 +283,8 @@ class Store:
             self.remove(folder / LOCK_FILE)
 
     def save_failure(self, run_id: str, run: Run, status: str, reason: str) -> None:
-        files = {"run.json": run_document(run, run_id), "error.txt": reason.encode()}
+        last_part = reason.encode()[-LARGEST_ERROR:]
+        files = {"run.json": run_document(run, run_id), "error.txt": last_part}
         self.save_run(run_id, Status(status), files)
 
     def failure(self, run_id: str) -> str:
@@ -289,7 +293,7 @@ class Store:
             reason = self.read_file(run_id, "error.txt").decode(errors="replace")
         except UserError:
             return ""
-        return reason.strip().rpartition("\n")[2]
+        return shortened(reason.strip().rpartition("\n")[2])
 
     def read_file(self, run_id: str, file_name: str) -> bytes:
         """Return one file of a run, if it is what was written."""

@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 
 import pytest
 
+from pneuma.config import make_run
 from pneuma.errors import StorageError, UserError
 from pneuma.files import create_whole, replace_files, to_json, write_whole
 from pneuma.store.locks import run_lock
@@ -221,6 +222,12 @@ def test_a_write_that_the_disk_refuses_names_the_file_and_says_if_no_file_could_
         refused.value
     )
     assert isinstance(refused.value, StorageError) == (number != errno.EACCES)
+
+
+def test_of_an_endless_failure_the_end_is_kept_and_a_message_shown(store: Store) -> None:
+    store.save_failure("e" * 16, make_run({}), "crashed", "Traceback\n" + "a" * 300_000 + "b" * 300_000)
+    assert len(store.read_file("e" * 16, "error.txt")) == 65_536
+    assert store.failure("e" * 16) == "b" * 2_000 + " … " + "b" * 2_000
 
 
 def test_what_a_killed_write_left_is_swept_by_the_next_one(store: Store) -> None:
