@@ -95,7 +95,7 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
         return bytes(frame.to_parquet(index=False))
     if form == "csv":
         texts = frame.select_dtypes(include=["object", "string"])
-        safe_texts = {name: texts[name].map(_without_formula) for name in texts}
+        safe_texts = {str(name): texts[name].map(_without_formula) for name in texts}
         safe_frame = frame.assign(**safe_texts).rename(columns=_without_formula)
         return safe_frame.to_csv(index=False, lineterminator="\n").encode()
     cells = pd.DataFrame(_formatted_rows(frame), columns=frame.columns).map(_visible)

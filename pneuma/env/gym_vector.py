@@ -84,7 +84,7 @@ class PneumaVectorEnv(Interface, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self._begin(seeds, own_options.get("start"), mask)
         return self.slots.observations, self._infos()
 
-    def _world_mask(self, slot_mask: object) -> np.ndarray:
+    def _world_mask(self, slot_mask: Any) -> np.ndarray:
         """Return which worlds are reset: those of the slots in a mask, which must be as Gymnasium has it."""
         is_mask = isinstance(slot_mask, np.ndarray) and slot_mask.dtype == np.bool_
         if not (is_mask and slot_mask.shape == (self.num_envs,)):

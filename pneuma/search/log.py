@@ -33,7 +33,7 @@ from pneuma.search.spec import Budget, Search, load_search
 from pneuma.store.locks import take_lock
 from pneuma.store.store import PUBLISHED, Store
 from pneuma.study.identity import user_files_digest
-from pneuma.study.shipped import read_published, shipped_tables
+from pneuma.study.shipped import read_published_file, shipped_tables
 
 ABOUT = "pneuma"
 """The user attribute of a study that holds which search it is."""
@@ -196,10 +196,10 @@ def read_record(store: Store, search_name: str, world: str | None = None) -> Rec
             log_paths.append(folder / file_name)
     if log_paths:
         return _read(max(log_paths, key=lambda log_path: log_path.lstat().st_mtime_ns), search)
-    return read_published_record(store, search)
+    return read_published(store, search)
 
 
-def read_published_record(store: Store, search: Search) -> Record:
+def read_published(store: Store, search: Search) -> Record:
     """Return a search whose log is published in the results folder or comes with Pneuma."""
     for folder in (store.root / PUBLISHED, shipped_tables()):
         log_path = folder / f"search-{search.label}.log"
@@ -213,7 +213,7 @@ def read_published_record(store: Store, search: Search) -> Record:
 
 def _read(log_path: Path, search: Search, is_published: bool = False) -> Record:
     with stored_file(log_path):
-        contents = read_published(log_path) if is_published else read_stored(log_path)
+        contents = read_published_file(log_path) if is_published else read_stored(log_path)
         study = _load_study(JournalStorage(ReadLog(contents)), search)
         about = study.user_attrs[ABOUT]
         stored_identity = about["identity"]

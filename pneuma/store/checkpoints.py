@@ -142,7 +142,8 @@ def read_checkpoint(checkpoint_file: CheckpointFile) -> tuple[Checkpoint, list[d
         checkpoint, metadata = decode(encoded_checkpoint)
         if metadata["run_id"] != checkpoint_file.path.parent.parent.name:
             return None
-        attempts = _ATTEMPTS.validate_python(metadata["history"]["attempts"])
+        attempts: list[dict[str, Any]] = metadata["history"]["attempts"]
+        _ATTEMPTS.validate_python(attempts)
         parse_json(to_json({"attempts": attempts}))  # the finished run's provenance has them
         return checkpoint, attempts
     except Exception:  # untrusted bytes may raise any error

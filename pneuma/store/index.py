@@ -21,7 +21,7 @@ from pneuma.store.rows import Row
 from pneuma.store.store import FINISHED, Identity, Store, checked_listing
 from pneuma.store.stored_runs import stored_settings
 from pneuma.study.identity import config_id
-from pneuma.study.shipped import list_studies, read_published
+from pneuma.study.shipped import list_studies, read_published_file
 
 COLUMNS = ["run_id", "config_id", "seed", "steps", "status", "end", "where"]
 """Columns of `RunIndex.frame`; `where` is a run's published table, or empty if it is stored in the folder."""
@@ -155,4 +155,4 @@ def _read_table(table_path: Path) -> Published:
 
 @lru_cache(maxsize=100)
 def _read_version(table_path: Path, *_version: int) -> Published:
-    return Published(table_path, read_published(table_path))
+    return Published(table_path, read_published_file(table_path))

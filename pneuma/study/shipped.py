@@ -23,7 +23,7 @@ def shipped_tables() -> Path:
     return shipped_folder("pneuma.published", "results/published")
 
 
-def read_published(path: Path) -> bytes:
+def read_published_file(path: Path) -> bytes:
     """Return a published file; one that comes with Pneuma may be a link, as some installers make them."""
     if path.parent == shipped_tables():
         return read_regular(path)

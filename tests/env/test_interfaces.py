@@ -233,10 +233,13 @@ def test_a_reset_mask_is_an_array_of_one_boolean_for_each_slot(wrong: Any) -> No
 def test_seeds_may_be_numpy_s() -> None:
     """As single environments of these seeds, and as a list of plain integers."""
     observed = [PneumaEnv().reset(seed=seed)[0] for seed in (3, 4)]
-    for seeds in ([3, 4], np.arange(3, 5), list(np.arange(3, 5)), np.int64(3), 3):
+    numpy_seeds = np.arange(3, 5)
+    kinds: tuple[Any, ...] = ([3, 4], numpy_seeds, list(numpy_seeds), np.int64(3), 3)
+    for seeds in kinds:
         assert np.array_equal(PneumaVectorEnv(2).reset(seed=seeds)[0], observed)
+    wrong_seeds: Any = [3.0, 4.5]
     with pytest.raises(TypeError):
-        PneumaVectorEnv(2).reset(seed=[3.0, 4.5])
+        PneumaVectorEnv(2).reset(seed=wrong_seeds)
 
 
 def test_xp_outlives_an_unseeded_reset_and_not_a_seeded_one() -> None:
@@ -315,9 +318,10 @@ def test_each_player_has_a_class_a_reward_and_a_view() -> None:
     highest = [float(env.observation_space(agent).high[2]) for agent in env.agents]
     assert highest == [150 + 14 * 7, 70 + 14 * 7]  # each kill heals 7 HP, past full ones
     assert step(env, np.full(2, ATTACK))[1] == {"player_0": -1.0, "player_1": 1.0}
-    for wrong in (5, -1, 1.5, None):
+    wrong_actions: tuple[Any, ...] = (5, -1, 1.5, None)
+    for wrong in wrong_actions:
         with pytest.raises(ValueError, match=f"action {wrong} of player_1, who is alive, is not in Discrete"):
-            env.step({"player_0": 0, "player_1": wrong})
+            env.step({"player_0": np.int64(0), "player_1": wrong})
     with pytest.raises(ValueError, match="action None of player_1, who is alive"):
         env.step({"player_0": np.int64(ATTACK)})
 

@@ -101,7 +101,7 @@ def test_of_what_a_run_prints_the_last_part_is_kept(tmp_path: Path, monkeypatch:
     train({name: TWO[name]}, tmp_path)
     assert sizes and all(length == 3_000_000 and on_disk < 100_000 for length, on_disk in sizes)
     error = Store(tmp_path / "results").read_file(name, "error.txt")
-    assert len(error) == 65_536 and error.endswith(b"xxx\nwhy\n")
+    assert len(error) == 65_536 and error.endswith(b"xxxwhy\n")
 
 
 def test_a_worker_that_is_killed_under_a_memory_limit_says_so(
