@@ -486,7 +486,9 @@ def _opened(study: StudyData | Where, results: Where | None) -> StudyData:
 
 
 def _store(results: Where | None) -> Store:
-    return Store(os.environ.get("PNEUMA_RESULTS") or "results" if results is None else results)
+    if results is None:
+        results = os.environ.get("PNEUMA_RESULTS") or "results"
+    return Store(os.path.expanduser(results))
 
 
 def _query(

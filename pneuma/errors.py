@@ -16,6 +16,8 @@ from typing import Any
 
 NEAR = 0.6
 """Least similarity of a name that is suggested."""
+LONGEST_MESSAGE = 4000
+"""Characters of a message."""
 MOST_LISTED = 10
 """Most names in an error message; the most similar ones are listed."""
 SYNONYMS = {
@@ -116,10 +118,17 @@ def printable(text: str) -> str:
     return "".join(character if character.isprintable() else f"\\u{ord(character):04x}" for character in text)
 
 
+def shortened(text: str) -> str:
+    """Return text without its middle if it is longer than a message; values and errors may be endless."""
+    if len(text) <= LONGEST_MESSAGE:
+        return text
+    return f"{text[: LONGEST_MESSAGE // 2]} … {text[-LONGEST_MESSAGE // 2 :]}"
+
+
 def print_aside(message: str) -> None:
     """Print a line on standard error, which stops nothing if its reader has gone."""
     with suppress(OSError):
-        print(printable(message), file=sys.stderr, flush=True)
+        print(printable(shortened(message)), file=sys.stderr, flush=True)
 
 
 def counted(count: int, noun: str) -> str:

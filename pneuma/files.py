@@ -12,8 +12,8 @@ import re
 import stat
 import time
 import uuid
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,9 @@ MADE_BY = "made by pneuma"
 
 STALE_SECONDS = 600
 """Age from which no process writes a temporary file any more."""
+
+LARGEST_FILE = 2**30
+"""Most bytes of a file that is read: more than any run has, and less than a computer's memory."""
 
 LONGEST_REASON = 100
 LONGEST_INTEGER = 20
@@ -72,12 +75,45 @@ def stored_file(path: Path) -> Iterator[None]:
         raise UserError(f"{unreadable_file}: cannot be read ({_reason(error)})") from None
 
 
-def read_stored(path: Path) -> bytes:
-    """Return the contents of a file; OSError for a pipe, whose end may never come."""
-    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError(errno.EINVAL, "is not a regular file", str(path))
-        return file.read()
+def open_regular(path: str, flags: int = os.O_RDONLY) -> int:
+    """Open a regular file, as an `opener` of `open`; OSError for a pipe or a device, which may never end."""
+    descriptor = os.open(path, flags | os.O_NONBLOCK | os.O_CLOEXEC, 0o666)  # minus the umask
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "is not a regular file", path)
+    return descriptor
+
+
+def open_stored(path: str, flags: int = os.O_RDONLY) -> int:
+    """Open a file below a results folder, as an `opener` of `open`; all of them are opened here.
+
+    The folder may be anybody's, so that only a regular file is opened, and no link, which may lead out of it.
+    """
+    try:
+        return open_regular(path, flags | os.O_NOFOLLOW)
+    except OSError as error:
+        if error.errno == errno.ELOOP and os.path.islink(path):
+            raise OSError(errno.ELOOP, "is a link", path) from None
+        raise
+
+
+def read_stored(path: Path, most_bytes: int = LARGEST_FILE) -> bytes:
+    """Return a file below a results folder; OSError for what `open_stored` refuses, or if it is too large."""
+    return _read(path, open_stored, most_bytes)
+
+
+def read_regular(path: Path, most_bytes: int = LARGEST_FILE) -> bytes:
+    """Return the contents of a user's file, which may be a link."""
+    return _read(path, open_regular, most_bytes)
+
+
+def _read(path: Path, opener: Callable[[str, int], int], most_bytes: int) -> bytes:
+    with open(path, "rb", opener=opener) as file:
+        file_size = os.fstat(file.fileno()).st_size
+        if file_size > most_bytes:
+            largest_text = f"is larger than {most_bytes / 2**20:,.0f} MB, the most that is read"
+            raise OSError(errno.EINVAL, largest_text, str(path))
+        return file.read(file_size)
 
 
 def _reason(error: Exception) -> str:
@@ -91,10 +127,10 @@ def _reason(error: Exception) -> str:
     return f"{type(error).__name__}: {first_line}"
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, most_bytes: int = LARGEST_FILE) -> str:
     """Return the text of a user's file, with all line ends as one character."""
     try:
-        return io.TextIOWrapper(io.BytesIO(read_stored(path)), encoding="utf-8-sig").read()
+        return io.TextIOWrapper(io.BytesIO(read_regular(path, most_bytes)), encoding="utf-8-sig").read()
     except OSError as error:
         raise UserError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError:
@@ -103,7 +139,11 @@ def read_text(path: Path) -> str:
 
 # --- Writing ----------------------------------------------------------------------------------------
 
-_STORAGE_PROBLEMS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS)
+_STORAGE_PROBLEMS = (
+    errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOMEM,
+    errno.EIO, errno.EROFS, errno.ENODEV, errno.ENOTCONN, errno.ESTALE, errno.EHOSTDOWN,
+)  # fmt: skip
+"""There is no room, or the disk or the folder of a server is broken, read-only or gone."""
 _TEMPORARY_NAME = re.compile(r"\..+\.[0-9a-f]{32}")
 
 
@@ -120,14 +160,24 @@ def write_whole(path: Path, contents: bytes) -> None:
         replace_files(path.parent, {path.name: contents})
 
 
-def create_whole(path: Path, contents: bytes) -> None:
-    """Write a file that does not exist yet, whole or not at all; leave one that exists as it is."""
+def create_whole(path: Path, contents: bytes, lock: AbstractContextManager[bool] | None = None) -> None:
+    """Write a file that does not exist yet, whole or not at all; leave one that exists as it is.
+
+    FAT, exFAT and many shared folders have no hard links, by which two processes cannot both create it. There
+    it is written with the lock, if no other process holds that.
+    """
     temporary = _temporary_path(path)
     try:
         with _named_in_errors(path):
             temporary.write_bytes(contents)
-        with suppress(FileExistsError):
-            os.link(temporary, path)
+            try:
+                os.link(temporary, path)
+            except FileExistsError:
+                pass
+            except OSError:
+                with lock or nullcontext(True) as is_alone:
+                    if is_alone and not os.path.lexists(path):
+                        os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -168,15 +218,15 @@ def _named_in_errors(path: Path) -> Iterator[None]:
         raise
 
 
-def stale_files(folder: Path) -> list[Path]:
-    """Return the temporary files that were left in a folder when a process was killed."""
+def stale_files(folder: Path, least_seconds: float = STALE_SECONDS) -> list[Path]:
+    """Return the temporary files of at least an age that were left in a folder when a process was killed."""
     stale_paths = []
     for file_name in names_in(folder):
         if _TEMPORARY_NAME.fullmatch(file_name):
             file_path = folder / file_name
             with suppress(FileNotFoundError):  # its process has just moved it to its place
                 age_seconds = time.time() - file_path.stat().st_mtime
-                if age_seconds > STALE_SECONDS:
+                if age_seconds >= least_seconds:
                     stale_paths.append(file_path)
     return stale_paths
 
@@ -190,7 +240,7 @@ def write_error(path: Path, error: OSError) -> UserError:
 
 
 def is_storage_problem(error: BaseException) -> bool:
-    """Return whether the disk is to blame: it is full, over a quota, broken, or read-only."""
+    """Return whether the disk is to blame: it is full, over a quota, broken, read-only, or gone."""
     if isinstance(error, OSError):
         return error.errno in _STORAGE_PROBLEMS
     return isinstance(error, StorageError)

@@ -40,6 +40,9 @@ Mistake = tuple[Where, str, str]
 CONFIG = ConfigDict(strict=True, frozen=True, allow_inf_nan=False)
 DEEPEST = 50
 LONGEST_FILE = 1_000_000
+MOST_JOINED_KEYS = 100
+_JOINED_KEYS = re.compile(rf"""(?<![\w"'.-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MOST_JOINED_KEYS}}}""")
+"""A dotted key for which `tomllib` takes a time that grows with the square of its length."""
 
 
 class Table(BaseModel):
@@ -175,10 +178,12 @@ class TomlFile:
 
 
 def read_toml(path: Path) -> TomlFile:
-    toml_text = read_text(path)
+    toml_text = read_text(path, most_bytes=4 * LONGEST_FILE)  # in UTF-8 a character has at most four
     try:
         if len(toml_text) > LONGEST_FILE:
             raise UserError(f"more than {LONGEST_FILE:,} characters")
+        if _JOINED_KEYS.search(toml_text):
+            raise UserError(f"{MOST_JOINED_KEYS} names or more are joined by dots")
         return TomlFile(path, toml_text, normalize(tomllib.loads(toml_text)))
     except (UserError, ValueError, RecursionError) as error:  # such as endless brackets
         raise UserError(f"{path}: not TOML: {error}") from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -105,3 +106,19 @@ def test_a_line_is_found_behind_a_text_of_several_lines(tmp_path: Path) -> None:
 )
 def test_a_near_name_is_suggested(typed: str, names: list[str], suggestion: str) -> None:
     assert nearest_name(typed, names) == (f" (did you mean {suggestion}?)" if suggestion else "")
+
+
+MANY = ".a" * 16_000
+USUAL = f'about = "{"x" * 900_000}"\nshort{".a" * 40} = 1\nend = "{"." * 10_000}"'
+
+
+@pytest.mark.parametrize("text", [f"a{MANY} = 1", f"[a{MANY}]", f"x = {{ a{MANY} = 1 }}", f'"b"{MANY} = 1'])
+def test_untrusted_a_key_of_endless_names_is_refused_at_once(tmp_path: Path, text: str) -> None:
+    """Python's parser takes a second for 16,000 of them, and half an hour for a megabyte."""
+    path, started = tmp_path / "x.toml", time.process_time()
+    path.write_text(text)
+    with pytest.raises(UserError, match="x.toml: not TOML: 100 names or more are joined by dots"):
+        read_toml(path)
+    path.write_text(USUAL)
+    assert read_toml(path).data["end"] == "." * 10_000
+    assert time.process_time() - started < 0.5

@@ -129,6 +129,7 @@ def _publish_changed(
     store.write(path, changed.replace(no_checksum.encode(), f"sha256:{checksum(changed)}".encode()))
 
 
+BEYOND = f'{{"unit": {2**62}, "signs": {{"fall": [1, 2]}}}}'
 STEPS, SHARES = pa.array([500, 1000]), pa.array([0.5, 0.5])
 
 
@@ -143,6 +144,8 @@ def _evaluations(**columns: pa.Array) -> Callable[[pa.Table], pa.Table]:
         (_put("return last", "x"), "column return last is invalid"),
         (_put("entropy", pa.array([["x"] * 200])), "column entropy is invalid"),
         (_put("signs", "["), "Expecting value: line 1 column 2 (char 1)"),
+        (_put("signs", BEYOND), "the steps of the sign fall are not"),
+        (_put("signs", '{"unit": 1, "signs": {"fall": [9, -5]}}'), "the steps of the sign fall are not"),
         (lambda table: table.drop_columns(["evaluations"]), "column evaluations is missing"),
         (_put("config_id", pa.array(["x"])), "column config_id is invalid"),
         (_put("steps", pa.array([0])), "column steps is invalid"),
@@ -179,7 +182,14 @@ def test_untrusted_an_invalid_row_is_one_line_that_names_its_file(
         index = RunIndex(results, shipped=False)
         with pytest.raises(UserError):
             open_study(index, Query(study="mine"))
-        assert index.problems == [f"{path}: cannot be read ({reason})"]
+        (problem,) = index.problems
+        assert problem.startswith(f"{path}: cannot be read ({reason}") and problem.endswith(")")
+
+
+def test_a_damaged_record_of_a_study_is_named(store: Store) -> None:
+    store.listing_path("mine").write_bytes(b"{}")
+    with pytest.raises(UserError, match="study mine: the record of its runs is damaged; import it again"):
+        open_study(RunIndex(store, shipped=False), Query(study="mine"))
 
 
 def test_untrusted_a_published_table_of_another_version_is_one_line(store: Store, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pandas as pd
 
 from pneuma.analysis.intervals import decimals, number_text
 from pneuma.analysis.study_data import StudyData
-from pneuma.errors import UserError
+from pneuma.errors import UserError, printable
 from pneuma.store.index import RunIndex
 from pneuma.store.published import encode_published
 from pneuma.store.store import Store
@@ -77,20 +77,47 @@ _LATEX = str.maketrans({
     "ϵ": r"$\epsilon$", "ϑ": r"$\vartheta$", "₀": "$_0$", "₁": "$_1$", "₂": "$_2$", "ₜ": "$_t$", "²": "$^2$",
 })  # fmt: skip
 """What pdfLaTeX stops at."""
-_MARKDOWN = {"|": r"\|", "\n": "<br>", "://": "&#58;//", "www.": "www&#46;"}
-"""What ends a cell of Markdown, or makes a link of it."""
+_MARKDOWN = {
+    "<": "&lt;", "](": r"]\(", "|": r"\|", "\n": "<br>", "://": "&#58;//", "www.": "www&#46;",
+}  # fmt: skip
+"""What ends a cell of Markdown, or makes a link, a picture or a program of it."""
+_FORMULA = re.compile(r"(^|;)(?=\s*[=+\-@＝＋－＠])")
+"""Where a spreadsheet takes text for a formula; where commas are decimal, its cells may end at semicolons."""
+_NUMBER = re.compile(r"[+-]?[\d.]+(e[+-]?\d+)?", re.IGNORECASE | re.ASCII)
 
 
 def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
-    """Encode a table as csv, parquet, latex or markdown; the last two have rounded numbers."""
-    if form == "csv":
-        return frame.to_csv(index=False, lineterminator="\n").encode()
+    """Encode a table as csv, parquet, latex or markdown; the last two have rounded numbers.
+
+    Names may be untrusted: as text they drive no terminal, and a spreadsheet or a page runs none of them.
+    """
     if form == "parquet":
         return bytes(frame.to_parquet(index=False))
-    cells = pd.DataFrame(_formatted_rows(frame), columns=frame.columns)
+    if form == "csv":
+        texts = frame.select_dtypes(include=["object", "string"])
+        safe_texts = {str(name): texts[name].map(_without_formula) for name in texts}
+        safe_frame = frame.assign(**safe_texts).rename(columns=_without_formula)
+        return safe_frame.to_csv(index=False, lineterminator="\n").encode()
+    cells = pd.DataFrame(_formatted_rows(frame), columns=frame.columns).map(_visible)
+    cells.columns = cells.columns.map(_visible)
     is_numeric = [pd.api.types.is_numeric_dtype(column_type) for column_type in frame.dtypes]
     encode = _latex if form == "latex" else _markdown
     return encode(cells, is_numeric).encode()
+
+
+def _visible(text: str) -> str:
+    """Return text with the codes of invisible characters, but with its line ends."""
+    return "\n".join(map(printable, str(text).split("\n")))
+
+
+def _without_formula(cell: object) -> object:
+    """Return a cell with a ' before text that a spreadsheet would calculate."""
+    if not isinstance(cell, str):
+        return cell
+    visible_text = _visible(cell)
+    if _NUMBER.fullmatch(visible_text):
+        return visible_text
+    return _FORMULA.sub(r"\1'", visible_text)
 
 
 def _formatted_rows(frame: pd.DataFrame) -> list[list[str]]:
@@ -126,7 +153,8 @@ def _latex(cells: pd.DataFrame, is_numeric: Sequence[bool]) -> str:
     is_long = len(cells) > LINES_OF_A_PAGE
     latex = cells.to_latex(index=False, escape=True, column_format=column_format, longtable=is_long)
     with_signs = re.sub(r"(?<![\w-])-(?=\d)", "$-$", latex)  # no hyphens before numbers
-    return with_signs.translate(_LATEX)
+    packages = "packages booktabs and longtable" if is_long else "package booktabs"
+    return f"% needs the {packages}\n{with_signs.translate(_LATEX)}"
 
 
 def _markdown(cells: pd.DataFrame, is_numeric: Sequence[bool]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import wrap
@@ -68,22 +68,13 @@ def verify(
     Raises:
         UserError: for a list that is not allowed, or names that are not in it.
     """
-    claim_lists = [load_claims(claims_path)] if claims_path else shipped_claims()
-    known_names = [claim_name for claim_list in claim_lists for claim_name in claim_list.claims]
-    for claim_name in claim_names:
-        if claim_name not in known_names:
-            raise unknown_name("claim", claim_name, known_names)
-
-    def wanted(claim: Claim, judged_world: str) -> bool:
-        is_named = not claim_names or claim.name in claim_names or claim.like in claim_names
-        return is_named and world in (None, judged_world)
-
+    claim_lists, is_selected = selected_claims(claims_path, claim_names, world)
     verdicts: list[Verdict] = []
     legend = list(LEGEND)
     if claims_path is None:
         legend.insert(0, KILLS_AND_RETURNS)
     for claim_list in claim_lists:
-        verdicts += judge(claim_list, index, wanted)
+        verdicts += judge(claim_list, index, is_selected)
         family = {"list": "a world", "study": "a study in a world"}[claim_list.head.families]
         confidence = f"{100 - 100 * claim_list.head.alpha:g} %, for {family}"
         legend.append(f"  {claim_list.path.name}: {confidence}; SHA-256 {claim_list.digest[:16]}…")
@@ -93,7 +84,7 @@ def verify(
     by_claim = words.verdicts_by_claim(verdicts)
     about = {
         "rules": RULES,
-        "lists": [_list_row(claim_list) for claim_list in claim_lists],
+        "lists": [list_row(claim_list) for claim_list in claim_lists],
         "claims": [_verdict_row(verdict) for verdict in verdicts],
     }
     return VerdictsAnswer(
@@ -106,6 +97,23 @@ def verify(
         verdicts=by_claim,
         heading=_heading(claim_lists, verdicts),
     )
+
+
+def selected_claims(
+    claims_path: Path | None, claim_names: Sequence[str], world: str | None
+) -> tuple[list[ClaimList], Callable[[Claim, str], bool]]:
+    """Return the lists of claims, and whether a claim is selected in a world; see `verify`."""
+    claim_lists = [load_claims(claims_path)] if claims_path else shipped_claims()
+    known_names = [claim_name for claim_list in claim_lists for claim_name in claim_list.claims]
+    for claim_name in claim_names:
+        if claim_name not in known_names:
+            raise unknown_name("claim", claim_name, known_names)
+
+    def is_selected(claim: Claim, judged_world: str) -> bool:
+        is_named = not claim_names or claim.name in claim_names or claim.like in claim_names
+        return is_named and world in (None, judged_world)
+
+    return claim_lists, is_selected
 
 
 def _heading(claim_lists: Sequence[ClaimList], verdicts: Sequence[Verdict]) -> list[str]:
@@ -129,7 +137,7 @@ def _origin(index: RunIndex, verdicts: Sequence[Verdict]) -> str:
     return f"Read {own_runs:,} runs from {index.store.root} and {len(run_ids) - own_runs:,} published runs."
 
 
-def _list_row(claim_list: ClaimList) -> dict[str, Any]:
+def list_row(claim_list: ClaimList) -> dict[str, Any]:
     return {
         "file": claim_list.path.name,
         "claims_hash": claim_list.digest,

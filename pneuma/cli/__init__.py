@@ -19,12 +19,18 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from pneuma.errors import Message, UserError, printable, write_hints
+from pneuma.errors import Message, UserError, printable, shortened, write_hints
 
 STOPPED = 130
 """The exit code after Ctrl-C; it is 1 if runs failed, and 0 if all is done."""
-LONGEST_MESSAGE = 4000
-"""Characters of a message, whose middle is left out if it is longer."""
+REMOVED = {
+    ("env", "play"): "play with gymnasium.utils.play, as docs/environment.md shows",
+    ("run", "fork"): "published forks are studies, as late-collapse-forks-eb57",
+    ("compare", "--plot"): "`pneuma study plot STUDY --figure summary` draws outcomes",
+    ("plot", "--center"): "curves are means; `pneuma study summary` of several environments has others",
+    ("figure",): "`pneuma study plot` draws figures",
+}
+"""Words of earlier versions, and what there is in their place."""
 COMMANDS = {
     "study": ("study", "Compare conditions over many seeds."),
     "run": ("runs", "Inspect, export and delete single runs."),
@@ -103,19 +109,19 @@ def _root(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return its exit code; a user's mistake is printed as one line."""
+    typed_words = None if arguments is None else list(arguments)
     try:
         if not re.fullmatch(r"[1-9]\d{0,8}", threads := os.environ.get("NUMBA_NUM_THREADS", "1")):
             raise UserError(f"the variable NUMBA_NUM_THREADS = {threads} is not allowed: a number from 1 on")
         os.environ["MPLBACKEND"] = "agg"  # figures are files; another value, or a wrong one, is for scripts
         os.environ.pop("SOURCE_DATE_EPOCH", None)  # no figure has a date
-        typed_words = None if arguments is None else list(arguments)
         exit_code = app(args=typed_words, prog_name="pneuma", standalone_mode=False)
     except UserError as error:
         from pneuma.cli.hints import write_hint  # not for `--help`
 
         return _refuse(write_hints(Message(*error.args), write_hint))
     except typer.TyperException as error:
-        return _refuse(error.format_message())
+        return _refuse(error.format_message() + _in_its_place(typed_words or sys.argv[1:]))
     except (KeyboardInterrupt, typer.Abort):
         print("pneuma: stopped", file=sys.stderr)
         return STOPPED
@@ -131,6 +137,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:  # a folder that may not be read, a name too long, a full disk
         return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error) or repr(error))
     return exit_code if isinstance(exit_code, int) else 0
+
+
+def _in_its_place(typed_words: Sequence[str]) -> str:
+    """Return what there is in the place of what an earlier version had; empty if it had no such thing."""
+    for removed_words, remaining in REMOVED.items():
+        if all(word in typed_words for word in removed_words):
+            return f" It was removed: {remaining}"
+    return ""
 
 
 def run() -> None:
@@ -150,8 +164,6 @@ def _refuse(message: str) -> int:
     if message.startswith("Usage:"):  # a command was left out: Typer's message is the help itself
         print(message, file=sys.stderr)
     else:
-        message_line = printable(" ".join(message.split()))
-        if len(message_line) > LONGEST_MESSAGE:  # of a value of a file, which may be endless
-            message_line = f"{message_line[: LONGEST_MESSAGE // 2]} … {message_line[-LONGEST_MESSAGE // 2 :]}"
+        message_line = shortened(printable(" ".join(message.split())))
         print(f"pneuma: {message_line}", file=sys.stderr)
     return 2

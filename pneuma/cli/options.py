@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
@@ -251,6 +252,7 @@ def _printing(function: Callable[..., Result | Answer]) -> Callable[..., int]:
 
     @functools.wraps(function)
     def called(json: bool, **values: Any) -> int:
+        values = {option_name: _expanded(value) for option_name, value in values.items()}
         for parameter_name, group in groups.items():
             values[parameter_name] = group(**{item.name: values.pop(item.name) for item in fields(group)})
         with kept_for_the_result():
@@ -265,3 +267,10 @@ def _printing(function: Callable[..., Result | Answer]) -> Callable[..., int]:
     options.append(inspect.Parameter("json", keyword, default=False, annotation=JSON))
     called.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
     return called
+
+
+def _expanded(value: Any) -> Any:
+    """Return paths with the user's home in the place of ~, which a shell leaves in --results=~/x."""
+    if isinstance(value, list):
+        return list(map(_expanded, value))
+    return Path(os.path.expanduser(value)) if isinstance(value, Path) else value

@@ -71,6 +71,11 @@ def _flush() -> None:
 
 # --- Results in any form --------------------------------------------------------------------------
 
+REMOVED_ENDINGS = {
+    ".mp4": " (`ffmpeg -i x.gif x.mp4` makes one of it)",
+    ".onnx": " (docs/engines.md links to how one is made of it)",
+}
+"""Of files that an earlier version wrote, and what makes them now."""
 OUTPUT_FORMATS = ("table", "markdown", "latex", "csv", "json")
 COLUMN_GAP = "  "
 UNBREAKABLE_SPACE = "\u00a0"
@@ -241,6 +246,7 @@ def check_file(out: Path, endings: Collection[str], force: bool = True) -> None:
     """
     if out.suffix.lower() not in endings:
         hint = nearest_name(out.suffix, endings) if out.suffix else ""
+        hint = REMOVED_ENDINGS.get(out.suffix.lower(), hint)
         raise UserError(f"--out {out}: must end in {' or '.join(endings)}{hint}")
     if out.is_dir():
         raise UserError(f"--out {out}: is a folder; name a file")

@@ -8,7 +8,7 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Annotated
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, Table, frame_table
+from pneuma.cli.output import Result, Table, answer_result, frame_table
 from pneuma.errors import printable
 from pneuma.presets import WORLDS
 from pneuma.store.store import Store
@@ -26,6 +26,9 @@ def verify(
     file: Annotated[
         Path | None, opt.option("FILE", "A claims file to judge instead of the thesis's.", name="--claims")
     ] = None,
+    design: Annotated[
+        bool, opt.flag("--design", "Show the smallest differences that the planned runs can detect.")
+    ] = False,
     results: opt.Results = opt.HERE,
     format: opt.Format = opt.TABLE,
 ) -> Result:
@@ -34,6 +37,10 @@ def verify(
     Name claims to also see what is compared, the number of runs, and the reason. The name random-own shows
     what a random player earns in the thesis's own game, beside all published runs there.
     """
+    if design:
+        from pneuma.answers.design import design as show_design
+
+        return answer_result(show_design(file, claims or (), world))
     from pneuma.answers.random_own import NAME, compare_with_random
     from pneuma.answers.verdicts import verify
     from pneuma.store.index import RunIndex

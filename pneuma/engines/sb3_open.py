@@ -57,6 +57,15 @@ IN_POLICY_KWARGS = {
     "optimizer_kwargs": "betas",
 }
 """Parts of `policy_kwargs` that are set by fields of PPO."""
+RESERVED = {
+    "policy": "the field policy is for that",
+    "env": "the field env is for that",
+    "seed": "it follows from the run's seed",
+    "device": "runs are trained on the CPU",
+    "tensorboard_log": "an option of the command that trains is for that",
+    "_init_setup_model": "learners are always set up",
+}
+"""Arguments of all learners that no run may set, and why."""
 STATISTICS = "observations.safetensors"
 """File in a learner's .zip: mean and variance of observations, by key. Stable-Baselines3 ignores it."""
 
@@ -69,6 +78,9 @@ HOOKS = ("_update_current_progress_remaining",)
 
 def check_learner(run: Run) -> None:
     """Make a run's environments and learner once, take a step, and refuse what cannot be trained."""
+    for argument, reason in RESERVED.items():
+        if argument in _algorithm_kwargs(run):
+            raise UserError(f"algorithm_kwargs: {argument} is not allowed: {reason}")
     if run.algorithm == "ppo":
         _check_arguments(run)
     with closing(make_env(run)) as env:

@@ -57,7 +57,10 @@ class PneumaVectorEnv(Interface, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.action_space = batch_space(self.worlds.action_space, num_envs)
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | np.ndarray | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode in every world, or in those of `options["reset_mask"]`.
 
@@ -66,10 +69,12 @@ class PneumaVectorEnv(Interface, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
 
         Raises:
             ResetNeeded: when the first reset leaves out some worlds.
+            TypeError: for a mask that is not an array of one boolean for each slot.
         """
         own_options = read_options(options, "start", "reset_mask")
-        slot_mask = np.broadcast_to(own_options.get("reset_mask", True), self.num_envs)
-        mask = np.asarray(slot_mask.reshape(len(self.worlds), -1).any(axis=1))
+        mask = np.ones(len(self.worlds), np.bool_)
+        if "reset_mask" in own_options:
+            mask = self._world_mask(own_options["reset_mask"])
         if not self.slots.has_begun and not mask.all():
             raise ResetNeeded("no episode has begun in the other worlds: reset all of them first")
         seeds = world_seeds(seed, len(self.worlds))
@@ -78,6 +83,13 @@ class PneumaVectorEnv(Interface, VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
             seeds[world] = None
         self._begin(seeds, own_options.get("start"), mask)
         return self.slots.observations, self._infos()
+
+    def _world_mask(self, slot_mask: Any) -> np.ndarray:
+        """Return which worlds are reset: those of the slots in a mask, which must be as Gymnasium has it."""
+        is_mask = isinstance(slot_mask, np.ndarray) and slot_mask.dtype == np.bool_
+        if not (is_mask and slot_mask.shape == (self.num_envs,)):
+            raise TypeError(f"reset_mask must be an array of {self.num_envs} booleans, not {slot_mask!r}")
+        return np.asarray(slot_mask.reshape(len(self.worlds), -1).any(axis=1))
 
     def step(
         self, actions: np.ndarray

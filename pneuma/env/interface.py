@@ -115,7 +115,7 @@ def read_options(options: Mapping[str, Any] | None, *allowed: str) -> dict[str, 
     return reset_options
 
 
-def world_seeds(seed: int | Sequence[int | None] | None, world_count: int) -> list[int | None]:
+def world_seeds(seed: int | Sequence[int | None] | np.ndarray | None, world_count: int) -> list[int | None]:
     """Return a seed for each of `world_count` worlds, None where its random stream goes on."""
     if seed is None:
         return [None] * world_count
@@ -123,4 +123,4 @@ def world_seeds(seed: int | Sequence[int | None] | None, world_count: int) -> li
         return list(range(int(seed), int(seed) + world_count))
     if len(seed) != world_count:
         raise ValueError(f"{len(seed)} seeds for {world_count} worlds")
-    return list(seed)
+    return [None if own_seed is None else operator.index(own_seed) for own_seed in seed]

@@ -146,12 +146,17 @@ def _refuse_walled_in(level: Level, free: np.ndarray, side: float, with_monsters
 def _refuse_stuck(level: Level, body_name: str, x: float, y: float, stats: Any, closed: np.ndarray) -> None:
     columns = _covered_tiles(x + stats["body_x"] - level.left, stats["half_width"], level.tile)
     rows = _covered_tiles(y + stats["body_y"] - level.top, stats["half_height"], level.tile)
+    body_place = f"level {level.name}: {body_name} at ({x:g}, {y:g})"
+    last_row, last_column = closed.shape[0] - 1, closed.shape[1] - 1
+    if min(rows) < 0 or max(rows) > last_row or min(columns) < 0 or max(columns) > last_column:
+        grid = level.grid
+        extent = f"x from {grid.left:g} to {grid.right:g} and y from {grid.top:g} to {grid.bottom:g}"
+        raise UserError(f"{body_place} reaches beyond the level, which has {extent}")
     for row, column in product(rows, columns):
-        is_on_grid = 0 <= row < closed.shape[0] and 0 <= column < closed.shape[1]
-        if not is_on_grid or closed[row, column]:
+        if closed[row, column]:
             size = f"{2 * stats['half_width']:g} x {2 * stats['half_height']:g}"
             problem = f"has a body of {size} px, stuck in row {row + 1}, column {column + 1}"
-            raise UserError(f"level {level.name}: {body_name} at ({x:g}, {y:g}) {problem}")
+            raise UserError(f"{body_place} {problem}")
 
 
 def _covered_tiles(middle: float, half: float, tile: float) -> range:

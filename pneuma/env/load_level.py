@@ -16,6 +16,7 @@ A folder holds
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -33,6 +34,12 @@ from pneuma.files import read_text
 from pneuma.schema import Table, TomlFile, read_model, read_toml
 
 LEVELS = Path(__file__).parent / "data" / "levels"
+MOST_TILES = 250_000
+"""Most tiles of a level, whose picture then takes two gigabytes of memory; the thesis's has 2,850."""
+LARGEST_TABLE = 2**24
+"""Most bytes of a file of a level."""
+LONGEST_SHOWN = 40
+"""Most characters of a wrong cell in a message."""
 FOLDER_FILES = ("ground.csv", "level.toml", "objects.csv", "obstacles.csv")
 
 _Tiles = Annotated[float, Field(ge=-1e6, le=1e6), Rounded]
@@ -132,27 +139,30 @@ def _folder_files(folder: Path) -> list[Path]:
 
 def _read_layer(table_path: Path) -> np.ndarray:
     """Return the code of each tile, (rows, columns)."""
-    codes = _read_table(table_path, read_text(table_path).splitlines(), first_row=1)
-    return _without_turns(table_path, codes)
+    codes = _read_table(table_path, read_text(table_path, LARGEST_TABLE).splitlines(), first_row=1)
+    if codes.size > MOST_TILES:
+        raise UserError(f"{table_path}: has {codes.size:,} tiles; {MOST_TILES:,} are the most")
+    return _without_turns(table_path, codes, first_row=1)
 
 
 def _read_objects(table_path: Path) -> list[tuple[int, float, float]]:
     """Return code, x and y of each start place and monster."""
-    header, *text_lines = read_text(table_path).splitlines() or [""]
+    header, *text_lines = read_text(table_path, LARGEST_TABLE).splitlines() or [""]
     if header != "code,x,y":
         raise UserError(f"{table_path}: the first line must be code,x,y")
     objects = _read_table(table_path, text_lines, first_row=2)
     if objects.shape[1] != 3:
         raise UserError(f"{table_path}: row 2 has {objects.shape[1]} numbers, not 3")
-    objects[:, 0] = _without_turns(table_path, objects[:, 0])
+    objects[:, :1] = _without_turns(table_path, objects[:, :1], first_row=2)
     return [(int(object_code), x, y) for object_code, x, y in objects.tolist()]
 
 
-def _without_turns(table_path: Path, codes: np.ndarray) -> np.ndarray:
+def _without_turns(table_path: Path, codes: np.ndarray, first_row: int) -> np.ndarray:
     """Return codes, int64, without the highest four of their 32 bits, by which Tiled turns pictures."""
     is_wrong = (codes % 1 != 0) | (codes < -(2**31)) | (codes >= 2**32)
-    if is_wrong.any():
-        raise UserError(f"{table_path}: code {codes[is_wrong][0]:.12g} is not a whole number of 32 bits")
+    for row, column in np.argwhere(is_wrong)[:1].tolist():
+        problem = f"code {codes[row, column]:.12g} is not a whole number of 32 bits"
+        raise UserError(f"{table_path}: row {first_row + row}, column {column + 1}: {problem}")
     return np.where(codes == EMPTY, EMPTY, codes % 2**28).astype(np.int64)
 
 
@@ -162,15 +172,23 @@ def _read_table(table_path: Path, text_lines: Sequence[str], first_row: int) -> 
     for row_number, text_line in enumerate(text_lines, start=first_row):
         if not text_line.strip():
             continue
-        try:
-            rows.append([float(cell) for cell in text_line.split(",")])
-        except ValueError as error:
-            raise UserError(f"{table_path}: row {row_number}: {str(error)[:80]}") from None
+        rows.append([])
+        for column_number, cell in enumerate(text_line.split(","), start=1):
+            number = _read_number(cell)
+            if not math.isfinite(number):
+                cell_name = f"row {row_number}, column {column_number}"
+                raise UserError(f"{table_path}: {cell_name}: {cell[:LONGEST_SHOWN]!r} is not a number")
+            rows[-1].append(number)
         if len(rows[-1]) != len(rows[0]):
             problem = f"has {len(rows[-1])} numbers, row {first_row} has {len(rows[0])}"
             raise UserError(f"{table_path}: row {row_number} {problem}")
-        if not np.isfinite(rows[-1]).all():
-            raise UserError(f"{table_path}: row {row_number} has a number that is not finite")
     if not rows:
         raise UserError(f"{table_path}: contains no numbers")
     return np.array(rows)
+
+
+def _read_number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan

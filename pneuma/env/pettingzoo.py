@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from typing import Any
 
 import numpy as np
@@ -65,16 +64,18 @@ class PneumaParallelEnv(Interface, ParallelEnv[str, np.ndarray, np.int64]):
         """Play one action of each living player; return five dictionaries by player, as PettingZoo does.
 
         Raises:
-            KeyError: when a living player has no action.
-            TypeError: for an action that is not a whole number.
-            ValueError: for one that is not in the action space.
+            ValueError: when a living player has no action, or one that is not in its action space.
             ResetNeeded: before the first reset and after the end of an episode.
         """
         if not self.agents:
             raise ResetNeeded("no episode is under way: call reset first")
         for player_index, agent in enumerate(self.possible_agents):
-            if agent in self.agents:
-                self._actions[player_index] = operator.index(actions[agent])
+            if agent not in self.agents:
+                continue
+            if agent not in actions or not self._action_spaces[player_index].contains(actions[agent]):
+                problem = f"action {actions.get(agent)!r} of {agent}, who is alive,"
+                raise ValueError(f"{problem} is not in {self._action_spaces[player_index]}")
+            self._actions[player_index] = actions[agent]
         has_ended = self.slots.step(self._actions)
         observations, infos = self._observations_and_infos()
         rewards, terminations, truncations = {}, {}, {}

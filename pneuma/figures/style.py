@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from pneuma.errors import Hint, UserError, print_aside, printable, unknown_name
 from pneuma.figures.origin import KEYS
+from pneuma.files import read_regular
 
 WIDTH = 7.0
 """Width in inches of a figure that spans a page."""
@@ -40,6 +42,8 @@ MOST_IN_A_PANEL = len(MARKERS)
 
 INK, GREY = "#222222", "#777777"
 
+LARGEST_SHEET = 2**20
+"""Most bytes of a style sheet."""
 SHEET, FONT = Path(__file__).with_name("pneuma.mplstyle"), "DejaVu Sans"
 
 METADATA: dict[str, dict[str, Any]] = {
@@ -86,11 +90,21 @@ def house_style(sheet: str | dict[str, Any] = "") -> Iterator[None]:
         mpl.rcdefaults()
         mpl.use("agg")
         try:
+            if isinstance(sheet, str) and os.path.lexists(os.path.expanduser(sheet)):
+                sheet = os.path.expanduser(sheet)
+                _check_sheet(sheet)
             sheets.use([SHEET, sheet or {}])
         except (OSError, UnicodeDecodeError):
             problem = ": is neither a matplotlib style sheet nor a file"
             raise UserError(Hint("style", sheet), problem) from None
         yield
+
+
+def _check_sheet(sheet: str) -> None:
+    try:
+        read_regular(Path(sheet), LARGEST_SHEET)
+    except OSError as error:
+        raise UserError(Hint("style", sheet), f": {error.strerror}") from None
 
 
 def text_points() -> float:

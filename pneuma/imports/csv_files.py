@@ -20,7 +20,15 @@ import pandas as pd
 
 from pneuma.errors import Hint, Message, UserError, counted, unknown_name
 from pneuma.files import read_text
-from pneuma.imports.logs import Import, Log, choose_study_name, condition_and_seed, file_facts, store_logs
+from pneuma.imports.logs import (
+    MOST_COLUMNS,
+    Import,
+    Log,
+    choose_study_name,
+    condition_and_seed,
+    file_facts,
+    store_logs,
+)
 from pneuma.store.quantities import EPISODE_QUANTITIES, EVALUATION_TAGS, TAGS, TRAINING_QUANTITIES
 from pneuma.store.store import Store
 
@@ -136,10 +144,10 @@ def _read_runs(path: Path, shared_folder: Path, file_text: str, columns: Columns
     steps = _whole_numbers(path, _find_column(table, "step", columns.step))
     condition, seed = condition_and_seed(_name_parts(path, shared_folder))
     runs = pd.DataFrame({"condition": columns.condition or condition, "seed": seed}, index=table.index)
-    if columns.condition in table:
+    if columns.condition and columns.condition in table:
         runs["condition"] = table[columns.condition].str.strip()
         _refuse_cells(path, table[columns.condition][runs["condition"] == ""], "a condition")
-    if columns.seed in table:
+    if columns.seed and columns.seed in table:
         runs["seed"] = _whole_numbers(path, table[columns.seed])
     elif columns.seed:
         runs["seed"] = _read_seed(columns.seed, list(table.columns))
@@ -175,6 +183,16 @@ def _read_runs(path: Path, shared_folder: Path, file_text: str, columns: Columns
 
 def _read_cells(path: Path, file_text: str) -> pd.DataFrame:
     """Return the cells of a table as text, by the number of their row."""
+    header_line = file_text.partition("\n")[0]
+    for separator, separator_name in ((";", "semicolons"), ("\t", "tabs")):
+        if separator in header_line and "," not in header_line:
+            raise UserError(
+                f"{path}: its cells are separated by {separator_name}; "
+                "save it with commas between cells and points in numbers"
+            )
+    if header_line.count(",") >= MOST_COLUMNS:
+        column_count = header_line.count(",") + 1
+        raise UserError(f"{path}: has {column_count:,} columns; {MOST_COLUMNS:,} are the most")
     try:
         cell_rows = pd.read_csv(io.StringIO(file_text), header=None, dtype=str, keep_default_na=False)
     except ValueError as error:
@@ -182,6 +200,8 @@ def _read_cells(path: Path, file_text: str) -> pd.DataFrame:
     if len(cell_rows) < 2:
         raise UserError(f"{path}: has no rows below its header")
     cell_rows.index += 1
+    is_named = cell_rows.iloc[0].str.strip() != ""  # a nameless column is an index, as pandas writes it
+    cell_rows = cell_rows.loc[:, is_named]
     header = cell_rows.iloc[0].str.strip()
     if header.duplicated().any():
         raise UserError(f"{path}: has two columns named {header[header.duplicated()].iloc[0]!r}; rename one")

@@ -27,6 +27,8 @@ AGENT_STEPS = ("rollout/", "train/", "time/", "eval/", "charts/", "losses/")
 """Tags of Stable-Baselines3 and CleanRL whose steps are agent steps."""
 LOG_KINDS = {"csv": "CSV files", "tensorboard": "TensorBoard logs"}
 """The kinds of logs. Messages name them instead of an environment, which logs do not contain."""
+MOST_COLUMNS = 1_000
+"""Most columns of a table, or tags of a log, all of which are kept in memory."""
 SCALAR_COLUMNS = ["tag", "step", "value", "superseded"]
 
 
@@ -139,7 +141,10 @@ def _store_run(log: Log, store: Store, log_kind: str) -> None:
     }
     status = Status("done", log.steps, identity=Identity(log.run_id, log.seed, log.steps))
     files[ROW_FILE] = encode_row(cells_of_files(log.run_id, status, files))
-    store.save_run(log.run_id, status, files)
+    with store.lock(log.run_id) as is_free:
+        if is_free:  # or another import stores the same
+            store.remove_temporary(log.run_id)
+            store.save_run(log.run_id, status, files)
 
 
 def choose_study_name(study_name: str | None, source_path: Path, store: Store, log_kind: str) -> str:

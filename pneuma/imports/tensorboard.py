@@ -15,11 +15,22 @@ from typing import NamedTuple
 import pandas as pd
 
 from pneuma.errors import UserError, counted, install_extra
-from pneuma.imports.logs import Import, Log, choose_study_name, condition_and_seed, file_facts, store_logs
+from pneuma.files import read_regular
+from pneuma.imports.logs import (
+    MOST_COLUMNS,
+    Import,
+    Log,
+    choose_study_name,
+    condition_and_seed,
+    file_facts,
+    store_logs,
+)
 from pneuma.store.store import Store
 
 SOURCE, IMPORT_VERSION = "tensorboard", 3
 """The version is raised by hand when the same logs give other points; it is part of an imported run's id."""
+MOST_FOLDERS = 100_000
+"""Most folders in which event files are searched; a link may lead to the whole disk."""
 
 
 class Scalar(NamedTuple):
@@ -39,17 +50,24 @@ def import_tensorboard(folders: Sequence[Path], store: Store, study_name: str | 
     """
     shared_folder = os.path.commonpath([folder.resolve() for folder in folders])
     chosen_name = choose_study_name(study_name, Path(shared_folder), store, SOURCE)
-    logs = [_read_log(folder_names, paths) for folder_names, paths in find_logs(folders).items()]
-    return store_logs(logs, store, SOURCE, chosen_name, adds_runs=study_name is not None)
+    files_by_folder, left_out = find_logs(folders)
+    logs = [_read_log(folder_names, paths) for folder_names, paths in files_by_folder.items()]
+    is_named = study_name is not None
+    study_name, kept_logs, notes = store_logs(logs, store, SOURCE, chosen_name, adds_runs=is_named)
+    return study_name, kept_logs, [f"left out {link}" for link in left_out] + notes
 
 
-def find_logs(folders: Sequence[Path]) -> dict[tuple[str, ...], list[Path]]:
-    """Return event files by the names of their folders below the one that all share; the oldest first."""
+def find_logs(folders: Sequence[Path]) -> tuple[dict[tuple[str, ...], list[Path]], list[str]]:
+    """Return event files by the names of their folders below the one that all share, the oldest first.
+
+    Links to other folders are followed, as TensorBoard follows them. Also return a note for each that is not.
+    """
     event_files: set[Path] = set()  # folders may be given twice
+    left_out: list[str] = []
     for folder in folders:
         if not folder.is_dir():
             raise UserError(f"{folder}: is not a folder; name the folder that holds NAME_1/, NAME_2/, …")
-        paths = [path for path in folder.resolve().rglob("*tfevents*") if path.is_file()]
+        paths = _event_files(folder.resolve(), left_out)
         if not paths:
             raise UserError(f"{folder}: contains no TensorBoard event files (events.out.tfevents…)")
         for path in paths:
@@ -62,7 +80,38 @@ def find_logs(folders: Sequence[Path]) -> dict[tuple[str, ...], list[Path]]:
     for path in sorted(event_files):
         folder_names = path.parent.relative_to(shared_folder).parts
         files_by_folder.setdefault(folder_names, []).append(path)
-    return files_by_folder
+    return files_by_folder, list(dict.fromkeys(left_out))
+
+
+def _event_files(top_folder: Path, left_out: list[str]) -> list[Path]:
+    """Return the event files below a folder, of each folder once; note the links that are not followed."""
+    event_files: list[Path] = []
+    seen_folders: set[Path] = set()
+    walks = [top_folder]
+    while walks:  # links come after all that lies below them, and may lead to it
+        walked = walks.pop(0)
+        real_folder = walked.resolve()
+        if real_folder in seen_folders or real_folder in top_folder.parents:
+            left_out.append(f"{walked}: is a link to a folder around it, or to one that is read anyway")
+            continue
+        for parent_name, folder_names, file_names in os.walk(walked):
+            parent = Path(parent_name)
+            if parent.resolve() in seen_folders:
+                folder_names.clear()
+                continue
+            seen_folders.add(parent.resolve())
+            if len(seen_folders) > MOST_FOLDERS:
+                raise UserError(
+                    f"{top_folder}: has more than {MOST_FOLDERS:,} folders; name those of the runs"
+                )
+            walks += [parent / name for name in sorted(folder_names) if (parent / name).is_symlink()]
+            for file_name in file_names:
+                path = parent / file_name
+                if path.is_symlink() and not path.exists():
+                    left_out.append(f"{path}: is a link that leads nowhere")
+                elif "tfevents" in file_name and path.is_file():
+                    event_files.append(path)
+    return event_files
 
 
 def _read_log(folder_names: tuple[str, ...], paths: Sequence[Path]) -> Log:
@@ -70,7 +119,7 @@ def _read_log(folder_names: tuple[str, ...], paths: Sequence[Path]) -> Log:
     scalar_rows: list[tuple[object, ...]] = []
     for file_number, path in enumerate(paths):
         try:
-            file_bytes = path.read_bytes()
+            file_bytes = read_regular(path)
         except OSError as error:
             raise UserError(f"{path}: cannot be read ({error.strerror})") from None
         files.append(file_facts(file_bytes))
@@ -82,6 +131,9 @@ def _read_log(folder_names: tuple[str, ...], paths: Sequence[Path]) -> Log:
                 f"{path.name} is damaged: its last {lost_bytes:,} of {len(file_bytes):,} bytes are left out"
             )
     points = pd.DataFrame(scalar_rows, columns=("file",) + Scalar._fields)
+    tag_count = points["tag"].nunique()
+    if tag_count > MOST_COLUMNS:
+        raise UserError(f"{paths[0].parent}: has {tag_count:,} tags; {MOST_COLUMNS:,} are the most")
     points["superseded"] = find_superseded(points)
     superseded = int(points["superseded"].sum())
     if superseded:

@@ -14,25 +14,26 @@ import os
 import re
 import socket
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import optuna
 from optuna.storages import JournalStorage
-from optuna.storages.journal import JournalFileBackend
+from optuna.storages.journal import BaseJournalBackend, JournalFileBackend
 from optuna.storages.journal._file import BaseJournalFileLock
 from optuna.trial import FrozenTrial, TrialState
 
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION
 from pneuma.errors import UserError, print_aside
-from pneuma.files import checksum, names_in, stored_file
+from pneuma.files import checksum, names_in, open_stored, read_stored, stored_file
 from pneuma.schema import read_toml
 from pneuma.search.spec import Budget, Search, load_search
-from pneuma.store.locks import open_lock, take_lock
+from pneuma.store.locks import take_lock
 from pneuma.store.store import PUBLISHED, Store
 from pneuma.study.identity import user_files_digest
-from pneuma.study.shipped import shipped_tables
+from pneuma.study.shipped import read_published_file, shipped_tables
 
 ABOUT = "pneuma"
 """The user attribute of a study that holds which search it is."""
@@ -43,6 +44,20 @@ COMPARED = ("base", "fixed", "objectives")
 
 WORDS = ("title", "section", "about", "presets")
 """Keys of a search's file that suggestions do not depend on; of a preset they depend on seeds and steps."""
+
+
+class ReadLog(BaseJournalBackend):
+    """A log that is only read, as it was when it was opened; its last line may be unfinished."""
+
+    def __init__(self, contents: bytes) -> None:
+        self._lines = contents.split(b"\n")[:-1]
+
+    def read_logs(self, log_number_from: int) -> Iterator[dict[str, Any]]:
+        for line in self._lines[log_number_from:]:
+            yield json.loads(line)
+
+    def append_logs(self, logs: list[dict[str, Any]]) -> None:
+        raise NotImplementedError
 
 
 class LogLock(BaseJournalFileLock):
@@ -60,7 +75,7 @@ class LogLock(BaseJournalFileLock):
 
     def acquire(self) -> bool:
         lock_path = self._log.with_name(f".{self._log.name}.lock")
-        self._file = open(lock_path, "a+b", opener=open_lock)  # noqa: SIM115 (`release` closes it)
+        self._file = open(lock_path, "a+b", opener=open_stored)  # noqa: SIM115 (`release` closes it)
         message_time = time.monotonic() + self.WAIT_SECONDS
         while not take_lock(self._file.fileno()):
             if time.monotonic() > message_time:
@@ -71,7 +86,7 @@ class LogLock(BaseJournalFileLock):
         self._file.truncate(0)
         self._file.write(f"process {os.getpid()} on {socket.gethostname()}".encode())
         self._file.flush()
-        with open(self._log, "r+b") as log_file:
+        with open(self._log, "r+b", opener=open_stored) as log_file:
             log_file.seek(max(log_file.seek(0, os.SEEK_END) - 1, 0))
             if log_file.read() not in (b"", b"\n"):
                 log_file.seek(0)
@@ -122,10 +137,9 @@ def open_record(store: Store, search: Search, budget: Budget) -> Record:
     identity = _identify(search, budget)
     digest = checksum(json.dumps(identity, sort_keys=True).encode())[:12]
     log_path = store.root / "searches" / f"{search.label}.{digest}.log"
-    if log_path.is_symlink():
-        raise UserError(f"{log_path}: is a link; replace it with a file")
     with stored_file(log_path):
         log_path.parent.mkdir(parents=True, exist_ok=True)
+        open(log_path, "a+b", opener=open_stored).close()  # Optuna opens it by its name
         storage = JournalStorage(JournalFileBackend(str(log_path), LogLock(log_path)))
         if not storage.get_all_studies():  # `create_study` would write a line each time
             optuna.create_study(
@@ -178,10 +192,10 @@ def read_record(store: Store, search_name: str, world: str | None = None) -> Rec
     log_paths = []
     for file_name in names_in(folder):
         is_log = re.fullmatch(re.escape(search.label) + r"(\.[0-9a-f]{12})?\.log", file_name)
-        if is_log and (folder / file_name).stat().st_size:  # Optuna leaves an empty file
+        if is_log and (folder / file_name).lstat().st_size:  # a search may be stopped before its first line
             log_paths.append(folder / file_name)
     if log_paths:
-        return _read(max(log_paths, key=lambda log_path: log_path.stat().st_mtime_ns), search)
+        return _read(max(log_paths, key=lambda log_path: log_path.lstat().st_mtime_ns), search)
     return read_published(store, search)
 
 
@@ -189,17 +203,18 @@ def read_published(store: Store, search: Search) -> Record:
     """Return a search whose log is published in the results folder or comes with Pneuma."""
     for folder in (store.root / PUBLISHED, shipped_tables()):
         log_path = folder / f"search-{search.label}.log"
-        if log_path.exists():
-            return _read(log_path, search, published=True)
+        if os.path.lexists(log_path):
+            return _read(log_path, search, is_published=True)
     raise UserError(
         f"search {search.label} was not run in {store.root}: start it with `pneuma search run`, "
         "or name another results folder"
     )
 
 
-def _read(log_path: Path, search: Search, published: bool = False) -> Record:
+def _read(log_path: Path, search: Search, is_published: bool = False) -> Record:
     with stored_file(log_path):
-        study = _load_study(JournalStorage(JournalFileBackend(str(log_path), LogLock(log_path))), search)
+        contents = read_published_file(log_path) if is_published else read_stored(log_path)
+        study = _load_study(JournalStorage(ReadLog(contents)), search)
         about = study.user_attrs[ABOUT]
         stored_identity = about["identity"]
         budget = Budget(
@@ -216,7 +231,7 @@ def _read(log_path: Path, search: Search, published: bool = False) -> Record:
                 f"{log_path}: its file now has other {', '.join(changed)} than when the search began; "
                 "undo that change, or search under a new name"
             )
-        return Record(search, budget, study, log_path, published)
+        return Record(search, budget, study, log_path, is_published)
 
 
 def _load_study(storage: JournalStorage, search: Search) -> optuna.Study:

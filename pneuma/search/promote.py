@@ -11,7 +11,7 @@ from typing import Any
 
 from optuna.trial import FrozenTrial
 
-from pneuma.errors import UserError
+from pneuma.errors import Hint, UserError, counted
 from pneuma.search.log import Record
 from pneuma.store.store import Store
 from pneuma.study.spec import unread_fields
@@ -19,6 +19,8 @@ from pneuma.values import format_json
 
 BASE, TUNED = "base", "tuned"
 """The conditions of the study."""
+LEAST_SEEDS = 5
+"""Fewest fresh seeds: of fewer, the interval of a difference is too wide to tell anything."""
 
 
 def find_trial(record: Record, trial_number: int | None) -> FrozenTrial:
@@ -38,6 +40,9 @@ def find_trial(record: Record, trial_number: int | None) -> FrozenTrial:
 def promotion_study(record: Record, trial: FrozenTrial, seeds: Sequence[int], steps: int | None) -> str:
     """Return the text of a study file; `steps` left out are the search's."""
     search = record.search
+    if len(seeds) < LEAST_SEEDS:
+        problem = f": {counted(len(seeds), 'seed')} cannot tell gain from luck; give at least {LEAST_SEEDS}"
+        raise UserError(Hint("seeds"), problem)
     used_seeds = sorted(set(seeds) & set(record.budget.seeds))
     if used_seeds:
         seeds_text = ", ".join(map(str, used_seeds))

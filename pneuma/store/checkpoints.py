@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 from safetensors.numpy import load, save
 
 from pneuma.engines.loop import Progress
@@ -28,15 +29,20 @@ from pneuma.engines.records import (
     Row,
 )
 from pneuma.errors import StorageError, UserError
-from pneuma.files import SCHEMA, checksum, read_stored
-from pneuma.store.provenance import Attempt
+from pneuma.files import SCHEMA, checksum, parse_json, read_stored, to_json
+from pneuma.store.provenance import Attempt, AttemptRecord
 from pneuma.store.store import CHECKPOINTS, CheckpointFile, Store, checkpoint_files
 from pneuma.store.tables import from_parquet, to_parquet
 
 LATEST_KEPT = 2
+LARGEST_CHECKPOINT = 2**32
+"""Most bytes of a checkpoint that is read; those of large networks have 600 MB."""
 WRITE_SHARE = 40
 """The time between checkpoints is at least this many times the time to write the last one."""
 TABLES = {"episodes": EPISODE_COLUMNS, "metrics": METRIC_COLUMNS, "evaluations": EVALUATION_COLUMNS}
+
+
+_ATTEMPTS = TypeAdapter(list[AttemptRecord])
 
 
 class RunCheckpoints:
@@ -130,13 +136,16 @@ def file_name(step: int, encoded_checkpoint: bytes) -> str:
 def read_checkpoint(checkpoint_file: CheckpointFile) -> tuple[Checkpoint, list[dict[str, Any]]] | None:
     """Read a checkpoint and its attempts; None if it is damaged or belongs to another run."""
     try:
-        encoded_checkpoint = read_stored(checkpoint_file.path)
+        encoded_checkpoint = read_stored(checkpoint_file.path, LARGEST_CHECKPOINT)
         if checksum(encoded_checkpoint)[:16] != checkpoint_file.digest:
             return None
         checkpoint, metadata = decode(encoded_checkpoint)
         if metadata["run_id"] != checkpoint_file.path.parent.parent.name:
             return None
-        return checkpoint, metadata["history"]["attempts"]
+        attempts: list[dict[str, Any]] = metadata["history"]["attempts"]
+        _ATTEMPTS.validate_python(attempts)
+        parse_json(to_json({"attempts": attempts}))  # the finished run's provenance has them
+        return checkpoint, attempts
     except Exception:  # untrusted bytes may raise any error
         return None
 

@@ -14,14 +14,14 @@ import pyarrow as pa
 from pneuma.algorithms import find_algorithm
 from pneuma.config import Run
 from pneuma.errors import UserError
-from pneuma.files import read_stored, stored_file
+from pneuma.files import stored_file
 from pneuma.store.published import Published
 from pneuma.store.row_builder import UNKNOWN, stored_row
 from pneuma.store.rows import Row
 from pneuma.store.store import FINISHED, Identity, Store, checked_listing
 from pneuma.store.stored_runs import stored_settings
 from pneuma.study.identity import config_id
-from pneuma.study.shipped import list_studies
+from pneuma.study.shipped import list_studies, read_published_file
 
 COLUMNS = ["run_id", "config_id", "seed", "steps", "status", "end", "where"]
 """Columns of `RunIndex.frame`; `where` is a run's published table, or empty if it is stored in the folder."""
@@ -155,4 +155,4 @@ def _read_table(table_path: Path) -> Published:
 
 @lru_cache(maxsize=100)
 def _read_version(table_path: Path, *_version: int) -> Published:
-    return Published(table_path, read_stored(table_path))
+    return Published(table_path, read_published_file(table_path))

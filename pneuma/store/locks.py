@@ -9,13 +9,12 @@ run is finished: if it were removed sooner, two processes could hold the lock.
 from __future__ import annotations
 
 import fcntl
-import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from pneuma.files import write_error
+from pneuma.files import open_stored, write_error
 
 LOCK_FILE = ".lock"
 ATTEMPTS, ATTEMPT_SECONDS = 5, 0.002
@@ -34,7 +33,7 @@ def run_lock(folder: Path) -> Iterator[bool]:
     lock_path = folder / LOCK_FILE
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock_file = open(lock_path, "a+b", opener=open_lock)  # noqa: SIM115 (it is held outside `try`)
+        lock_file = open(lock_path, "a+b", opener=open_stored)  # noqa: SIM115 (it is held outside `try`)
     except OSError as error:
         raise write_error(lock_path, error) from None
     with lock_file:
@@ -44,16 +43,11 @@ def run_lock(folder: Path) -> Iterator[bool]:
 def is_held(folder: Path) -> bool:
     """Return whether some process trains the run in this folder now."""
     try:
-        with open(folder / LOCK_FILE, "rb", opener=open_lock) as lock_file:
+        with open(folder / LOCK_FILE, "rb", opener=open_stored) as lock_file:
             fcntl.flock(lock_file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError as error:
         return isinstance(error, BlockingIOError)
     return False
-
-
-def open_lock(lock_path: str, flags: int) -> int:
-    """Open a lock's file, but not a link, which may lead out of the results."""
-    return os.open(lock_path, flags | os.O_NOFOLLOW, 0o666)  # minus the umask
 
 
 def take_lock(descriptor: int) -> bool:

@@ -16,6 +16,9 @@ from importlib.metadata import PackageNotFoundError, packages_distributions, ver
 from pathlib import Path
 from typing import Any
 
+from pydantic import FiniteFloat
+from typing_extensions import TypedDict
+
 from pneuma.config import Run, as_fields
 from pneuma.study.identity import own_names
 
@@ -33,6 +36,17 @@ VECTOR_FEATURES = ("+avx", "+avx2", "+avx512f", "+fma", "+neon", "+sve")
 QUOTA = Path("/sys/fs/cgroup/cpu.max")
 """Linux's (cgroups v2) limit of a container's CPU time per period: '150000 100000' or 'max 100000'."""
 THREADS = 1
+
+
+class AttemptRecord(TypedDict):
+    """The record of an attempt, as checkpoints and provenance have it."""
+
+    started: str
+    wall_seconds: FiniteFloat
+    training_seconds: FiniteFloat
+    evaluation_seconds: FiniteFloat
+    step: int
+    machine: dict[str, Any]
 
 
 class Attempt:

@@ -195,7 +195,7 @@ def read_row(table: pa.Table, row_index: int = 0, published: bool = False) -> Ro
         status=cells["status"],
         fields=_read_fields(cells["fields"]),
         provenance=parse_json(cells["provenance"]),
-        signs=unpack_signs(cells["signs"]),
+        signs=unpack_signs(cells["signs"], last_step=max(cells["end"], cells["steps"])),
     )
 
 

@@ -283,11 +283,13 @@ def pack_signs(signs: Mapping[str, list[Stretch]]) -> str:
     return json.dumps({"unit": unit, "signs": packed}, separators=(",", ":"))
 
 
-def unpack_signs(packed_text: str) -> dict[str, list[Stretch]]:
-    """Return what `pack_signs` was given."""
+def unpack_signs(packed_text: str, last_step: int) -> dict[str, list[Stretch]]:
+    """Return what `pack_signs` was given; ValueError for steps that are not in order, or after the last."""
     packed = parse_json(packed_text)
     signs = {}
     for sign, gaps in packed["signs"].items():
         stretch_ends = [stretch_end * packed["unit"] for stretch_end in accumulate(map(float, gaps))]
+        if stretch_ends != sorted(stretch_ends) or not all(0 <= end <= last_step for end in stretch_ends):
+            raise ValueError(f"the steps of the sign {sign[:20]} are not in its run")
         signs[sign] = list(zip(stretch_ends[::2], stretch_ends[1::2], strict=True))
     return signs

@@ -20,6 +20,7 @@ in it is executed.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import shutil
@@ -36,7 +37,7 @@ from pydantic import StringConstraints, TypeAdapter, ValidationError
 from typing_extensions import TypedDict
 
 from pneuma.config import WORLD_FIELDS, Run, as_fields, is_gymnasium_id
-from pneuma.errors import Hint, StorageError, UserError
+from pneuma.errors import Hint, StorageError, UserError, shortened
 from pneuma.files import (
     SCHEMA,
     checksum,
@@ -66,6 +67,9 @@ ROW_FILE = "row.arrow"
 PUBLISHED, TABLE_SUFFIX = "published", ".parquet"
 
 CHECKPOINTS = "checkpoints"
+
+LARGEST_ERROR = 2**16
+"""Most bytes of what a run printed that are kept, the last ones."""
 
 _RUN_ID = re.compile(r"[0-9a-f]{16}")
 _CHECKPOINT_NAME = re.compile(r"([0-9]{13})-([0-9a-f]{16})\.safetensors")
@@ -230,8 +234,9 @@ class Store:
     def plan_run(self, run_id: str, identity: Identity) -> None:
         """Note that a run will be trained, unless it has a status."""
         folder = self.run_folder(run_id)
+        document = _status_document(Status("planned", identity=identity))
         with self._writing(folder):
-            create_whole(folder / "status.json", _status_document(Status("planned", identity=identity)))
+            create_whole(folder / "status.json", document, run_lock(folder))
 
     def delete_run(self, run_id: str) -> None:
         """Remove a run with all its files, while no other process trains it.
@@ -244,6 +249,11 @@ class Store:
             if not is_free:
                 raise UserError(f"run {run_id} is training now: stop its study first")
             self.remove(folder)
+
+    def remove_temporary(self, run_id: str) -> None:
+        """Remove what killed processes left in the folder of a run, whose lock this process must hold."""
+        for stale_path in stale_files(self.run_folder(run_id), least_seconds=-math.inf):
+            self.remove(stale_path)
 
     def save_row(self, run_id: str, encoded_row: bytes) -> None:
         """Write the row of a finished run that has none."""
@@ -273,7 +283,8 @@ class Store:
             self.remove(folder / LOCK_FILE)
 
     def save_failure(self, run_id: str, run: Run, status: str, reason: str) -> None:
-        files = {"run.json": run_document(run, run_id), "error.txt": reason.encode()}
+        last_part = reason.encode()[-LARGEST_ERROR:]
+        files = {"run.json": run_document(run, run_id), "error.txt": last_part}
         self.save_run(run_id, Status(status), files)
 
     def failure(self, run_id: str) -> str:
@@ -282,7 +293,7 @@ class Store:
             reason = self.read_file(run_id, "error.txt").decode(errors="replace")
         except UserError:
             return ""
-        return reason.strip().rpartition("\n")[2]
+        return shortened(reason.strip().rpartition("\n")[2])
 
     def read_file(self, run_id: str, file_name: str) -> bytes:
         """Return one file of a run, if it is what was written."""

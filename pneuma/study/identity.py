@@ -12,6 +12,7 @@ from typing import Any
 from pneuma.algorithms import is_own_algorithm
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields
 from pneuma.env.fields import are_own_characters, is_own_level, is_own_reward, read_field
+from pneuma.files import read_regular
 from pneuma.own_modules import in_package, module_files
 
 _IS_OWN: dict[str, Callable[[str], bool]] = {
@@ -94,7 +95,7 @@ def user_files_digest(fields: Mapping[str, Any]) -> str:
         return ""
     digest = hashlib.sha256()
     for file_path in file_paths:
-        contents = file_path.read_bytes()
+        contents = read_regular(file_path)
         digest.update(f"{file_path.name}\0{len(contents)}\0".encode() + contents)
     return digest.hexdigest()
 

@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from pneuma.errors import UserError, nearest_name
-from pneuma.files import shipped_folder
+from pneuma.errors import UserError, unknown_name
+from pneuma.files import read_regular, read_stored, shipped_folder
 
 CLAIMS_FILES = ("claims.toml", "claims-5.toml")
 """The lists of claims on the thesis, in the order in which they were stated."""
@@ -21,6 +21,13 @@ def studies_folder() -> Path:
 
 def shipped_tables() -> Path:
     return shipped_folder("pneuma.published", "results/published")
+
+
+def read_published_file(path: Path) -> bytes:
+    """Return a published file; one that comes with Pneuma may be a link, as some installers make them."""
+    if path.parent == shipped_tables():
+        return read_regular(path)
+    return read_stored(path)
 
 
 def random_returns_file() -> Path:
@@ -69,13 +76,14 @@ def find_file(
         copies: a folder of files as they were run, which is searched last.
     """
     shipped = shipped_names(folder)
+    name = os.path.expanduser(name)
     if name in shipped:
         return folder / f"{name}.toml"
     candidates = [Path(name), folder / name]  # such as examples/cartpole.toml, from any folder
     if not name.endswith(".toml"):
         file_name = f"{name}.toml"
         candidates = [Path(file_name), Path("examples", file_name), folder / "examples" / file_name]
-        if copies:
+        if copies and not os.path.islink(copies / file_name):  # a link may lead out of the results folder
             candidates.append(copies / file_name)
     for file_path in candidates:
         if os.path.isfile(file_path):  # which accepts names that are too long
@@ -89,9 +97,13 @@ def find_file(
             return folder / f"{study_name}.toml"
         if name in shipped_names(folder / "search"):
             raise UserError(f"{name} is a search, not a study: `pneuma search run {name}`")
+    listed_names = list(other_names)
+    if name in listed_names:
+        raise UserError(f"study {name}: the record of its runs is damaged; import it again")
     user_names = [user_file.stem for user_file in Path().glob("*.toml")]
-    hint = nearest_name(name, shipped + list(other_names) + shipped_names(folder / "examples") + user_names)
-    raise UserError(f"unknown {category} {name!r}{hint}; `pneuma {category} list` lists the shipped ones")
+    known_names = sorted({*shipped, *listed_names, *shipped_names(folder / "examples"), *user_names})
+    error = unknown_name(category, name, known_names)
+    raise UserError(f"{error}; `pneuma {category} list` lists the shipped ones")
 
 
 def refuse_taken_name(own_file: Path, shipped_file: Path, category: str) -> None:

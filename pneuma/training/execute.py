@@ -11,6 +11,7 @@ from typing import Any
 
 from pneuma.config import GYMNASIUM_FIELDS, Run, env_config, is_resumable
 from pneuma.errors import Hint, Message, counted
+from pneuma.files import read_regular
 from pneuma.store.last_queries import note_query
 from pneuma.store.store import Status, Store, run_identity
 from pneuma.study.plan import Cell, Plan
@@ -63,7 +64,7 @@ def prepare(
     if plan.query.study:
         study = plan.study
         if study.path and study.own_path:
-            store.write(store.studies / study.path.name, study.path.read_bytes())
+            store.write(store.studies / study.path.name, read_regular(study.path))
         note_query(store, plan)
     return missing_runs, _notes(plan, statuses, missing_runs)
 

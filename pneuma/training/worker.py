@@ -29,7 +29,7 @@ from typing import Any, TextIO
 from pneuma.config import ENGINES, Run, is_gymnasium_id
 from pneuma.engines.loop import Progress, Result, train_run
 from pneuma.engines.records import WORLD_COLUMNS, CheckpointError
-from pneuma.errors import OwnCodeError, RunWarning, UserError
+from pneuma.errors import OwnCodeError, RunWarning, UserError, shortened
 from pneuma.files import is_storage_problem, to_json
 from pneuma.store.checkpoints import RunCheckpoints, table_files
 from pneuma.store.locks import LOCK_FILE
@@ -192,10 +192,10 @@ def _store_result(store: Store, run_id: str, run: Run, result: Result, provenanc
 
 def describe(error: Exception) -> str:
     if isinstance(error, UserError):
-        return str(error)
+        return shortened(str(error))
     if isinstance(error, MemoryError):
         return f"memory ran out ({error or 'MemoryError'})"
-    return f"{type(error).__name__}: {error}"
+    return shortened(f"{type(error).__name__}: {error}")
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -13,11 +14,13 @@ import pandas as pd
 import pytest
 
 from pneuma.analysis.export import encode_frame
+from pneuma.api import open_data
 from pneuma.cli.output import Result, Table, print_result
 from pneuma.store.store import Store
 
 from ..analysis.claim_files import save_runs
-from .calls import described, printed, refused
+from ..hand_made import healthy, learning, save_collapse, study_of
+from .calls import call, described, printed, refused
 
 SUMMARY = """\
 | condition | runs | final-share-killed (share) | final-return |
@@ -50,13 +53,56 @@ def test_a_summary_as_a_thesis_prints_it(mine: list[str]) -> None:
 def test_a_long_latex_table_is_broken_over_pages_and_a_cell_of_markdown_stays_in_its_cell() -> None:
     rows = pd.DataFrame({"condition": [f"c{k}" for k in range(60)], "runs": 3})
     short, long = (encode_frame(rows[:count], "latex").decode() for count in (40, 60))
-    assert short.splitlines()[0] == r"\begin{tabular}{lr}"
-    assert long.splitlines()[0] == r"\begin{longtable}{lr}"
+    assert short.splitlines()[:2] == ["% needs the package booktabs", r"\begin{tabular}{lr}"]
+    assert long.splitlines()[:2] == ["% needs the packages booktabs and longtable", r"\begin{longtable}{lr}"]
     assert r"\endhead" in long and "c59 & 3" in long
     signs = encode_frame(pd.DataFrame({"horizon-64": ["-0.04 [-0.1 to 1e-5]"]}), "latex").decode()
     assert "horizon-64 \\\\" in signs and "$-$0.04 [$-$0.1 to 1e-5]" in signs
     odd = encode_frame(pd.DataFrame({"condition": ["a|b", "two\nlines"]}), "markdown")
     assert odd.decode() == "| condition |\n| --- |\n| a\\|b |\n| two<br>lines |\n"
+
+
+NAMES = {
+    # a condition's name: the cell of CSV, the cell of Markdown
+    "=1+1": ("'=1+1", "=1+1"),
+    "＝1+1": ("'＝1+1", "＝1+1"),
+    " @SUM(A1)": ("' @SUM(A1)", " @SUM(A1)"),
+    "-2+3": ("'-2+3", "-2+3"),
+    "-0.5": ("-0.5", "-0.5"),
+    "a; =1": ("a;' =1", "a; =1"),
+    "a=1, b=2": ("a=1, b=2", "a=1, b=2"),
+    "\x1b]0;owned\x07": ("\\u001b]0;owned\\u0007", "\\u001b]0;owned\\u0007"),
+    "\u202egnp": ("\\u202egnp", "\\u202egnp"),
+    "<script>x</script>": ("<script>x</script>", "&lt;script>x&lt;/script>"),
+    "[x](javascript:x)": ("[x](javascript:x)", r"[x]\(javascript:x)"),
+    "![x](//a.b)": ("![x](//a.b)", r"![x]\(//a.b)"),
+}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_untrusted_names_in_a_table_drive_nothing(name: str) -> None:
+    """No spreadsheet, page or terminal runs a name; as a head of a column, too."""
+    frame = pd.DataFrame({"condition": [name, "two\nlines"], name: [0.5, -0.25]})
+    csv_rows = list(csv.reader(io.StringIO(encode_frame(frame, "csv").decode())))
+    assert csv_rows[0] == ["condition", NAMES[name][0]] and csv_rows[1] == [NAMES[name][0], "0.5"]
+    assert csv_rows[2] == ["two\nlines", "-0.25"]
+    head, _, row, _ = encode_frame(frame, "markdown").decode().splitlines()
+    assert (head, row) == (f"| condition | {NAMES[name][1]} |", f"| {NAMES[name][1]} | 0.5 |")
+    assert encode_frame(frame, "latex").decode().replace("\n", "").isprintable()
+
+
+def test_untrusted_an_export_to_the_terminal_drives_nothing(tmp_path: Path) -> None:
+    store = Store(tmp_path / "results")
+    save_collapse(store, "a0" * 8, healthy(), learning())
+    study_of(store, {("\x1b]0;owned\x07\u202e", 0): "a0" * 8})
+    words = ("study", "export", "mine", "--table", "summary", "--results", store.root, "--out")
+    printed_text = printed(*words, "-")
+    assert "\\u001b]0;owned\\u0007\\u202e" in printed_text
+    for file_name in ("x.csv", "x.md", "x.tex"):
+        printed(*words, tmp_path / file_name)
+        assert "owned" in (tmp_path / file_name).read_text()
+        for text in (printed_text, (tmp_path / file_name).read_text()):
+            assert text.replace("\n", "").isprintable()
 
 
 def test_a_comparison_in_every_form(mine: list[str]) -> None:
@@ -77,7 +123,7 @@ def test_the_thesis_tables_are_printed_as_they_stand_there() -> None:
     printed_there = "0.99 3e-4 0.95 0.2 2048 64 15 1 0.01"
     assert " ".join(row["Table 6.1"] for row in rows) == printed_there
     latex = printed("study", "table", "table-6-2", "--format", "latex")
-    assert latex.isascii() and latex.startswith("\\begin{tabular}{ll}\n\\toprule\n")
+    assert latex.isascii() and "\n\\begin{tabular}{ll}\n\\toprule\n" in latex
     assert r"Clipping parameter $\epsilon$ & 0.1 \\" in latex and "Table 6.1" not in latex
     assert "did you mean table-6-2?" in refused("study", "table", "table-62")
 
@@ -133,3 +179,37 @@ def test_a_terminal_of_a_hundred_columns_shows_words_and_intervals_whole(
         assert columns == 20 or max(map(len, lines)) <= 100
         assert all(any(word in line for line in lines) for word in words)
         assert lines[-1].split() == ["b", "c", "d"]
+
+
+def test_a_path_that_begins_at_home_is_expanded(
+    mine: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As no shell does in --results=~/x, nor in the value of a variable."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    words = ("study", "export", "~/mine.toml", "--world", "text", "--table", "summary", "--out", "~/x.csv")
+    printed(*words, "--results", "~/results")
+    exported = (tmp_path / "x.csv").read_text()
+    (tmp_path / "x.csv").unlink()
+    monkeypatch.setenv("PNEUMA_RESULTS", "~/results")
+    printed(*words)
+    assert (tmp_path / "x.csv").read_text() == exported and not Path("~").exists()
+    assert open_data("~/mine.toml", world="text").rows
+
+
+def test_a_style_is_a_regular_file_of_at_most_a_megabyte(mine: list[str], tmp_path: Path) -> None:
+    sheet = tmp_path / "own.mplstyle"
+    words = ("study", "plot", *mine, "--out", tmp_path / "x.svg", "--style", sheet)
+    sheet.write_text("font.size: 9\n")
+    printed(*words)
+    os.mkfifo(tmp_path / "pipe.mplstyle")
+    (tmp_path / "big.mplstyle").write_text("# x\n" * 300_000)
+    reasons = {
+        "pipe": ": is not a regular file",
+        "big": ": is larger than 1 MB, the most that is read",
+        "no": ": is neither a matplotlib style sheet nor a file",
+    }
+    for name, reason in reasons.items():
+        path = tmp_path / f"{name}.mplstyle"
+        called = call(*words[:-1], path)
+        assert (called.code, called.err.splitlines()[-1]) == (2, f"pneuma: --style {path}{reason}")

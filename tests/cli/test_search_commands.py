@@ -100,17 +100,17 @@ def test_the_best_trial_is_promoted_on_fresh_seeds_by_a_command_and_in_python(
     searched: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(searched[1].parent)
-    trained = call("search", "promote", searched[0], "--seeds", "2")
+    trained = call("search", "promote", searched[0], "--seeds", "5")
     assert "pneuma study plot results/searches/promoted-small-arena.toml\n" in trained.out
     at = ("--results", searched[1])
-    document = described("search", "promote", searched[0], *at, "--seeds", "2", "--json")
+    document = described("search", "promote", searched[0], *at, "--seeds", "5", "--json")
     study = searched[1] / "searches" / "promoted-small-arena.toml"
     assert document["study"] == str(study)
     runs = [(run["condition"], run["seed"], run["status"]) for run in document["runs"]]
-    assert sorted(runs) == [(name, seed, "done") for name in ("base", "tuned") for seed in (0, 1)]
-    data = promote(searched[0], results=searched[1], seeds=2, quiet=True)
+    assert sorted(runs) == [(name, seed, "done") for name in ("base", "tuned") for seed in range(5)]
+    data = promote(searched[0], results=searched[1], seeds=5, quiet=True)
     assert data.conditions == ["base", "tuned"] and data.budget == 128
-    written = call("search", "promote", searched[0], *at, "--seeds", "2", "--out", tmp_path / "mine.toml")
+    written = call("search", "promote", searched[0], *at, "--seeds", "5", "--out", tmp_path / "mine.toml")
     assert f"Train it with: pneuma study run {tmp_path / 'mine.toml'}" in written.out
     assert (tmp_path / "mine.toml").read_bytes() == study.read_bytes()
 

@@ -250,7 +250,6 @@ def test_what_is_not_used_does_not_move_an_id() -> None:
     ("given", "message"),
     [
         ({"algorithm": "sac"}, r"^sac needs Box actions, but CartPole-v1 has Discrete\(2\)$"),
-        ({"algorithm": "dqn", "algorithm_kwargs": {"seed": 1}}, "dqn in .* multiple values .* 'seed'"),
         ({"algorithm_kwargs": {"policy_kwargs": {"activation_fn": "no"}}}, "'no': is not a class"),
         ({"algorithm_kwargs": {"ent_coef": 0.1}}, "ent_coef is not allowed: ppo has the field entropy_coeff"),
         (
@@ -272,3 +271,13 @@ def test_what_is_not_used_does_not_move_an_id() -> None:
 def test_what_cannot_learn_is_refused_before_training(given: dict[str, Any], message: str) -> None:
     with pytest.raises(UserError, match=message):
         check_environment(make_run({**SHORT, **given}))
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "dqn", "sac", "stable_baselines3:A2C"])
+def test_arguments_that_are_no_users_are_refused_before_training(algorithm: str) -> None:
+    """Without `_init_setup_model` a learner has no policy, and `tensorboard_log` writes files."""
+    reserved = dict.fromkeys(["_init_setup_model", "seed", "device", "env", "policy", "tensorboard_log"], 0)
+    for argument, value in reserved.items():
+        fields = {"env": "CartPole-v1", "algorithm": algorithm, "algorithm_kwargs": {argument: value}}
+        with pytest.raises(UserError, match=f"^algorithm_kwargs: {argument} is not allowed: "):
+            check_environment(make_run(fields))

@@ -217,6 +217,31 @@ def test_every_autoreset_mode_does_what_gymnasiums_vector_does(pit: str, mode: A
     assert (ends > 10).all()
 
 
+@pytest.mark.parametrize(
+    "wrong", [None, True, "yes", [True, False], [0, 1], np.array([1, 0]), np.array([True])]
+)
+def test_a_reset_mask_is_an_array_of_one_boolean_for_each_slot(wrong: Any) -> None:
+    """Gymnasium refuses other masks, too; some would reset other worlds than were meant."""
+    env = PneumaVectorEnv(2)
+    env.reset(seed=0)
+    before = env.worlds.worlds.copy()
+    with pytest.raises(TypeError, match="reset_mask must be an array of 2 booleans, not "):
+        env.reset(seed=1, options={"reset_mask": wrong})
+    assert np.array_equal(env.worlds.worlds, before)
+
+
+def test_seeds_may_be_numpy_s() -> None:
+    """As single environments of these seeds, and as a list of plain integers."""
+    observed = [PneumaEnv().reset(seed=seed)[0] for seed in (3, 4)]
+    numpy_seeds = np.arange(3, 5)
+    kinds: tuple[Any, ...] = ([3, 4], numpy_seeds, list(numpy_seeds), np.int64(3), 3)
+    for seeds in kinds:
+        assert np.array_equal(PneumaVectorEnv(2).reset(seed=seeds)[0], observed)
+    wrong_seeds: Any = [3.0, 4.5]
+    with pytest.raises(TypeError):
+        PneumaVectorEnv(2).reset(seed=wrong_seeds)
+
+
 def test_xp_outlives_an_unseeded_reset_and_not_a_seeded_one() -> None:
     env = PneumaEnv(GODOT)
     env.reset(seed=0)
@@ -293,7 +318,11 @@ def test_each_player_has_a_class_a_reward_and_a_view() -> None:
     highest = [float(env.observation_space(agent).high[2]) for agent in env.agents]
     assert highest == [150 + 14 * 7, 70 + 14 * 7]  # each kill heals 7 HP, past full ones
     assert step(env, np.full(2, ATTACK))[1] == {"player_0": -1.0, "player_1": 1.0}
-    with pytest.raises(KeyError, match="player_1"):
+    wrong_actions: tuple[Any, ...] = (5, -1, 1.5, None)
+    for wrong in wrong_actions:
+        with pytest.raises(ValueError, match=f"action {wrong} of player_1, who is alive, is not in Discrete"):
+            env.step({"player_0": np.int64(0), "player_1": wrong})
+    with pytest.raises(ValueError, match="action None of player_1, who is alive"):
         env.step({"player_0": np.int64(ATTACK)})
 
 

@@ -86,13 +86,22 @@ def test_a_header_says_where_the_land_ends_and_any_obstacle_blocks(tmp_path: Pat
 @pytest.mark.parametrize(
     ("files", "message"),
     [
-        ({"ground": "1,1,1,1\n1,x,1,1\n"}, "ground.csv: row 2: could not convert string to float: 'x'"),
+        ({"ground": "1,1,1,1\n1,x,1,1\n"}, "ground.csv: row 2, column 2: 'x' is not a number"),
         ({"ground": "1,1,1,1\n1,1,1\n"}, "ground.csv: row 2 has 3 numbers, row 1 has 4"),
-        ({"ground": "1,1.5,1,1\n"}, "ground.csv: code 1.5 is not a whole number of 32 bits"),
-        ({"objects": "code,x,y\n4294967696,0,0\n"}, "objects.csv: code 4294967696 is not a whole"),
+        ({"ground": "1,1.5,1,1\n"}, "ground.csv: row 1, column 2: code 1.5 is not a whole number of 32 bits"),
+        ({"objects": "code,x,y\n4294967696,0,0\n"}, "objects.csv: row 2, column 1: code 4294967696 is not"),
         ({"ground": ""}, "ground.csv: contains no numbers"),
         ({"objects": "code,x,y\n400,0\n"}, "objects.csv: row 2 has 2 numbers, not 3"),
-        ({"objects": "code,x,y\n400,0,nan\n"}, "objects.csv: row 2 has a number that is not finite"),
+        ({"objects": "code,x,y\n400,0,nan\n"}, "objects.csv: row 2, column 3: 'nan' is not a number"),
+        ({"ground": "1,1,1,1\n1,,1,1\n"}, "ground.csv: row 2, column 2: '' is not a number"),
+        (
+            {"obstacles": ("-1," * 999 + "-1\n") * 251},
+            "obstacles.csv: has 251,000 tiles; 250,000",
+        ),
+        (
+            {"obstacles": "-1," * 2**24},
+            "obstacles.csv: cannot be read: is larger than 16 MB",
+        ),
         ({"objects": "400,0,0\n"}, "objects.csv: the first line must be code,x,y"),
         ({"obstacles": "-1,-1\n"}, ": ground of (3, 4) tiles, and obstacles of (1, 2)"),
         ({"objects": "code,x,y\n399,0,0\n"}, "objects.csv: unknown code 399; known are 400, 390"),
@@ -132,8 +141,9 @@ def test_how_tiled_turns_a_picture_changes_no_code(tmp_path: Path, turned: int) 
          {"trees": "pass"}),
         ((0.0, 0.0), (139.0, 32.0), "(bamboo) at (139, 32) has a body of 24 x 50 px, stuck in row 11",
          {"terrain_stops": "players"}),
-        ((0.0, 0.0), (629.0, 0.0), "(bamboo) at (629, 0)", {}),
-        ((0.0, 0.0), (-1e20, 0.0), "(bamboo) at (-1e+20, 0)", {}),
+        ((0.0, 0.0), (629.0, 0.0),
+         "at (629, 0) reaches beyond the level, which has x from -640 to 640 and y from -640 to 640", {}),
+        ((0.0, 0.0), (-1e20, 0.0), "(bamboo) at (-1e+20, 0) reaches beyond the level", {}),
     ],
 )  # fmt: skip
 def test_a_body_that_begins_in_what_stops_it_is_refused(

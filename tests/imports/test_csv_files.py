@@ -163,6 +163,40 @@ def test_what_could_be_read_in_two_ways_or_none_is_refused(rows: str, options: s
     assert not Path("results").exists()
 
 
+@pytest.mark.parametrize("head", ["", "  "])
+def test_a_column_without_a_name_is_an_index(head: str) -> None:
+    """As `to_csv` of pandas writes it by default; it names no run, and is no column to choose."""
+    rows = {(condition, seed): {8: 1.0, 16: 2.0} for condition in ("a", "b") for seed in (0, 1)}
+    lines = [f"{head},step,return,condition,seed"]
+    for number, ((condition, seed), step) in enumerate((run, step) for run in rows for step in rows[run]):
+        lines.append(f"{number},{step},{rows[condition, seed][step]},{condition},{seed}")
+    write("runs.csv", "\n".join(lines) + "\n")
+    assert "its columns step, return, condition, seed, as in" in refused("import", "csv", "runs.csv")
+    printed("import", "csv", "runs.csv", *TIDY)
+    assert curves("runs", "return") == rows
+    write("one_3.csv", f"{head},step,return\n0,8,1.0\n1,16,2.0\n")
+    printed("import", "csv", "one_3.csv", *TIDY[:4])
+    assert curves("one_3", "return") == {("one", 3): {8: 1.0, 16: 2.0}}
+    printed("import", "csv", "one_3.csv", *TIDY[:4], "--condition", "c", "--name", "again")
+    assert curves("again", "return") == {("c", 3): {8: 1.0, 16: 2.0}}
+
+
+def test_tables_of_too_many_columns_are_refused() -> None:
+    write("wide.csv", "step," + ",".join(f"x{k}" for k in range(9_000)) + "\n1" + ",2" * 9_000 + "\n")
+    message = refused("import", "csv", "wide.csv", "--step", "step", "--value", "x1")
+    assert message == "wide.csv: has 9,001 columns; 1,000 are the most"
+
+
+def test_other_separators_are_named() -> None:
+    """As spreadsheets save where the comma is decimal."""
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        write("runs.csv", f"step{separator}return\n8{separator}1,5\n")
+        for columns in ((), ("--step", "step", "--value", "return")):
+            message = refused("import", "csv", "runs.csv", *columns)
+            advice = "save it with commas between cells and points in numbers"
+            assert message == f"runs.csv: its cells are separated by {name}; {advice}"
+
+
 def test_an_empty_condition_and_two_columns_of_one_name_are_refused() -> None:
     words = ("--step", "step", "--value", "return")
     write("runs.csv", "step,return,return\n8,5,6\n")

@@ -174,7 +174,7 @@ def test_names_of_folders_contain_condition_and_seed(
         (tmp_path / "logs" / folder).mkdir(parents=True, exist_ok=True)
         (tmp_path / "logs" / folder / FILE).touch()
     for given in ([tmp_path / "logs"], [tmp_path / "logs" / folder for folder in folders]):
-        assert sorted(map(condition_and_seed, find_logs(given))) == expected
+        assert sorted(map(condition_and_seed, find_logs(given)[0])) == expected
 
 
 def test_two_runs_of_one_name_and_two_copies_of_one_run_are_refused(tmp_path: Path) -> None:
@@ -248,3 +248,55 @@ def test_points_that_a_restart_wrote_again_are_counted(tmp_path: Path) -> None:
     write_events(tmp_path / "logs" / "a_1" / f"{FILE}.2", returns[17:], after=20)
     (run,), notes = _import(tmp_path)
     assert (run.steps, notes) == (2000, ["a_1: left out 3 points that a restart superseded"])
+
+
+# --- Links ------------------------------------------------------------------------------------------
+
+
+def test_runs_behind_links_are_read_and_other_links_are_told(tmp_path: Path) -> None:
+    """A tree of links is how TensorBoard's own pages select runs to compare."""
+    for name, value in (("a_1", 1.0), ("b_1", 2.0), ("c_1", 3.0), ("near_1", 4.0)):
+        write_events(tmp_path / "far" / name / FILE, [(RETURN, 64, value)])
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    (tmp_path / "far" / "near_1").rename(logs / "near_1")
+    (logs / "a_1").symlink_to(tmp_path / "far" / "a_1")
+    (logs / "group").symlink_to(tmp_path / "far" / "group")
+    (tmp_path / "far" / "group").mkdir()
+    (tmp_path / "far" / "b_1").rename(tmp_path / "far" / "group" / "b_1")
+    (logs / "one_7").mkdir()
+    (logs / "one_7" / FILE).symlink_to(tmp_path / "far" / "c_1" / FILE)
+    assert {(run.condition, run.seed) for run in _import(tmp_path)[0]} == {
+        ("a", 1), ("group/b", 1), ("one", 7), ("near", 1),
+    }  # fmt: skip
+    (logs / "latest").symlink_to("near_1")
+    (logs / "up").symlink_to(tmp_path)
+    (logs / "self").symlink_to("self")
+    (tmp_path / "far" / "group" / "ring").symlink_to(tmp_path / "far" / "group")
+    (logs / "one_7" / f"{FILE}.2").symlink_to("nowhere")
+    runs, notes = _import(tmp_path)
+    assert len(runs) == 4
+    around = "is a link to a folder around it, or to one that is read anyway"
+    told = {
+        "group/ring": around, "latest": around, "up": around,
+        "self": "is a link that leads nowhere", f"one_7/{FILE}.2": "is a link that leads nowhere",
+    }  # fmt: skip
+    assert sorted(notes) == sorted(f"left out {logs / name}: {why}" for name, why in told.items())
+
+
+def test_logs_of_too_many_tags_are_refused(tmp_path: Path) -> None:
+    write_events(tmp_path / "logs" / "a_1" / FILE, [(f"rollout/{k}", 64, 1.0) for k in range(1001)])
+    with pytest.raises(UserError, match="a_1: has 1,001 tags; 1,000 are the most"):
+        _import(tmp_path)
+
+
+def test_what_a_killed_import_left_is_removed_by_the_next_one(tmp_path: Path) -> None:
+    write_events(tmp_path / "logs" / "a_1" / FILE, [(RETURN, 64, 1.0)])
+    ((run,), _), store = _import(tmp_path), Store(tmp_path / "results")
+    folder = store.run_folder(run.run_id)
+    sound_names = sorted(os.listdir(folder))
+    (folder / "status.json").unlink()
+    for name in ("scalars.parquet", "status.json"):
+        (folder / f".{name}.{'a' * 32}").write_bytes(b"half")
+    assert [run.new for run in _import(tmp_path)[0]] == [True]
+    assert sorted(os.listdir(folder)) == sound_names and "status.json" in sound_names

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import signal
@@ -157,7 +158,7 @@ def test_a_log_that_is_not_the_search_s_is_refused_and_kept(make_task: MakeTask,
         assert path.read_text() == changed != whole, what
 
 
-def test_untrusted_a_log_or_its_lock_that_is_a_link_is_not_written(
+def test_untrusted_a_log_or_its_lock_that_is_a_link_or_a_pipe_is_not_written(
     make_task: MakeTask, store: Store, tmp_path: Path
 ) -> None:
     task, elsewhere = make_task(4), tmp_path / "elsewhere"
@@ -168,6 +169,10 @@ def test_untrusted_a_log_or_its_lock_that_is_a_link_is_not_written(
     for name in (log, f".{log}.lock"):
         (folder / name).symlink_to(elsewhere)
         with pytest.raises(UserError, match=name):
+            task.record(store)
+        (folder / name).unlink()
+        os.mkfifo(folder / name)
+        with pytest.raises(UserError, match=f"{name}: cannot be read .is not a regular file"):
             task.record(store)
         (folder / name).unlink()
     assert elsewhere.read_text() == "mine\n"

@@ -34,8 +34,8 @@ when = { optimizer = "adam" }
 def plan(record: Record, trial: FrozenTrial, folder: Path) -> Plan:
     """Plan a promotion on the search's own seeds, which only a test may use."""
     path = folder / "promoted.toml"
-    text = promotion_study(record, trial, (0, 1), None)
-    path.write_text(text.replace("seeds = [0, 1]", "seeds = [1000, 1001]"))
+    text = promotion_study(record, trial, range(5), None)
+    path.write_text(text.replace("seeds = [0, 1, 2, 3, 4]", "seeds = [1000, 1001]"))
     return make_plan(load_study(str(path)), Query())
 
 
@@ -68,7 +68,7 @@ def test_whatever_a_shipped_search_finds_can_be_promoted(name: str, tmp_path: Pa
 def test_the_base_itself_is_not_promoted(make_task: MakeTask) -> None:
     record = make_task(1, start='start = ["table-6-2"]').record()
     with pytest.raises(UserError, match=r"no trial is better than the base \(trial 0\)"):
-        promotion_study(record, find_trial(record, None), (0, 1), None)
+        promotion_study(record, find_trial(record, None), range(5), None)
 
 
 def test_the_best_trial_is_promoted_unless_told_and_on_seeds_that_are_fresh(make_task: MakeTask) -> None:
@@ -79,7 +79,9 @@ def test_the_best_trial_is_promoted_unless_told_and_on_seeds_that_are_fresh(make
     with pytest.raises(UserError, match="no such complete trial"):
         find_trial(record, 99)
     with pytest.raises(UserError, match="the search already used the seeds 1001; choose others"):
-        promotion_study(record, best, (0, 1001), None)
+        promotion_study(record, best, (0, 1, 2, 3, 1001), None)
+    with pytest.raises(UserError, match="seeds: 4 seeds cannot tell gain from luck; give at least 5"):
+        promotion_study(record, best, range(4), None)
     more = '[objectives.low]\noutcome = "final-share-killed"\ndirection = "minimize"'
     with pytest.raises(UserError, match="has no single best trial but a Pareto front; choose one of the"):
         find_trial(make_task(4, more).record(), None)

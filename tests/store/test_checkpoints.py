@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
@@ -87,6 +88,25 @@ def test_a_damaged_checkpoint_is_reported_and_the_one_before_is_used(store: Stor
     checkpoint_files(store.run_folder(NAME))[0].path.write_bytes(b"")
     assert begin(store).latest() is None
     assert steps(store) == []
+
+
+WRONG_ATTEMPTS: list[Any] = [
+    "x", None, ["x"], [{}], [{**Attempt().so_far(1), "wall_seconds": "long"}],
+    [{**Attempt().so_far(1), "wall_seconds": math.nan}], [{**Attempt().so_far(1), "machine": "mine"}],
+    [{**Attempt().so_far(1), "machine": {"cores": 2**70}}],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("attempts", WRONG_ATTEMPTS)
+def test_untrusted_a_checkpoint_with_other_attempts_is_damaged(store: Store, attempts: Any) -> None:
+    """A run trained on from it would come to its end, and then have no provenance."""
+    update(begin(store), 256, at_once=True)
+    contents = checkpoints.encode(Checkpoint(512, {}), {"attempts": attempts}, NAME)
+    forged_name = checkpoints.file_name(512, contents)
+    (store.run_folder(NAME) / "checkpoints" / forged_name).write_bytes(contents)
+    checkpoint = begin(store).latest()
+    assert checkpoint is not None and checkpoint.step == 256
+    assert steps(store) == [256]
 
 
 def test_attempts_before_a_kill_come_with_the_checkpoint(store: Store) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from pneuma.errors import UserError
 from pneuma.store.locks import is_held, run_lock
 
 
@@ -31,3 +32,23 @@ def test_a_process_that_only_looks_excludes_nobody(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(time, "sleep", lambda seconds: os.close(looking))
     with run_lock(tmp_path) as mine:
         assert mine
+
+
+def test_untrusted_a_lock_is_a_file_and_no_link(tmp_path: Path) -> None:
+    """A link would lead out of the results; opening a pipe would not end."""
+    lock_path, elsewhere = tmp_path / ".lock", tmp_path / "elsewhere"
+    elsewhere.touch()
+    lock_path.symlink_to(elsewhere)
+    with open(elsewhere) as held_file:
+        fcntl.flock(held_file, fcntl.LOCK_EX)
+        assert not is_held(tmp_path)
+        with pytest.raises(UserError, match=r"\.lock: cannot be written \(is a link\)"), run_lock(tmp_path):
+            pass
+    lock_path.unlink()
+    os.mkfifo(lock_path)
+    assert not is_held(tmp_path)
+    with (
+        pytest.raises(UserError, match=r"\.lock: cannot be written \(is not a regular file\)"),
+        run_lock(tmp_path),
+    ):
+        pass

@@ -11,8 +11,9 @@ from typing import Any, NoReturn
 
 import pytest
 
+from pneuma.config import make_run
 from pneuma.errors import StorageError, UserError
-from pneuma.files import replace_files, to_json, write_whole
+from pneuma.files import create_whole, replace_files, to_json, write_whole
 from pneuma.store.locks import run_lock
 from pneuma.store.store import Identity, Status, Store
 from pneuma.store.tables import from_parquet, to_parquet
@@ -176,7 +177,38 @@ def test_a_removal_that_fails_is_one_line(store: Store, monkeypatch: pytest.Monk
         store.save_run(NAME, Status("done", 512), {"run.json": b"{}"})
 
 
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EACCES])
+def test_a_run_is_noted_where_there_are_no_hard_links(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on FAT, exFAT and many shared folders; a status that is there, or being written, stays."""
+
+    def fail(*_: object) -> NoReturn:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", fail)
+    identity, earlier, other = Identity("ab" * 8, 1, 512), store.status(NAME), "f" * 16
+    store.plan_run(NAME, identity)
+    assert store.status(NAME) == earlier and store.status(NAME).finished
+    with store.lock(other) as is_free:
+        assert is_free
+        store.plan_run(other, identity)
+        assert not (store.run_folder(other) / "status.json").exists()
+    store.plan_run(other, identity)
+    assert store.status(other).identity == identity
+    create_whole(tmp_path / "file", b"first")
+    create_whole(tmp_path / "file", b"second")
+    assert (tmp_path / "file").read_bytes() == b"first"
+    names = {path.name for path in tmp_path.rglob("*")}
+    assert not any(name.startswith(".") and name != ".lock" for name in names)
+
+
+STORAGE = (
+    errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.ENOMEM, errno.EIO, errno.EROFS, errno.ENODEV,
+    errno.ENOTCONN, errno.ESTALE, errno.EHOSTDOWN,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("number", [*STORAGE, errno.EACCES])
 def test_a_write_that_the_disk_refuses_names_the_file_and_says_if_no_file_could_be_written(
     store: Store, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
@@ -190,6 +222,12 @@ def test_a_write_that_the_disk_refuses_names_the_file_and_says_if_no_file_could_
         refused.value
     )
     assert isinstance(refused.value, StorageError) == (number != errno.EACCES)
+
+
+def test_of_an_endless_failure_the_end_is_kept_and_a_message_shown(store: Store) -> None:
+    store.save_failure("e" * 16, make_run({}), "crashed", "Traceback\n" + "a" * 300_000 + "b" * 300_000)
+    assert len(store.read_file("e" * 16, "error.txt")) == 65_536
+    assert store.failure("e" * 16) == "b" * 2_000 + " … " + "b" * 2_000
 
 
 def test_what_a_killed_write_left_is_swept_by_the_next_one(store: Store) -> None:

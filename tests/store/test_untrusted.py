@@ -72,6 +72,20 @@ def test_a_link_in_the_place_of_a_file_is_replaced_and_its_target_kept(store: St
     assert target.read_text() == "precious" and not store.listing_path("mine").is_symlink()
 
 
+def test_a_link_is_not_read_even_if_it_leads_to_what_was_written(store: Store, elsewhere: Path) -> None:
+    run_file = store.run_folder(NAME) / "run.json"
+    kept_path = elsewhere / "run.json"
+    run_file.rename(kept_path)
+    run_file.symlink_to(kept_path)
+    with pytest.raises(UserError, match="missing or damaged"):
+        store.read_file(NAME, "run.json")
+    store.save_listing("mine", LISTING)
+    assert store.listing("mine")
+    store.listing_path("mine").rename(elsewhere / "mine.json")
+    store.listing_path("mine").symlink_to(elsewhere / "mine.json")
+    assert store.listing("mine") is None
+
+
 def test_nothing_is_written_or_removed_through_a_link_that_leads_out(store: Store, elsewhere: Path) -> None:
     other = "f" * 16
     (store.root / "runs" / other).symlink_to(elsewhere)

@@ -88,6 +88,18 @@ def test_the_contents_of_a_level_folder_change_the_id(level: Path) -> None:
     assert len(names) == 2
 
 
+def test_bytes_that_look_like_another_file_are_the_contents_of_their_own(level: Path) -> None:
+    """The length of each file is hashed before its contents."""
+    for file in level.iterdir():
+        file.unlink()
+    (level / "ground.csv").write_bytes(b"1")
+    (level / "objects.csv").write_bytes(b"2")
+    two_files = _name(level)
+    (level / "objects.csv").unlink()
+    (level / "ground.csv").write_bytes(b"1objects.csv\x002")
+    assert _name(level) != two_files
+
+
 def test_a_shipped_level_is_not_mistaken_for_a_folder_of_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

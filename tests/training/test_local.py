@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 import signal
 import sys
@@ -80,6 +81,27 @@ def test_a_dying_worker_takes_only_its_own_run_with_it(
     ends = [(event["run_id"], event["status"]) for event in events if event["event"] == "end"]
     assert notes == [second] and ends == [(first, "done"), (second, status)]
     assert Store(tmp_path / "results").read_file(second, "error.txt").decode() == reason
+
+
+def test_of_what_a_run_prints_the_last_part_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the folder of temporary files, too, which is often memory."""
+    name = next(iter(TWO))
+    sizes = []
+    free_disk = local._Worker.free_disk
+
+    def free_and_measure(worker: local._Worker) -> None:
+        free_disk(worker)
+        printed = os.fstat(worker._errors.fileno())
+        sizes.append((printed.st_size, printed.st_blocks * 512))
+
+    monkeypatch.setattr(local._Worker, "free_disk", free_and_measure)
+    step = json.dumps({"event": "step", "run_id": name, "step": 0})
+    write = "head -c 3000000 /dev/zero | tr '\\0' x >&2"
+    no_worker(tmp_path, monkeypatch, f"read order; {write}; echo '{step}'; sleep 0.2; echo why >&2; exit 3")
+    train({name: TWO[name]}, tmp_path)
+    assert sizes and all(length == 3_000_000 and on_disk < 100_000 for length, on_disk in sizes)
+    error = Store(tmp_path / "results").read_file(name, "error.txt")
+    assert len(error) == 65_536 and error.endswith(b"xxxwhy\n")
 
 
 def test_a_worker_that_is_killed_under_a_memory_limit_says_so(

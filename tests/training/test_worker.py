@@ -19,6 +19,7 @@ from pneuma.config import Run, make_run
 from pneuma.engines.loop import OnUpdate, Progress, Result
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import METRIC_COLUMNS, Checkpoint, Records, Row
+from pneuma.errors import UserError
 from pneuma.store.row_builder import row_until, stored_row
 from pneuma.store.rows import decode_row
 from pneuma.store.store import Status, Store, run_identity
@@ -122,6 +123,11 @@ def test_an_engine_that_breaks_is_a_crash_of_the_run_that_it_was_training(
     error = store.read_file(SECOND, "error.txt").decode()
     assert error.startswith("Traceback") and error.endswith("RuntimeError: the engine broke\n")
     assert [event["status"] for event in events if event["event"] == "end"] == ["done", "crashed"]
+
+
+def test_an_endless_error_is_a_message_of_usual_length() -> None:
+    for error in (RuntimeError("a" * 5_000_000), UserError("a" * 5_000_000)):
+        assert len(worker.describe(error)) == 4_003
 
 
 @pytest.mark.parametrize("breaks", [False, True])

@@ -35,9 +35,12 @@ from pneuma.errors import StorageError, UserError, print_aside
 from pneuma.files import parse_json
 from pneuma.store.locks import LOCK_FILE, is_held
 from pneuma.store.provenance import SOURCE, available_cores, machine
+from pneuma.store.store import LARGEST_ERROR
 from pneuma.training.executors.base import Event, ExecutorConfig, Job, OnEvent, end_event
 
 TRIES = 2
+MOST_PRINTED = 2**20
+"""Bytes that a run may print before the disk is freed of them."""
 LOOK_SECONDS = 0.5
 """Seconds between two checks of signals, and of runs that other processes hold. A signal does not interrupt
 the wait for events if the kernel delivers it to a thread of a mathematical library."""
@@ -213,6 +216,7 @@ class Supervisor:
             self._selector.unregister(worker.events)
             self._reap(worker)
             return
+        worker.free_disk()
         try:
             event = parse_json(event_line)
         except ValueError:
@@ -301,7 +305,7 @@ class _Worker(subprocess.Popen[bytes]):
         self.task: _Task | None = None
         self.crash: Event | None = None
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (`wait_and_read_stderr` closes it)
-        self._errors_start = 0
+        self._errors_start, self._last_errors = 0, b""
         # The worker inherits the mask: a shutdown or a queue sends SIGTERM to all processes, but workers must
         # wait for the order of their parent.
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
@@ -326,7 +330,22 @@ class _Worker(subprocess.Popen[bytes]):
 
     def end_task(self) -> None:
         self.task = None
-        self._errors_start = os.fstat(self._errors.fileno()).st_size
+        self._errors_start, self._last_errors = os.fstat(self._errors.fileno()).st_size, b""
+
+    def free_disk(self) -> None:
+        """Remove what its run has printed, if that is much, except its last part."""
+        printed_bytes = os.fstat(self._errors.fileno()).st_size
+        if printed_bytes - self._errors_start > MOST_PRINTED:
+            self._last_errors = self._read_errors(printed_bytes)
+            os.ftruncate(self._errors.fileno(), 0)
+            os.ftruncate(self._errors.fileno(), printed_bytes)  # a hole, behind which the worker goes on
+            self._errors_start = printed_bytes
+
+    def _read_errors(self, printed_bytes: int) -> bytes:
+        """Return the last part of what its run has printed, without moving the place where it writes."""
+        first_byte = max(self._errors_start, printed_bytes - LARGEST_ERROR)
+        new_errors = os.pread(self._errors.fileno(), printed_bytes - first_byte, first_byte)
+        return (self._last_errors + new_errors)[-LARGEST_ERROR:]
 
     def send(self, order: str) -> None:
         unsent_bytes = order.encode() + b"\n"
@@ -340,9 +359,8 @@ class _Worker(subprocess.Popen[bytes]):
         exit_code = self.wait()
         self.orders.close()
         self.events.close()
-        self._errors.seek(self._errors_start)
         with self._errors:
-            return exit_code, self._errors.read()
+            return exit_code, self._read_errors(os.fstat(self._errors.fileno()).st_size)
 
 
 def worker_environment() -> dict[str, str]:

@@ -1,0 +1,114 @@
+"""What the planned seeds of claims can decide, before there is any run.
+
+    ClaimList → a row for each contrast: the expected half width of its interval, and its margin
+
+The interval is made by the code that judges, of runs that do not differ: normal ones with a standard
+deviation of 1, or runs half of which have the event. A claim states no spread, so that the half width of
+means is in standard deviations; margin / half width is the largest one with which the seeds can decide.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from pneuma.analysis.claims.claim_list import Claim, ClaimList, Pair
+from pneuma.analysis.claims.contrasts import LOGARITHMIC, compare
+
+EVENT_SHARE = 0.5
+"""The share of runs with an event, unless the claim compares it with a number: shares vary most there."""
+WITHOUT_UNIT = ("incidence", *LOGARITHMIC)
+"""Kinds whose interval does not depend on how far runs spread."""
+
+
+@dataclass(frozen=True)
+class PlannedContrast:
+    """A contrast of a claim in a world, without runs.
+
+    Attributes:
+        a, b: the conditions that are compared; b is empty if a is compared with a number or another outcome.
+        seeds: planned for each condition of a, then of b.
+        alpha: the contrast's part of the list's error rate in the world.
+        half_width: of its interval; in standard deviations of runs, but of an incidence a share of runs, and
+            of a hazard or a spread the logarithm of a ratio. NaN if so few runs have no interval.
+        margin: the smallest difference that counts, in the outcome's unit; None without one.
+        reason: why the seeds cannot decide it; empty if they can, with runs that spread little enough.
+    """
+
+    claim: Claim
+    world: str
+    outcome: str
+    a: tuple[str, ...]
+    b: tuple[str, ...]
+    seeds: tuple[int, ...]
+    alpha: float
+    half_width: float
+    margin: float | None
+    reason: str
+
+    @property
+    def largest_sd(self) -> float:
+        """The largest standard deviation of runs with which the seeds can decide; NaN if none matters."""
+        if self.margin is None or self.claim.kind in WITHOUT_UNIT:
+            return math.nan
+        return self.margin / self.half_width
+
+
+def plan_contrasts(claim_list: ClaimList, claim: Claim, world: str) -> Iterator[PlannedContrast]:
+    """Yield the contrasts of a claim of a list in a world."""
+    alpha = claim_list.head.alpha / claim_list.family_size(world, claim.study)
+    for outcome in claim.outcome:
+        for pair in claim.pairs(outcome):
+            yield _plan_contrast(claim, world, outcome, pair, alpha)
+
+
+def _plan_contrast(claim: Claim, world: str, outcome: str, pair: Pair, alpha: float) -> PlannedContrast:
+    a, b = pair
+    seeds = {condition: len(claim.seeds_of(condition)) for condition in a + b}
+    value = None if b else claim.value_of(world, outcome)
+    margin = claim.margin_of(world, outcome)
+    constant, share = 0.0, EVENT_SHARE
+    if value and not isinstance(value, str):
+        margin = None  # the constant is itself what counts
+        if claim.is_incidence:
+            constant = share = value
+    expected = {condition: _expected_runs(claim.kind, count, share) for condition, count in seeds.items()}
+    contrast = compare(
+        claim.kind,
+        {condition: expected[condition] for condition in a},
+        {condition: expected[condition] for condition in b},
+        1 - alpha,
+        constant,
+    )
+    half_width = (contrast.simultaneous.high - contrast.simultaneous.low) / 2
+    reason = contrast.reason
+    if not reason and margin is not None and claim.kind in WITHOUT_UNIT and half_width > margin:
+        reason = f"{sum(seeds.values())} runs tell it to ±{half_width:.3g} only"
+    return PlannedContrast(
+        claim=claim,
+        world=world,
+        outcome=outcome,
+        a=a,
+        b=b,
+        seeds=tuple(seeds.values()),
+        alpha=alpha,
+        half_width=half_width,
+        margin=margin,
+        reason=reason,
+    )
+
+
+def _expected_runs(kind: str, count: int, share: float) -> np.ndarray:
+    """Return runs as `compare` takes them, (runs,), of a hazard (2, runs)."""
+    quantiles = (np.arange(count) + 0.5) / count
+    has_event = (np.arange(count) < round(share * count)).astype(float)
+    if kind == "incidence":
+        return has_event
+    if kind == "hazard":
+        return np.stack([quantiles, has_event])
+    scores = special.ndtri(quantiles)
+    return scores / scores.std(ddof=1) if count > 1 else scores
