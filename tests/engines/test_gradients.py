@@ -151,7 +151,7 @@ def computed(case: Case) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
         weights, state, *widths, used_panels(*widths), batch.observations, batch.actions, batch.old_logs,
         batch.advantages, batch.returns, np.arange(ROWS)[None], run_numbers(case.run),
     )  # fmt: skip
-    actor_gradient, critic_gradient = np.split(state.kept[0], [len(flat_layers[0])])
+    actor_gradient, critic_gradient = np.split(state.kept, [len(flat_layers[0])])
     return (
         flat_gradient(mlp.layers_of(actor_gradient, widths[0].tolist())),
         flat_gradient(mlp.layers_of(critic_gradient, widths[1].tolist())),
