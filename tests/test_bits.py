@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import platform
 import subprocess
 import sys
 from functools import cache
@@ -17,7 +16,6 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
-from numba.core.codegen import get_host_cpu_features
 
 from pneuma.store.provenance import machine
 
@@ -39,7 +37,7 @@ from tests.test_bits import controls, digests
 print(json.dumps([controls(), digests()]))
 """
 with_avx2 = pytest.mark.skipif(
-    "+avx2" not in get_host_cpu_features().split(",") or platform.machine() != "x86_64",
+    "+avx2" not in str(machine()["target"]),
     reason="this is no x86-64 processor with AVX2",
 )
 

@@ -175,15 +175,16 @@ def test_gradients_are_those_of_finite_differences(case: Case) -> None:
 
 
 def test_gradients_are_those_of_torch(case: Case) -> None:
-    run, batch = case.run, Batch(*map(torch.tensor, case.batch))
+    run = case.run
+    observations, actions, old_logs, all_advantages, returns = map(torch.tensor, case.batch)
     actor, critic = (network(layers, run.activation) for layers in (case.actor, case.critic))
-    policy = torch.distributions.Categorical(logits=actor(batch.observations))
-    ratio = torch.exp(policy.log_prob(batch.actions) - batch.old_logs)
-    advantages = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std() + 1e-8)
+    logs = torch.log_softmax(actor(observations), dim=1)
+    ratio = torch.exp(logs[torch.arange(ROWS), actions] - old_logs)
+    advantages = (all_advantages - all_advantages.mean()) / (all_advantages.std() + 1e-8)
     clipped = torch.clamp(ratio, 1 - run.clip_range, 1 + run.clip_range)
     gains = torch.min(advantages * ratio, advantages * clipped)
-    squares = (critic(batch.observations)[:, 0] - batch.returns) ** 2
-    entropies = policy.entropy()
+    squares = (critic(observations)[:, 0] - returns) ** 2
+    entropies = -(logs.exp() * logs).sum(dim=1)
     loss = run.value_coefficient * squares.mean() - gains.mean() - run.entropy_coefficient * entropies.mean()
     loss.backward()
 
