@@ -19,8 +19,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+
 from pneuma.config import ACTIVATIONS, make_run
-from pneuma.engines.batched.initial_weights import initial_networks
+from pneuma.engines.batched.initial_weights import _draw_reflectors, _reflect, initial_networks
 from pneuma.engines.loop import Result, train_run
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import Row
@@ -117,7 +119,20 @@ def digest_of_initial_weights() -> str:
     for seed in range(SEEDS):
         networks = initial_networks(make_run({"seed": seed, "actor": (128, 40), "critic": (200,)}), 60, 5)
         digest.update(Policy("tanh", networks["actor"], networks["critic"]).checksum.encode())
+        digest.update(unrounded_weights(seed, inputs=60, outputs=128).tobytes())
     return digest.hexdigest()[:16]
+
+
+def unrounded_weights(seed: int, inputs: int, outputs: int) -> np.ndarray:
+    """Return orthogonal weights in double precision, for more outputs than inputs: (outputs, inputs).
+
+    Their rounding to float32 hides most of what differs between processors, as that of a LAPACK's QR does.
+    """
+    reflectors, signs = np.zeros((inputs, outputs)), np.empty(inputs)
+    _draw_reflectors(np.uint64(seed), np.uint64(0), reflectors, signs)
+    columns = np.empty((outputs, inputs))
+    _reflect(reflectors, signs, columns)
+    return columns
 
 
 def _text(row: Row) -> str:
