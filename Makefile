@@ -12,10 +12,10 @@ OWN = --no-build-isolation --constraint constraints.txt --editable
 
 .PHONY: help install constraints study figures docs test storm test-all release-check slow-0 slow-1 slow-2 lint clean
 .PHONY: reproduction reproduction-rest reproduction-causes reproduction-winners reproduction-slow
-.PHONY: tuning tuning-optimizers tuning-algorithms
+.PHONY: tuning tuning-optimizers tuning-algorithms aarch64
 
 help:            ## Say what each target does
-	@grep -E '^[a-z-]+: .*##' $(MAKEFILE_LIST) | sed 's/:.*##/ \t/' | expand -t 24
+	@grep -E '^[a-z0-9-]+: .*##' $(MAKEFILE_LIST) | sed 's/:.*##/ \t/' | expand -t 24
 
 install: $(INSTALLED)  ## Build .venv with what studies need
 
@@ -91,6 +91,11 @@ test: lint  ## Check style and types, and run the fast tests
 
 storm: $(TESTED)  ## Kill and damage studies at random, and compare every bit
 	$(BIN)/python -m tests.training.storm
+
+AARCH64 = build/aarch64
+
+aarch64: $(TESTED)  ## Compare the bits of short runs on an emulated aarch64 processor (root on Debian 12; 700 MB in AARCH64)
+	tests/aarch64.sh $(AARCH64)
 
 test-all: test docs release-check slow-0 slow-1 slow-2  ## The same, then the slow tests, links of pages, and archives
 

@@ -48,6 +48,9 @@ ENGINE_VERSIONS = {"batched": 4, "sb3": 3}
 ENGINES = tuple(ENGINE_VERSIONS)
 """The default comes first."""
 
+CPU, CUDA = "cpu", "cuda"
+"""What the engine `sb3` computes networks on, by PyTorch's names. The other engine knows the CPU alone."""
+
 ACTIVATIONS = {"tanh": "Tanh", "relu": "ReLU", "leaky-relu": "LeakyReLU"}
 """Activation functions of hidden layers, and torch's classes of them; torch's slope of LeakyReLU is 0.01."""
 Schedule = Literal["constant", "linear"]
@@ -164,6 +167,8 @@ class Run(EnvConfig):
     normalize_rewards: bool = declare(False, read_by=GYMNASIUM)
     """By the running deviation of the discounted return, for the learner only, as VecNormalize does."""
     engine: Annotated[str, OneOf(ENGINES)] = declare(ENGINES[0], paces=True)
+    device: Annotated[str, OneOf((CPU, CUDA))] = declare(CPU, paces=True)
+    """Where the networks of the engine `sb3` are. Environments and evaluations are on the CPU."""
     algorithm: Annotated[str, _ALGORITHM] = declare("ppo", paces=True)
     policy: Annotated[str, matching(r"|\w+Policy", "a policy of the learner, as CnnPolicy")] = declare(
         "", read_by=OPEN_LEARNER
@@ -350,6 +355,7 @@ def effective_fields(run: Run) -> set[str]:
         "activation": "activation_fn" in run.algorithm_kwargs,
         "policy": not run.policy,
         "algorithm_kwargs": not run.algorithm_kwargs,
+        "device": run.engine == ENGINES[0] and run.device == CPU,
     }
     return _readable_fields(run) - {field_name for field_name, is_idle in idle_fields.items() if is_idle}
 
@@ -388,6 +394,8 @@ def batched_limitation(run: Run) -> str:
         return f"the algorithm {run.algorithm}"
     if run.policy or run.algorithm_kwargs:
         return "a run with policy or algorithm_kwargs"
+    if run.device != CPU:
+        return f"a run with device = {run.device}"
     if not run.value_baseline:
         return "advantages without a baseline"
     return ""

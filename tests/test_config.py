@@ -113,6 +113,12 @@ def test_whole_numbers_are_whole_however_they_are_written() -> None:
         ({"algorithm": "qr-dqn"}, "algorithm = qr-dqn .* in pneuma/Pneuma-v0: only Gymnasium's other"),
         ({"algorithm": "dqn", "engine": "batched"}, 'engine = "batched" .*: it cannot train the algorithm'),
         ({"value_baseline": False, "engine": "batched"}, "train advantages without a baseline; sb3 can"),
+        ({"device": "cuda", "engine": "batched"}, "cannot train a run with device = cuda; sb3 can"),
+        ({"device": "cuda:1"}, "device = .*cuda:1.* is not allowed"),
+        (
+            {"device": "cuda", "optimizer": "upgd"},
+            "optimizer = upgd .*: the engine sb3 lacks it; batched has",
+        ),
         ({"algorithm": "dqn", "train_every": 3}, "train_every = 3 .*: horizon = 256 is no multiple"),
         ({"held_out_levels": 3}, "held_out_levels = 3 .*: thesis is not of random:train"),
     ],

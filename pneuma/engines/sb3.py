@@ -18,7 +18,7 @@ from stable_baselines3 import DQN
 from torch import nn
 
 from pneuma.config import Run
-from pneuma.engines.environment import make_vec_env
+from pneuma.engines.environment import check_device, make_vec_env
 from pneuma.engines.gymnasium_env import choice_counts
 from pneuma.engines.loop import ResumableTrainer
 from pneuma.engines.policy import Policy, dead_share, overflows
@@ -26,6 +26,7 @@ from pneuma.engines.records import Checkpoint, Records, action_shares, has_finit
 from pneuma.engines.sb3_learners import (
     Episodes,
     Learner,
+    copy_array,
     has_finite_weights,
     learn,
     linear_layers,
@@ -40,6 +41,7 @@ from pneuma.engines.sb3_learners import (
 class Sb3Trainer(ResumableTrainer):
     def __init__(self, run: Run) -> None:
         super().__init__(run)
+        check_device(run)
         torch.set_num_threads(1)
         self._model: Any = make_model(run, make_vec_env(run))
         prepare(self._model, run)
@@ -210,13 +212,13 @@ def extract_policy(model: Any, run: Run) -> Policy:
     parts: dict[str, Any] = {"actor": (), "critic": ()}
     for network, modules in linear_layers(model).items():
         for layer in modules:
-            weight, bias = layer.weight.detach().numpy(), layer.bias.detach().numpy()
-            parts[network] += ((weight.T.copy(), bias.copy()),)  # torch keeps (outputs, inputs)
+            # torch keeps (outputs, inputs)
+            parts[network] += ((copy_array(layer.weight.T), copy_array(layer.bias)),)
     if isinstance(model, DQN):
         parts["exploration"] = run.exploration
     elif hasattr(model.policy, "log_std"):
         action_space = model.env.slots.action_space  # not the learner's, which is flat and of float32
-        parts["deviation"] = np.exp(model.policy.log_std.detach().numpy())
+        parts["deviation"] = np.exp(copy_array(model.policy.log_std))
         parts["bounds"] = np.stack([action_space.low, action_space.high])
     elif isinstance(model.action_space, spaces.MultiDiscrete):
         parts["choices"] = choice_counts(model.env.slots.action_space)

@@ -27,7 +27,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from pneuma.algorithms import OPTIMIZERS
-from pneuma.config import ACTIVATIONS, ANNEALED, FIELDS, Run, is_gymnasium_id, stream_seed
+from pneuma.config import ACTIVATIONS, ANNEALED, CUDA, FIELDS, Run, is_gymnasium_id, stream_seed
 from pneuma.engines.records import Checkpoint, Records, Row, episode_row
 
 Learner = PPO | A2C | TRPO | DQN
@@ -48,7 +48,7 @@ def make_model(run: Run, env: VecEnv, extractor: Mapping[str, Any] | None = None
     torch.manual_seed(stream_seed(run.seed, "weights"))
     arguments = learner_arguments(run, env.num_envs)
     arguments["policy_kwargs"] |= extractor or {}
-    model = LEARNERS[run.algorithm](policy="MlpPolicy", env=env, device="cpu", **arguments)
+    model = LEARNERS[run.algorithm](policy="MlpPolicy", env=env, device=run.device, **arguments)
     if run.first_layer_scale != 1:
         with torch.no_grad():
             for layers in linear_layers(model).values():
@@ -257,12 +257,14 @@ def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
         "random/torch": torch.get_rng_state().numpy().copy(),
         "random/numpy": generator["state"].pop("key"),
     }
+    if model.device.type == CUDA:
+        arrays["random/cuda"] = torch.cuda.get_rng_state().numpy().copy()
     for saved_name, tensor in model.policy.state_dict().items():
-        arrays[f"policy/{saved_name}"] = _copy(tensor)
+        arrays[f"policy/{saved_name}"] = copy_array(tensor)
     for index, entries in model.policy.optimizer.state_dict()["state"].items():
         for saved_name, entry in entries.items():
             if entry is not None:
-                arrays[f"optimizer/{index}/{saved_name}"] = _copy(entry)
+                arrays[f"optimizer/{index}/{saved_name}"] = copy_array(entry)
     for saved_name, array in env.slots.saved_state().items():
         arrays[f"worlds/{saved_name}"] = array
     for attribute in _ARRAYS:
@@ -280,8 +282,9 @@ def take_checkpoint(model: Learner, step: int, records: Records) -> Checkpoint:
     return Checkpoint(step, arrays, numbers, records.copy())
 
 
-def _copy(tensor: Any) -> np.ndarray:
-    return torch.as_tensor(tensor).detach().numpy().copy()
+def copy_array(tensor: Any) -> np.ndarray:
+    """Copy a tensor of any device, or a number, into an array of the same shape."""
+    return np.array(torch.as_tensor(tensor).detach().cpu().numpy(), order="C")
 
 
 def restore_checkpoint(model: Learner, checkpoint: Checkpoint) -> None:
@@ -299,6 +302,8 @@ def restore_checkpoint(model: Learner, checkpoint: Checkpoint) -> None:
     model.policy.load_state_dict(policy)
     env.slots.restore_state(checkpoint.part("worlds/"))
     torch.set_rng_state(torch.tensor(arrays["random/torch"]))
+    if "random/cuda" in arrays:
+        torch.cuda.set_rng_state(torch.tensor(arrays["random/cuda"]))
     generator = numbers["numpy"]
     np.random.set_state(generator | {"state": generator["state"] | {"key": arrays["random/numpy"]}})
     for attribute in _ARRAYS:

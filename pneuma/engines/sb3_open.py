@@ -33,7 +33,8 @@ from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
 from pneuma.algorithms import find_algorithm
-from pneuma.config import Run, slot_seeds, stream_seed
+from pneuma.config import CPU, CUDA, Run, slot_seeds, stream_seed
+from pneuma.engines.environment import check_device
 from pneuma.engines.gymnasium_env import errors_from, load_class, make_env, refuse_flat_pictures
 from pneuma.engines.loop import Trainer
 from pneuma.engines.policy import LEARNER_FILE
@@ -159,8 +160,9 @@ def _make_learner(run: Run, env: VecEnv, to_play: bool = False) -> Any:
         if to_play and "buffer_size" in signature(learner_type).parameters:
             arguments["buffer_size"] = 1
         seed = None if to_play else stream_seed(run.seed, "weights") % 2**31
+        device = CPU if to_play else run.device
         try:
-            learner = learner_type(policy_name, env, seed=seed, device="cpu", **arguments)
+            learner = learner_type(policy_name, env, seed=seed, device=device, **arguments)
         except AssertionError as error:
             _refuse_actions(run, env, str(error))
             raise
@@ -197,6 +199,7 @@ class OpenTrainer(Trainer):
 
     def __init__(self, run: Run) -> None:
         super().__init__(run)
+        check_device(run)
         torch.set_num_threads(1)
         self._env = _environments(run, run.slots, slot_seeds(run)[0])
         self._model = _make_learner(run, self._env)
@@ -223,8 +226,9 @@ class OpenTrainer(Trainer):
 
     def _play(self, episodes: int, deterministic: bool) -> tuple[list[float], list[int]]:
         generator_state = np.random.get_state()
+        cuda_devices = [torch.cuda.current_device()] if self._model.device.type == CUDA else []
         with (
-            torch.random.fork_rng(devices=[]),
+            torch.random.fork_rng(devices=cuda_devices),
             closing(_environments(self.run, 1, self._seed)) as env,
             errors_from(f"{self.run.env} in evaluation"),
         ):
@@ -290,7 +294,7 @@ def load_learner(run: Run, zip_bytes: bytes) -> LearnedPolicy:
     """
     learner = _make_learner(run, _environments(run, 1), to_play=True)
     try:
-        learner.set_parameters(io.BytesIO(zip_bytes), device="cpu")
+        learner.set_parameters(io.BytesIO(zip_bytes), device=CPU)
         with ZipFile(io.BytesIO(zip_bytes)) as archive:
             _restore_statistics(learner, load(archive.read(STATISTICS)))
     except Exception:  # zipfile, torch and safetensors raise different errors

@@ -19,7 +19,7 @@ from typing import Any
 from pydantic import FiniteFloat
 from typing_extensions import TypedDict
 
-from pneuma.config import Run, as_fields
+from pneuma.config import CPU, Run, as_fields
 from pneuma.study.identity import own_names
 
 PACKAGES = (
@@ -50,9 +50,10 @@ class AttemptRecord(TypedDict):
 
 
 class Attempt:
-    """One attempt to train a run, timed, from step `start_step`: 0 or that of a checkpoint."""
+    """One attempt to train a run on a device, timed, from step `start_step`: 0 or that of a checkpoint."""
 
-    def __init__(self, start_step: int = 0) -> None:
+    def __init__(self, start_step: int = 0, device: str = CPU) -> None:
+        self._device = device
         self._started = datetime.now(UTC).isoformat(timespec="seconds")
         self._start_clock = time.perf_counter()
         self._start = start_step
@@ -82,7 +83,7 @@ class Attempt:
             "training_seconds": round(training_seconds, 3),
             "evaluation_seconds": round(self._evaluation_seconds, 3),
             "step": step,
-            "machine": machine(),
+            "machine": machine(self._device),
         }
 
 
@@ -104,8 +105,8 @@ def finished_provenance(attempts: list[dict[str, Any]]) -> dict[str, Any]:
 # --- This machine ----------------------------------------------------------------------------------
 
 
-def machine() -> dict[str, Any]:
-    """Return everything about this process and machine that may affect a run's last bits."""
+def machine(device: str = CPU) -> dict[str, Any]:
+    """Return everything about this process and machine that may affect the last bits of a run on a device."""
     version, _, commit = code().partition(" ")
     packages = {"pneuma": version}
     for package in PACKAGES:
@@ -120,8 +121,17 @@ def machine() -> dict[str, Any]:
         "cpu": _cpu(),
         "target": _target(),
         "cores": os.cpu_count(),
-        "device": "cpu",
+        "device": _device_name(device),
     }
+
+
+def _device_name(device: str) -> str:
+    """Return a device, with the name of its processor if it is not the CPU: cuda: NVIDIA H200."""
+    if device == CPU:
+        return device
+    import torch  # which loads slowly
+
+    return f"{device}: {torch.cuda.get_device_name()}"
 
 
 def available_cores() -> int:

@@ -165,7 +165,7 @@ def check_environments(runs: Iterable[Run]) -> None:
     """Make each distinct environment of some runs once, to find mistakes."""
     from pneuma.engines.environment import check_environment  # gymnasium: not for `--help`
 
-    environment_fields = ("env", *GYMNASIUM_FIELDS, "engine", "algorithm")
+    environment_fields = ("env", *GYMNASIUM_FIELDS, "engine", "device", "algorithm")
     run_by_environment: dict[Any, Run] = {}
     for run in runs:
         if not is_resumable(run):

@@ -146,7 +146,7 @@ class Worker:
         self._send("step", run_id, step=first_step)
         beginning = f"resumes at step {first_step:,}" if first_step else "begins"
         self._send("status", run_id, text=beginning)
-        attempt = Attempt(first_step)
+        attempt = Attempt(first_step, run.device)
         live_log = open_log(executor_config.logs.get(run_id), first_step)
 
         def update(progress: Progress) -> bool:
