@@ -34,7 +34,7 @@ def compare_with_random(index: RunIndex) -> Answer:
     """Compare the returns of all published runs in the thesis's own game with a random player's.
 
     Args:
-        index: the runs, of which only published ones are read, without continued runs.
+        index: the runs, of which only published ones are read.
 
     Returns:
         The table `returns` has a row for each kind of settings and each budget: number of runs, the random
@@ -55,11 +55,7 @@ def compare_with_random(index: RunIndex) -> Answer:
             continue
         for run_id in table.row_numbers:
             fields = {**defaults, **table.document("fields", run_id)}
-            if (
-                fields["env"] != own_env
-                or fields.get("fork_step")
-                or not has_settings(fields, world["settings"])
-            ):
+            if fields["env"] != own_env or not has_settings(fields, world["settings"]):
                 continue
             row = table.row(run_id)
             run_rows.append({

@@ -57,8 +57,8 @@ def test_each_fifth_has_as_many_evaluations_although_they_follow_whole_updates()
 def test_updates_in_one_action_are_counted_by_fifths_of_the_budget() -> None:
     """Of ten updates of 100 steps the second and the fifth to seventh; another run diverged after three."""
     signs = {"one action": [(200.0, 200.0), (500.0, 700.0)]}
-    whole: Any = SimpleNamespace(signs=signs, update_steps=100, start_step=0, end=1000, budget=1000)
-    ended: Any = SimpleNamespace(signs=signs, update_steps=100, start_step=0, end=300, budget=1000)
+    whole: Any = SimpleNamespace(signs=signs, update_steps=100, end=1000, budget=1000)
+    ended: Any = SimpleNamespace(signs=signs, update_steps=100, end=300, budget=1000)
     study_data: Any = SimpleNamespace(of_condition=lambda condition: [whole, ended])
     shares = updates_in_one_action(study_data, "tanh").runs
     assert shares[0].tolist() == [0.5, 0, 1, 0.5, 0]
