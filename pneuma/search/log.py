@@ -77,7 +77,7 @@ class LogLock(BaseJournalFileLock):
         lock_path = self._log.with_name(f".{self._log.name}.lock")
         self._file = open(lock_path, "a+b", opener=open_stored)  # noqa: SIM115 (`release` closes it)
         message_time = time.monotonic() + self.WAIT_SECONDS
-        while not take_lock(self._file.fileno()):
+        while not take_lock(self._file):
             if time.monotonic() > message_time:
                 message_time = math.inf
                 self._file.seek(0)

@@ -9,16 +9,34 @@ run is finished: if it were removed sooner, two processes could hold the lock.
 from __future__ import annotations
 
 import fcntl
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
+from weakref import WeakSet
 
 from pneuma.files import open_stored, write_error
 
 LOCK_FILE = ".lock"
 ATTEMPTS, ATTEMPT_SECONDS = 5, 0.002
 """Attempts to take a lock, and seconds between them: `is_held` in another process holds it for a moment."""
+
+_LOCK_FILES: WeakSet[BinaryIO] = WeakSet()
+"""Files that this process has locked."""
+
+
+def _let_go_in_fork() -> None:
+    """Close the locks in a process made by `fork`, which would hold them after the end of this one."""
+    null_device = os.open(os.devnull, os.O_RDONLY)
+    for lock_file in _LOCK_FILES:
+        if not lock_file.closed:
+            os.dup2(null_device, lock_file.fileno())
+    os.close(null_device)
+
+
+os.register_at_fork(after_in_child=_let_go_in_fork)
 
 
 @contextmanager
@@ -37,7 +55,7 @@ def run_lock(folder: Path) -> Iterator[bool]:
     except OSError as error:
         raise write_error(lock_path, error) from None
     with lock_file:
-        yield take_lock(lock_file.fileno())
+        yield take_lock(lock_file)
 
 
 def is_held(folder: Path) -> bool:
@@ -50,11 +68,12 @@ def is_held(folder: Path) -> bool:
     return False
 
 
-def take_lock(descriptor: int) -> bool:
+def take_lock(lock_file: BinaryIO) -> bool:
     """Lock a file for this process; return whether no other process holds it."""
+    _LOCK_FILES.add(lock_file)
     for _ in range(ATTEMPTS):
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return True
         except BlockingIOError:
             time.sleep(ATTEMPT_SECONDS)

@@ -47,11 +47,15 @@ REPORT_SECONDS = 0.25
 def main() -> int:
     gc.disable()  # until the first update: imports and compilation make many objects, and all stay in use
     die_with(int(sys.argv[1]))
+    _ignore_sigterm()
     orders: queue.Queue[str] = queue.Queue()
     stop = threading.Event()
-    threading.Thread(target=_listen, args=(sys.stdin, orders, stop), daemon=True).start()
+    order_lines = os.fdopen(os.dup(0))
+    # an environment's processes must not read orders, and forks close `sys.stdin`, which no thread may hold
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     events = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what libraries print must not be read as events
+    threading.Thread(target=_listen, args=(order_lines, orders, stop), daemon=True).start()
     worker = Worker(events, stop)
     for job_text in iter(orders.get, ""):
         if not worker.train(Job.from_json(job_text)):
@@ -226,6 +230,30 @@ def _listen(lines: TextIO, orders: queue.Queue[str], stop: threading.Event) -> N
     if orders.unfinished_tasks:
         os._exit(1)
     orders.put("")
+
+
+def _ignore_sigterm() -> None:
+    """Ignore SIGTERM here, and not in processes that a user's environment starts.
+
+    A shutdown or a queue sends it to all processes, but a worker waits for the order of its parent. Programs
+    inherit a mask and an ignored signal, and not a handler; a fork inherits all three. While a process forks,
+    the signal waits, so that the fork does not miss one.
+    """
+
+    def allow() -> None:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
+
+    def allow_and_obey() -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        allow()
+
+    signal.signal(signal.SIGTERM, lambda *_: None)
+    os.register_at_fork(
+        before=lambda: signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM]),
+        after_in_parent=allow,
+        after_in_child=allow_and_obey,
+    )
+    allow()  # the parent has blocked it
 
 
 def die_with(parent_process: int) -> None:

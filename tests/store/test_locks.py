@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import fcntl
 import os
+import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -52,3 +55,29 @@ def test_untrusted_a_lock_is_a_file_and_no_link(tmp_path: Path) -> None:
         run_lock(tmp_path),
     ):
         pass
+
+
+FORKED_AND_KILLED = """
+import os, pathlib, signal, sys, time
+from pneuma.store.locks import run_lock
+with run_lock(pathlib.Path(sys.argv[1])):
+    child = os.fork()
+    if child == 0:
+        os.close(1)
+        time.sleep(60)
+        os._exit(0)
+    print(child, flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_fork_does_not_hold_the_lock_of_a_process_that_was_killed(tmp_path: Path) -> None:
+    """Environments have helpers that are made by `fork`, and these outlive a killed worker."""
+    command = [sys.executable, "-c", FORKED_AND_KILLED, str(tmp_path)]
+    killed = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+    child = int(killed.stdout)
+    try:
+        os.kill(child, 0)  # it lives
+        assert not is_held(tmp_path)
+    finally:
+        os.kill(child, signal.SIGKILL)

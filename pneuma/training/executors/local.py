@@ -153,13 +153,14 @@ class Supervisor:
         try:
             while self._tasks or self._workers():
                 self._hand_out_tasks()
-                for selector_key, _ in self._selector.select(LOOK_SECONDS):
-                    self._read(selector_key.data)
+                self._selector.select(LOOK_SECONDS)
+                for worker in self._workers():
+                    self._look_after(worker)
                 self._send_stop()
         finally:
             for worker in self._workers():
                 worker.kill()
-                worker.wait_and_read_stderr()
+                worker.end_and_read_stderr()
             self._selector.close()
         if self._storage_problem:
             raise StorageError(self._storage_problem)
@@ -207,16 +208,28 @@ class Supervisor:
             idle_workers.pop().begin(task, job)
         if not self._tasks:
             for worker in idle_workers:
-                worker.orders.close()
+                worker.dismiss()
 
-    def _read(self, worker: _Worker) -> None:
-        """Read one event of a worker, or find that it has ended."""
-        event_line, task = worker.events.readline(), worker.task
-        if not event_line:
+    def _look_after(self, worker: _Worker) -> None:
+        """Read a worker's events, and find whether it has ended.
+
+        Its end is also that of its process: a process that its environment made by `fork` may have its pipe
+        of events and keep it open.
+        """
+        has_ended = worker.poll() is not None
+        event_lines, is_closed = worker.read_lines()
+        for event_line in event_lines:
+            self._read(worker, event_line)
+        if has_ended or is_closed:
             self._selector.unregister(worker.events)
             self._reap(worker)
             return
         worker.free_disk()
+        if time.monotonic() > worker.end_time:
+            worker.kill()
+
+    def _read(self, worker: _Worker, event_line: bytes) -> None:
+        task = worker.task
         try:
             event = parse_json(event_line)
         except ValueError:
@@ -226,7 +239,8 @@ class Supervisor:
         if event.get("storage"):
             self._storage_problem = str(event["reason"])
         if event.get("status") == "crashed":
-            worker.crash = event  # it ends now
+            worker.crash = event
+            worker.dismiss()
             return
         if event_name == "busy":
             if not task.is_busy:
@@ -241,7 +255,7 @@ class Supervisor:
 
     def _reap(self, worker: _Worker) -> None:
         """Clean up after a worker, and try the run that was lost with it once more, or store its end."""
-        exit_code, error_output = worker.wait_and_read_stderr()
+        exit_code, error_output = worker.end_and_read_stderr()
         task, crash, is_stopping = worker.task, worker.crash, self._stop_level() > 0
         if task is None:
             return
@@ -294,20 +308,24 @@ def _reason(exit_code: int) -> str:
 class _Worker(subprocess.Popen[bytes]):
     """A worker process. It has its own session, so that Ctrl-C reaches only its parent.
 
+    Processes that a user's environment starts there belong to its group, and end with it.
+
     Attributes:
         task: the run that it trains; None while it is idle.
         crash: the event of its run's crash, after which it ends.
         orders: its standard input.
         events: its standard output.
+        end_time: when a worker that should end by itself is killed.
     """
 
     def __init__(self) -> None:
         self.task: _Task | None = None
         self.crash: Event | None = None
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (`wait_and_read_stderr` closes it)
+        self.end_time = math.inf
+        self._unread = b""
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (`end_and_read_stderr` closes it)
         self._errors_start, self._last_errors = 0, b""
-        # The worker inherits the mask: a shutdown or a queue sends SIGTERM to all processes, but workers must
-        # wait for the order of their parent.
+        # The worker starts with this mask, until it handles SIGTERM itself.
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
         try:
             super().__init__(
@@ -323,6 +341,7 @@ class _Worker(subprocess.Popen[bytes]):
             signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
         assert self.stdin is not None and self.stdout is not None
         self.orders, self.events = self.stdin, self.stdout
+        os.set_blocking(self.events.fileno(), False)
 
     def begin(self, task: _Task, job: Job) -> None:
         self.task = task
@@ -354,8 +373,34 @@ class _Worker(subprocess.Popen[bytes]):
             while unsent_bytes:  # a signal may come in between
                 unsent_bytes = unsent_bytes[self.orders.write(unsent_bytes) :]
 
-    def wait_and_read_stderr(self) -> tuple[int, bytes]:
-        """Wait for its end; return its exit code, and its errors since its last run ended."""
+    def dismiss(self) -> None:
+        """Let it end, for which it has `PATIENCE`: Python waits at its end for processes that do not end."""
+        if not self.orders.closed:
+            self.orders.close()
+            self.end_time = time.monotonic() + PATIENCE
+
+    def read_lines(self) -> tuple[list[bytes], bool]:
+        """Return what it has printed, without waiting for more, and whether its pipe is closed."""
+        is_closed = False
+        while not is_closed:
+            printed_bytes = self.events.read(2**16)
+            if printed_bytes is None:  # there is no more yet
+                break
+            is_closed = not printed_bytes
+            self._unread += printed_bytes
+        *lines, self._unread = self._unread.split(b"\n")
+        return lines, is_closed
+
+    def kill(self) -> None:
+        """Kill it, and the processes that were started in it."""
+        with suppress(ProcessLookupError, PermissionError):  # macOS: if none is left but zombies
+            os.killpg(self.pid, signal.SIGKILL)
+
+    def end_and_read_stderr(self) -> tuple[int, bytes]:
+        """Wait for its end, kill what it leaves; return its exit code, and its errors since its last run."""
+        with suppress(subprocess.TimeoutExpired):
+            self.wait(PATIENCE)
+        self.kill()
         exit_code = self.wait()
         self.orders.close()
         self.events.close()
