@@ -108,13 +108,27 @@ ALGORITHMS: dict[str, Algorithm] = {
 
 VALUE_BASED = ("dqn", "double-dqn")
 """Algorithms that act by estimated values of actions (thesis chapter 3)."""
-ROLLOUT_LEARNERS = ("ppo", "a2c", "trpo", "recurrent-ppo")
-"""Learners whose argument `n_steps` is the field `horizon`: the steps of a rollout."""
+LIBRARY_HORIZONS = {"PPO": 2048, "A2C": 5, "TRPO": 2048, "RecurrentPPO": 128}
+"""Defaults of the horizon of the libraries' learners that are named by `module:Class`."""
 
 
 def find_algorithm(algorithm_name: str) -> Algorithm:
     """Return an algorithm by its name, or a learner by `module:Class`."""
-    return ALGORITHMS.get(algorithm_name) or Algorithm(learner=algorithm_name)
+    if algorithm_name in ALGORITHMS:
+        return ALGORITHMS[algorithm_name]
+    defaults = {}
+    class_name = algorithm_name.rpartition(":")[2]
+    if class_name in LIBRARY_HORIZONS and not is_own_algorithm(algorithm_name):
+        defaults["horizon"] = LIBRARY_HORIZONS[class_name]
+    return Algorithm(defaults, learner=algorithm_name)
+
+
+def has_rollouts(algorithm_name: str) -> bool:
+    """Return whether an algorithm's argument `n_steps` is the field `horizon`: the steps of a rollout.
+
+    That of a learner with replay is another. It is not known of a user's own class.
+    """
+    return "horizon" in find_algorithm(algorithm_name).defaults
 
 
 def is_own_algorithm(algorithm_name: str) -> bool:

@@ -19,10 +19,10 @@ from annotated_types import Interval, Len
 from pneuma.algorithms import (
     ALGORITHMS,
     OPTIMIZERS,
-    ROLLOUT_LEARNERS,
     VALUE_BASED,
     default_fields,
     find_algorithm,
+    has_rollouts,
 )
 from pneuma.env.fields import ENVIRONMENTS, MODULE, EnvConfig, read_fields, resolve_world, with_environment
 from pneuma.errors import UserError
@@ -337,7 +337,7 @@ def make_run(settings: Mapping[str, object]) -> Run:
 def _rollout_steps(run: Run, settings: Mapping[str, Any]) -> dict[str, int]:
     """Return the horizon of a learner whose arguments have the length of its rollouts, `n_steps`."""
     n_steps = json.loads(run.algorithm_kwargs or "{}").get("n_steps")
-    if n_steps is None or run.algorithm not in ROLLOUT_LEARNERS:
+    if n_steps is None or not has_rollouts(run.algorithm):
         return {}
     horizon: int = read_fields(Run, {"horizon": n_steps})["horizon"]
     if settings.get("horizon", horizon) != horizon:

@@ -24,6 +24,7 @@ from pneuma.arithmetic import log
 from pneuma.config import Run, evaluation_config, stream_seed
 from pneuma.engines.mlp import choose, network
 from pneuma.engines.policy import Policy
+from pneuma.engines.stopping import IsStopping, check_stop, never
 from pneuma.env import rules
 from pneuma.env.fields import MAX_STEPS
 from pneuma.env.players import RandomPlayer
@@ -79,8 +80,8 @@ class OwnAgent:
 
 
 class Evaluation:
-    def __init__(self, run: Run) -> None:
-        self.run = run
+    def __init__(self, run: Run, is_stopping: IsStopping = never) -> None:
+        self.run, self._is_stopping = run, is_stopping
         self.episodes = run.evaluation_episodes
         self.argmax_starts = len(Worlds(1, evaluation_config(run)).level.starts)
         self.worlds = Worlds(self.episodes + self.argmax_starts, evaluation_config(run))
@@ -89,7 +90,7 @@ class Evaluation:
         self.random_share = self._play_at_random()
         self.action_values: ActionValues | None = None
         if run.algorithm in VALUE_BASED:
-            self.action_values = ActionValues(run, self.argmax_starts)
+            self.action_values = ActionValues(run, self.argmax_starts, is_stopping)
 
     def evaluate(
         self, policy: Policy | OwnAgent, step: int, training_xp: np.ndarray | None = None
@@ -190,6 +191,7 @@ class Evaluation:
         running_worlds = len(self.worlds)
         is_playing = np.ones(len(self.worlds) * players, np.bool_)
         while running_worlds:
+            check_stop(self._is_stopping)
             ended = self.worlds.advance(choose_actions(is_playing))
             if ended:
                 running_worlds -= ended
@@ -230,8 +232,8 @@ class ActionValues:
     last state before it are known. A time limit that terminates ends them.
     """
 
-    def __init__(self, run: Run, starts: int) -> None:
-        self.run = run
+    def __init__(self, run: Run, starts: int, is_stopping: IsStopping) -> None:
+        self.run, self._is_stopping = run, is_stopping
         steps_beyond = _steps_beyond(run)
         longest_steps = run.episode_steps + (steps_beyond or 0)
         self.worlds = Worlds(starts, replace(evaluation_config(run), episode_steps=longest_steps))
@@ -260,6 +262,7 @@ class ActionValues:
         estimates, rewards, present = [], [], []
         running_worlds = len(worlds)
         while running_worlds:
+            check_stop(self._is_stopping)
             action_values = policy.logits(worlds.observations.reshape(-1, worlds.observations.shape[2]))
             best_actions = action_values.argmax(axis=1).reshape(worlds.players.shape)
             running_worlds -= worlds.step(best_actions)

@@ -12,7 +12,6 @@ runs that the same process trained before.
 from __future__ import annotations
 
 import math
-import random
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -23,10 +22,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pneuma.config import Run, is_gymnasium_id, is_resumable, stream_seed
+from pneuma.config import Run, is_gymnasium_id, is_resumable
 from pneuma.engines.policy import SavedPolicy
 from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
-from pneuma.env.fields import is_own_reward
+from pneuma.engines.shared_generators import evaluation_generators, seed_shared_generators
+from pneuma.engines.stopping import IsStopping, Stopped, never
 
 TRAINERS = {
     "batched": "pneuma.engines.batched.training:BatchedTrainer",
@@ -74,8 +74,8 @@ OnUpdate = Callable[[Progress], bool]
 class Trainer(ABC):
     """An engine's part in training one run, from which it is made."""
 
-    def __init__(self, run: Run) -> None:
-        self.run = run
+    def __init__(self, run: Run, is_stopping: IsStopping = never) -> None:
+        self.run, self.is_stopping = run, is_stopping
 
     @cached_property
     def _evaluation(self) -> Any:
@@ -83,10 +83,10 @@ class Trainer(ABC):
         if is_gymnasium_id(run.env):  # each is imported only when it is needed
             from pneuma.engines.gymnasium_evaluation import Evaluation as EvaluationInGymnasium
 
-            return EvaluationInGymnasium(run, _most_steps(self.run))
+            return EvaluationInGymnasium(run, _most_steps(self.run), self.is_stopping)
         from pneuma.engines.evaluation import Evaluation
 
-        return Evaluation(run)
+        return Evaluation(run, self.is_stopping)
 
     @abstractmethod
     def evaluate(self, step: int) -> Row:
@@ -126,16 +126,25 @@ class ResumableTrainer(Trainer):
         """Copy everything that the next update depends on."""
 
 
-def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
+def train_run(
+    run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None, is_stopping: IsStopping = never
+) -> Result:
     """Train a run, from its start or from a checkpoint of it.
+
+    Args:
+        run: the run.
+        on_update: called after each update; training stops if it returns false.
+        checkpoint: where to resume.
+        is_stopping: whether `on_update` will return false; it ends an evaluation, which the checkpoint of its
+            update then lacks, and the whole run if it cannot be resumed.
 
     Raises:
         CheckpointError: if training cannot resume from the checkpoint.
     """
     module_name, class_name = (TRAINERS[run.engine] if is_resumable(run) else OPEN_TRAINER).split(":")
     trainer_class = getattr(import_module(module_name), class_name)
-    _seed_shared_generators(run)  # after an import, which may draw
-    trainer: Trainer = trainer_class(run)
+    seed_shared_generators(run)  # after an import, which may draw
+    trainer: Trainer = trainer_class(run, is_stopping)
     records = Records()
     step = 0
     if checkpoint and isinstance(trainer, ResumableTrainer):
@@ -147,39 +156,38 @@ def train_run(run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = Non
         records = checkpoint.records.copy()
     evaluation_steps = {evaluation.updates: evaluation.step for evaluation in planned_evaluations(run)}
     evaluation_seconds = 0.0
-    if step == 0 and 0 in evaluation_steps:
-        started = time.perf_counter()
-        records.evaluations.append(trainer.evaluate(evaluation_steps[0]))
-        evaluation_seconds += time.perf_counter() - started
-    for update in range(step // run.steps_per_update + 1, run.updates + 1):
-        previous_step, step = step, update * run.steps_per_update
-        if not trainer.update(previous_step, step, records):
-            return Result("diverged", step, records, None)
-        if update in evaluation_steps:
+    update, has_trained = step // run.steps_per_update, False
+    while True:
+        is_evaluated = True
+        if update in evaluation_steps and not _has_evaluation(records, evaluation_steps[update]):
             started = time.perf_counter()
-            records.evaluations.append(trainer.evaluate(evaluation_steps[update]))
+            try:
+                with evaluation_generators(run):
+                    records.evaluations.append(trainer.evaluate(evaluation_steps[update]))
+            except Stopped:
+                is_evaluated = False
             evaluation_seconds += time.perf_counter() - started
-        checkpoint_now = None
-        if isinstance(trainer, ResumableTrainer):
-            checkpoint_now = partial(trainer.checkpoint, step, records)
-        if not on_update(Progress(step, records, checkpoint_now, evaluation_seconds)):
-            status = "done" if update == run.updates else "stopped"
-            return Result(status, step, records, trainer.policy())
-    return Result("done", step, records, trainer.policy())
+        if has_trained or not is_evaluated:
+            checkpoint_now = None
+            if isinstance(trainer, ResumableTrainer):
+                checkpoint_now = partial(trainer.checkpoint, step, records)
+            if not on_update(Progress(step, records, checkpoint_now, evaluation_seconds)):
+                status = "done" if update == run.updates and is_evaluated else "stopped"
+                return Result(status, step, records, trainer.policy())
+        if update == run.updates:
+            return Result("done", step, records, trainer.policy())
+        update, has_trained = update + 1, True
+        previous_step, step = step, update * run.steps_per_update
+        try:
+            if not trainer.update(previous_step, step, records):
+                return Result("diverged", step, records, None)
+        except Stopped:
+            return Result("stopped", previous_step, records, None)
 
 
-def _seed_shared_generators(run: Run) -> None:
-    """Seed the process's own generators, which a user's code may use, whatever was trained before."""
-    seed = stream_seed(run.seed, "shared")
-    if is_gymnasium_id(run.env) or any(map(is_own_reward, run.reward)):
-        import torch  # which loads slowly: for a user's code alone
-
-        from pneuma.env.compiling import seed_compiled
-
-        torch.manual_seed(seed)
-        seed_compiled(seed % 2**32)
-    random.seed(seed)
-    np.random.seed(seed % 2**32)
+def _has_evaluation(records: Records, step: int) -> bool:
+    """Return whether records that a run resumes with have the evaluation at this step; see `Stopped`."""
+    return bool(records.evaluations) and records.evaluations[-1]["step"] == step
 
 
 class PlannedEvaluation(NamedTuple):

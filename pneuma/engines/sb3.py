@@ -36,11 +36,12 @@ from pneuma.engines.sb3_learners import (
     restore_checkpoint,
     take_checkpoint,
 )
+from pneuma.engines.stopping import IsStopping, never
 
 
 class Sb3Trainer(ResumableTrainer):
-    def __init__(self, run: Run) -> None:
-        super().__init__(run)
+    def __init__(self, run: Run, is_stopping: IsStopping = never) -> None:
+        super().__init__(run, is_stopping)
         check_device(run)
         torch.set_num_threads(1)
         self._model: Any = make_model(run, make_vec_env(run))

@@ -29,6 +29,7 @@ from torch import nn
 from pneuma.algorithms import OPTIMIZERS
 from pneuma.config import ACTIVATIONS, ANNEALED, CUDA, FIELDS, Run, is_gymnasium_id, stream_seed
 from pneuma.engines.records import Checkpoint, Records, Row, episode_row
+from pneuma.engines.stopping import IsStopping, check_stop, never
 
 Learner = PPO | A2C | TRPO | DQN
 
@@ -164,11 +165,25 @@ def field_arguments(run: Run) -> Iterator[tuple[str, str]]:
 
 
 def prepare(model: Any, run: Run) -> None:
-    """Let a learner log to memory alone, and its schedules fall over all steps of a run.
+    """Let a learner log to memory alone, and train as in one call of `learn` for all steps of a run.
 
-    Its `learn` is called for a part of them at a time.
+    Its `learn` is called for a part of them at a time. So schedules fall over all steps, and action noise
+    is not reset in each call.
     """
     model.set_logger(Logger(folder=None, output_formats=[]))
+    set_up_learning = model._setup_learn
+
+    def set_up_once(*arguments: Any, **options: Any) -> Any:
+        action_noise = getattr(model, "action_noise", None)
+        if model._last_obs is None or action_noise is None:  # the first call
+            return set_up_learning(*arguments, **options)
+        model.action_noise = None  # it would be reset
+        try:
+            return set_up_learning(*arguments, **options)
+        finally:
+            model.action_noise = action_noise
+
+    model._setup_learn = set_up_once
     update_progress = model._update_current_progress_remaining
     model._update_current_progress_remaining = lambda steps, _: update_progress(steps, run.trained_steps)
 
@@ -185,13 +200,16 @@ class Episodes(BaseCallback):
         counts: how many episodes have ended, by slot.
     """
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Run, is_stopping: IsStopping = never) -> None:
+        """End learning by `Stopped` as soon as `is_stopping`."""
         super().__init__()
+        self._is_stopping = is_stopping
         self.counts: Counter[int] = Counter()
         self._has_monsters = not is_gymnasium_id(run.env)
         self._rows: list[Row] = []
 
     def _on_step(self) -> bool:
+        check_stop(self._is_stopping)
         for slot, info in enumerate(self.locals["infos"]):
             episode = info.get("episode")
             if episode:

@@ -32,8 +32,8 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
-from pneuma.algorithms import find_algorithm
-from pneuma.config import CPU, CUDA, Run, slot_seeds, stream_seed
+from pneuma.algorithms import find_algorithm, has_rollouts
+from pneuma.config import CPU, Run, slot_seeds, stream_seed
 from pneuma.engines.environment import check_device
 from pneuma.engines.gymnasium_env import errors_from, load_class, make_env, refuse_flat_pictures
 from pneuma.engines.loop import Trainer
@@ -50,6 +50,7 @@ from pneuma.engines.sb3_learners import (
     logged_losses,
     prepare,
 )
+from pneuma.engines.stopping import IsStopping, check_length, check_stop, never
 from pneuma.errors import UserError
 
 IN_POLICY_KWARGS = {
@@ -70,7 +71,7 @@ RESERVED = {
 STATISTICS = "observations.safetensors"
 """File in a learner's .zip: mean and variance of observations, by key. Stable-Baselines3 ignores it."""
 
-HOOKS = ("_update_current_progress_remaining",)
+HOOKS = ("_setup_learn", "_update_current_progress_remaining")
 """Attributes that `prepare` sets. They hold the learner with its replay buffer."""
 
 
@@ -95,6 +96,11 @@ def check_learner(run: Run) -> None:
             environments.reset()
             environments.step(np.array([environments.action_space.sample() for _ in range(run.slots)]))
     pace = _pace(learner)
+    if isinstance(learner, OnPolicyAlgorithm) and run.horizon != pace:
+        remedy = f"set horizon = {pace}, or n_steps = {run.horizon} in algorithm_kwargs"
+        raise UserError(
+            f"horizon = {run.horizon} is not allowed: {run.algorithm} has n_steps = {pace}; {remedy}"
+        )
     if run.horizon % pace:
         remedy = f"set horizon = {math.ceil(run.horizon / pace) * pace}, or another multiple"
         raise UserError(
@@ -157,6 +163,8 @@ def _make_learner(run: Run, env: VecEnv, to_play: bool = False) -> Any:
             from_fields = learner_arguments(run, env.num_envs)
             policy_kwargs = {**from_fields["policy_kwargs"], **arguments.get("policy_kwargs", {})}
             arguments = {**from_fields, **arguments, "policy_kwargs": policy_kwargs}
+        elif has_rollouts(run.algorithm):
+            arguments.setdefault("n_steps", run.horizon)
         if to_play and "buffer_size" in signature(learner_type).parameters:
             arguments["buffer_size"] = 1
         seed = None if to_play else stream_seed(run.seed, "weights") % 2**31
@@ -197,15 +205,14 @@ def _pace(learner: OnPolicyAlgorithm | OffPolicyAlgorithm) -> int:
 class OpenTrainer(Trainer):
     """Trains a run by its learner's own `learn`, for an update's steps at a time."""
 
-    def __init__(self, run: Run) -> None:
-        super().__init__(run)
+    def __init__(self, run: Run, is_stopping: IsStopping = never) -> None:
+        super().__init__(run, is_stopping)
         check_device(run)
         torch.set_num_threads(1)
         self._env = _environments(run, run.slots, slot_seeds(run)[0])
         self._model = _make_learner(run, self._env)
         prepare(self._model, run)
-        self._episodes = Episodes(run)
-        self._random_row = self._evaluation.random  # played before the learner trains
+        self._episodes = Episodes(run, is_stopping)
         self._seed = stream_seed(run.seed, "evaluation")
 
     def update(self, before: int, after: int, records: Records) -> bool:
@@ -222,25 +229,35 @@ class OpenTrainer(Trainer):
         """Return one row of `EVALUATION_COLUMNS`, always of episodes of the same seeds."""
         returns, lengths = self._play(self._evaluation.episodes, deterministic=False)
         best_returns, _ = self._play(self._evaluation.best_episodes, deterministic=True)
-        return evaluation_row(step, returns, lengths, best_returns, self._random_row)
+        return evaluation_row(step, returns, lengths, best_returns, self._evaluation.random)
 
     def _play(self, episodes: int, deterministic: bool) -> tuple[list[float], list[int]]:
-        generator_state = np.random.get_state()
-        cuda_devices = [torch.cuda.current_device()] if self._model.device.type == CUDA else []
-        with (
-            torch.random.fork_rng(devices=cuda_devices),
-            closing(_environments(self.run, 1, self._seed)) as env,
-            errors_from(f"{self.run.env} in evaluation"),
-        ):
-            if isinstance(env, VecNormalize) and isinstance(self._env, VecNormalize):
-                env.training, env.norm_reward = False, False
-                if self.run.normalize_observations:
-                    env.obs_rms = self._env.obs_rms
-            torch.manual_seed(self._seed % 2**63)
-            returns_and_lengths: Any = evaluate_policy(
-                self._model, env, episodes, deterministic, return_episode_rewards=True
-            )
-        np.random.set_state(generator_state)
+        steps = 0  # of the episode, which may have several lives
+
+        def check(playing: dict[str, Any], _: dict[str, Any]) -> None:
+            nonlocal steps
+            steps = 0 if "episode" in playing["info"] else steps + 1
+            check_stop(self.is_stopping)
+            check_length(self.run, steps)
+
+        action_space = self._model.action_space  # some learners draw from it when they are evaluated
+        generator_state = action_space.np_random.bit_generator.state
+        action_space.seed(self._seed % 2**31)
+        torch.manual_seed(self._seed % 2**63)
+        try:
+            with (
+                closing(_environments(self.run, 1, self._seed)) as env,
+                errors_from(f"{self.run.env} in evaluation"),
+            ):
+                if isinstance(env, VecNormalize) and isinstance(self._env, VecNormalize):
+                    env.training, env.norm_reward = False, False
+                    if self.run.normalize_observations:
+                        env.obs_rms = self._env.obs_rms
+                returns_and_lengths: Any = evaluate_policy(
+                    self._model, env, episodes, deterministic, callback=check, return_episode_rewards=True
+                )
+        finally:
+            action_space.np_random.bit_generator.state = generator_state
         return returns_and_lengths
 
     def policy(self) -> LearnedPolicy:

@@ -18,7 +18,7 @@ from typing import Any
 import numba
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import _helperlib, njit, types
 from numba.core import cgutils
 from numba.core.caching import FunctionCache
 from numba.core.codegen import get_host_cpu_features
@@ -78,6 +78,7 @@ inlined_early: Any = njit(**_INNER, inline="always")  # by numba before compilin
 typed_intrinsic: Any = intrinsic
 typed_arrays: Any = arrayobj
 typed_codegen: Any = cgutils
+_GENERATOR_ADDRESSES = (_helperlib.rnd_get_np_state_ptr, _helperlib.rnd_get_py_state_ptr)
 typed_void: Any = types.void
 typed_float: Any = types.float32
 typed_double: Any = types.float64
@@ -100,6 +101,16 @@ def target_features() -> str:
         return str(config.CPU_FEATURES)
     host_features: Any = get_host_cpu_features
     return str(host_features())
+
+
+def compiled_states() -> list[Any]:
+    """Return the states of numba's own generators, for `restore_compiled`."""
+    return [_helperlib.rnd_get_state(address()) for address in _GENERATOR_ADDRESSES]
+
+
+def restore_compiled(states: list[Any]) -> None:
+    for address, state in zip(_GENERATOR_ADDRESSES, states, strict=True):
+        _helperlib.rnd_set_state(address(), state)
 
 
 def array_from(codegen: Any, builder: Any, array_type: Any, address: Any, lengths: Any) -> Any:

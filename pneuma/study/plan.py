@@ -37,6 +37,7 @@ from pneuma.study.spec import (
     Preset,
     Study,
     no_effect_message,
+    refuse_n_steps,
     unread_fields,
 )
 from pneuma.values import format_short, read_value, split_list
@@ -198,6 +199,7 @@ def configure(
         selection: names of conditions; all if empty.
         engine: chooses the engine in other environments than Pneuma's, if no field decides it.
     """
+    sets_n_steps = "n_steps" in settings
     settings = own_fields(settings)
     for key in settings:
         if key in ("seed", "steps"):
@@ -232,6 +234,8 @@ def configure(
     changes = {"conditions": conditions, "levels": levels, "baseline": baseline, "settings": dict(settings)}
     crossed = study.model_copy(update=changes)
     runs = {name: make_run(crossed.fields(name, {"steps": 1, **overrides})) for name in origins}
+    if sets_n_steps:
+        refuse_n_steps(runs.values())
     for key in unread_fields(runs.values(), settings):
         raise UserError(Hint("settings"), f" {key}: {no_effect_message(key, runs.values())}")
     for condition, run in runs.items():

@@ -24,6 +24,7 @@ from typing import Annotated, Any
 from annotated_types import MinLen
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from pneuma.algorithms import has_rollouts
 from pneuma.config import Run, Steps, effective_fields, make_run
 from pneuma.env.fields import ENVIRONMENT_SLOTS, ENVIRONMENTS, read_field
 from pneuma.errors import MOST_LISTED, UserError, unknown_name
@@ -37,7 +38,7 @@ from pneuma.presets import (
     world_fields,
 )
 from pneuma.sb3_names import fields_and_keys
-from pneuma.schema import Table, TomlFile, Where, all_wrong, read_model, read_toml, wrong
+from pneuma.schema import KEPT_AS_WRITTEN, Table, TomlFile, Where, all_wrong, read_model, read_toml, wrong
 from pneuma.seeds import SEEDS_ALLOWED, read_seeds
 from pneuma.study.identity import with_file_paths
 from pneuma.study.shipped import find_file, studies_folder
@@ -401,6 +402,8 @@ def _check_runs(study_file: TomlFile, study: Study) -> None:
     for condition, fields in study.conditions.items():
         try:
             run = make_run(study.fields(condition))
+            if _mentions(_tables_of(study_file, condition), "n_steps"):
+                refuse_n_steps([run])
             for field_name in unread_fields([run], fields):
                 raise UserError(no_effect_message(field_name, [run]))
         except UserError as error:
@@ -409,6 +412,31 @@ def _check_runs(study_file: TomlFile, study: Study) -> None:
     unread = unread_fields(runs, study.run)
     if unread:
         raise study_file.mistakes((("run",), key, no_effect_message(key, runs)) for key in unread)
+
+
+def _tables_of(study_file: TomlFile, condition: str) -> list[Any]:
+    """Return the tables, as written, of fields of a condition; where conditions are crossed, of all."""
+    tables = [study_file.data.get("run"), study_file.data.get("factors")]
+    conditions = study_file.data.get("conditions", {})
+    return [*tables, conditions if study_file.data.get("factors") else conditions[condition]]
+
+
+def _mentions(table: Any, key: str) -> bool:
+    """Return whether a table or one in it has a key, apart from arguments of learners and environments."""
+    if isinstance(table, Mapping):
+        inner_tables = [inner for name, inner in table.items() if name not in KEPT_AS_WRITTEN]
+        return key in table or _mentions(inner_tables, key)
+    return isinstance(table, list | tuple) and any(_mentions(inner_table, key) for inner_table in table)
+
+
+def refuse_n_steps(runs: Iterable[Run]) -> None:
+    """Refuse the key n_steps for a learner of which it does not set the field `horizon`."""
+    for run in runs:
+        if not has_rollouts(run.algorithm):
+            meaning = "horizon, the steps of a rollout or between two records"
+            raise UserError(
+                f"n_steps is not allowed for {run.algorithm}: write {meaning}, or put it into algorithm_kwargs"
+            )
 
 
 def _mistake_in(study_file: TomlFile, study: Study, condition: str, message: str) -> UserError:

@@ -169,7 +169,7 @@ class Worker:
             return not is_stopping
 
         with closing(live_log):
-            result = train_run(run, update, checkpoint)
+            result = train_run(run, update, checkpoint, self._stop.is_set)
         if result.status != "stopped":
             provenance = finished_provenance([*checkpoints.attempts, attempt.so_far(result.step)])
             if warning:

@@ -110,4 +110,12 @@ class Doubled(gymnasium.RewardWrapper[Any, Any]):
         return 2 * float(reward)
 
 
+class Endless(Corridor):
+    """No episode ends."""
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        return self._seen(), 0.0, False, False, {}
+
+
+gymnasium.register("Endless-v0", "tests.engines.own_envs:Endless")
 gymnasium.register("Corridor-v0", "tests.engines.own_envs:Corridor", max_episode_steps=30)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from pneuma.config import as_fields, make_run
-from pneuma.engines.loop import Progress, train_run
+from pneuma.config import Run, as_fields, make_run
+from pneuma.engines.loop import Progress, Result, train_run
 from pneuma.engines.records import Checkpoint
 from pneuma.store.checkpoints import decode, encode
 
@@ -33,6 +33,37 @@ def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(case: str) -> None:
         torch.manual_seed(1)  # whatever other runs drew meanwhile
         resumed, _ = train(run, decode(encode(checkpoint, {}, ""))[0])
         assert bits(resumed) == bits(whole), checkpoint.step
+
+
+@pytest.mark.parametrize("case", ["slots", "dqn", "cartpole", "cartpole sb3"])
+def test_a_stop_ends_an_evaluation_which_is_played_when_the_run_goes_on(case: str) -> None:
+    """Also the last one, after which there is nothing left to train."""
+    run = run_of(case)
+    whole, checkpoints = train_once(run)
+    for update in (3, len(checkpoints)):
+        stopped, last_checkpoint = train_up_to_evaluation(run, update)
+        assert (stopped.status, stopped.step) == ("stopped", checkpoints[update - 1].step)
+        assert len(stopped.records.evaluations) < len(checkpoints[update - 1].records.evaluations)
+        resumed, _ = train(run, decode(encode(last_checkpoint, {}, ""))[0])
+        assert bits(resumed) == bits(whole)
+
+
+def train_up_to_evaluation(run: Run, update: int) -> tuple[Result, Checkpoint]:
+    """Train a run that is stopped in the middle of an update's evaluation; return its last checkpoint."""
+    kept: list[Checkpoint] = []
+    looks = 0
+
+    def is_stopping() -> bool:
+        nonlocal looks
+        looks += len(kept) == update - 1
+        return looks > 10
+
+    def keep(progress: Progress) -> bool:
+        assert progress.checkpoint
+        kept.append(progress.checkpoint())
+        return looks <= 10
+
+    return train_run(run, keep, is_stopping=is_stopping), kept[-1]
 
 
 @pytest.mark.parametrize("case", ["ppo", "upgd", "players", "normalized", "cartpole sb3"])

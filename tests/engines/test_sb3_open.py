@@ -7,23 +7,26 @@ import json
 import re
 import zipfile
 from contextlib import nullcontext
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from gymnasium import spaces
-from stable_baselines3 import SAC, HerReplayBuffer
+from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common import save_util
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from torch import nn
 
-from pneuma.config import Run, make_run
+from pneuma.config import Run, effective_fields, make_run
+from pneuma.engines import stopping
 from pneuma.engines.environment import check_environment
 from pneuma.engines.gymnasium_env import make_env, refuse_flat_pictures
 from pneuma.engines.loop import train_run
 from pneuma.engines.sb3_arguments import read_arguments
-from pneuma.engines.sb3_open import STATISTICS, LearnedPolicy, OpenTrainer, load_learner
+from pneuma.engines.sb3_open import STATISTICS, LearnedPolicy, OpenTrainer, learner_class, load_learner
+from pneuma.engines.shared_generators import seed_shared_generators
 from pneuma.errors import UserError
 from pneuma.sb3_names import own_fields
 from pneuma.study.identity import describe_user_code, run_id
@@ -39,6 +42,13 @@ from stable_baselines3 import DQN
 class Mine(DQN):
     pass
 """
+
+
+class OwnRollouts(PPO):
+    """A learner of one's own, whose rollouts have another length by default."""
+
+    def __init__(self, *arguments: Any, n_steps: int = 100, **options: Any) -> None:
+        super().__init__(*arguments, n_steps=n_steps, **options)
 
 
 def pasted(**fields: Any) -> Run:
@@ -143,6 +153,143 @@ def test_a_rollout_learners_horizon_is_its_n_steps() -> None:
     assert make_run({"env": "CartPole-v1", "algorithm": "a2c"}).horizon == 5
     with pytest.raises(UserError, match="horizon = 16 is not allowed: algorithm_kwargs has n_steps = 8"):
         make_run({**fields, "horizon": 16})
+
+
+ROLLOUTS: dict[str, dict[str, Any]] = {
+    "ppo": {"algorithm_kwargs": {"use_sde": False}},
+    "a2c": {"algorithm_kwargs": {"use_rms_prop": False}},
+    "trpo": {"algorithm_kwargs": {"sub_sampling_factor": 1}},
+    "recurrent-ppo": {"policy": "MlpLstmPolicy"},
+    "stable_baselines3:PPO": {},
+    "stable_baselines3:A2C": {},
+    "sb3_contrib:TRPO": {},
+}
+REPLAYS = ("dqn", "sac", "td3", "ddpg", "qr-dqn", "tqc", "crossq", "stable_baselines3:DQN")
+
+
+@pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")
+@pytest.mark.parametrize("algorithm", [*ROLLOUTS, *REPLAYS])
+def test_each_key_that_is_accepted_reaches_the_learner(algorithm: str) -> None:
+    """By its name in Stable-Baselines3, as a field or an argument; what a field cannot set is refused."""
+    fields: dict[str, Any] = {"env": "Pendulum-v1", "algorithm": algorithm}
+    fields["algorithm_kwargs"] = {"learning_starts": 9}
+    if algorithm in ROLLOUTS:
+        fields |= {"algorithm_kwargs": {}, "slots": 1, **ROLLOUTS[algorithm]}
+    if "dqn" in algorithm.lower():
+        fields["env"] = "CartPole-v1"
+    given = {"n_envs": 3, "n_steps": 24, "horizon": 24, "minibatch": 36, "gamma": 0.5, "epochs": 3}
+    attributes = {"minibatch": "batch_size", "epochs": "n_epochs", "horizon": "n_steps"}
+    for key, value in given.items():
+        run = make_run({**fields, **own_fields({key: value})})
+        (field,) = own_fields({key: value})
+        if field not in effective_fields(run):
+            continue  # a study that sets it is refused
+        if algorithm in REPLAYS and field == "horizon":
+            continue  # it says how often there are records
+        check_environment(run)
+        model: Any = OpenTrainer(run).policy().learner
+        assert getattr(model, attributes.get(key, key)) == value, key
+    arguments = {"gamma": 0.5, "n_steps": 24, "batch_size": 36, "learning_starts": 7, "gae_lambda": 0.5}
+    for key, value in arguments.items():
+        if key not in signature(learner_class(make_run(fields))).parameters:
+            continue
+        run = make_run({**fields, "algorithm_kwargs": {**fields.get("algorithm_kwargs", {}), key: value}})
+        try:
+            check_environment(run)
+        except UserError as error:
+            assert f"algorithm_kwargs: {key} is not allowed: ppo has the field" in str(error)
+            continue
+        assert getattr(OpenTrainer(run).policy().learner, key) == value, key
+
+
+# --- Records and evaluations do not change training -------------------------------------------------
+
+SMALL_NETWORK: dict[str, Any] = {
+    "learning_starts": 20, "policy_kwargs": {"net_arch": [8]}, "buffer_size": 500, "train_freq": 5,
+}  # fmt: skip
+NOISE = {"action_noise": {"name": "OrnsteinUhlenbeckActionNoise", "sigma": 0.5}}
+
+
+def weights(learner: Any) -> bytes:
+    return b"".join(tensor.numpy().tobytes() for tensor in learner.policy.state_dict().values())
+
+
+@pytest.mark.parametrize("slots", [1, 2])
+@pytest.mark.parametrize("algorithm", ["ddpg", "td3"])
+def test_how_often_records_are_written_does_not_touch_training(algorithm: str, slots: int) -> None:
+    """Its action noise is reset as often as in one call of the library's `learn`."""
+    fields = {**NUMBERS, "algorithm": algorithm, "algorithm_kwargs": {**SMALL_NETWORK, **NOISE}}
+    fields |= {"slots": slots, "steps": 300 * slots}
+    plain = OpenTrainer(make_run(fields))
+    plain._model.learn(300 * slots, log_interval=None)
+    for horizon in (50, 150):
+        assert weights(learned(make_run({**fields, "horizon": horizon})).learner) == weights(plain._model)
+
+
+MINIBATCH = {"batch_size": 20}
+DRAWS: dict[str, dict[str, Any]] = {
+    **dict.fromkeys(
+        ("dqn", "qr-dqn", "stable_baselines3:DQN"), {**SMALL_NETWORK, "exploration_final_eps": 0.5}
+    ),
+    **dict.fromkeys(("sac", "td3", "tqc", "crossq", "ddpg"), {**SMALL_NETWORK, **NOISE}),
+    "ppo": {"use_sde": True},
+    "a2c": {"use_rms_prop": False},
+    "trpo": MINIBATCH,
+    "recurrent-ppo": {**MINIBATCH, "policy_kwargs": {"lstm_hidden_size": 8}},
+}
+"""Arguments of learners, of which some draw from the action space when they are evaluated."""
+
+
+@pytest.mark.parametrize("algorithm", DRAWS)
+def test_evaluations_do_not_touch_training(algorithm: str) -> None:
+    """It is as in one call of the library's `learn`, if the environment draws from shared generators too."""
+    discrete = "dqn" in algorithm.lower() or algorithm in ("a2c", "trpo", "recurrent-ppo")
+    fields = {
+        **SHORT, **CORRIDOR, "slots": 1, "horizon": 20, "steps": 120, "algorithm": algorithm,
+        "env_kwargs": {"kind": "global" if discrete else "numbers"}, "algorithm_kwargs": DRAWS[algorithm],
+        "policy": "MlpLstmPolicy" if algorithm == "recurrent-ppo" else "",
+    }  # fmt: skip
+    if algorithm == "ppo":
+        fields["minibatch"] = 20
+    run = make_run(fields)
+    seed_shared_generators(run)
+    plain = OpenTrainer(run)
+    plain._model.learn(120, log_interval=None)
+    for episodes in (1, 5):
+        result = train_run(make_run({**fields, "evaluation_episodes": episodes}), lambda _: True)
+        assert len(result.records.evaluations) == 6
+        assert isinstance(result.policy, LearnedPolicy)
+        assert weights(result.policy.learner) == weights(plain._model)
+
+
+@pytest.mark.parametrize("case", [{"algorithm": "qr-dqn"}, {"engine": "sb3"}, {"engine": "batched"}])
+def test_an_evaluation_whose_episodes_do_not_end_is_refused(
+    case: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For all learners, in the greedy episodes too: a policy may be the first to find such an episode."""
+    monkeypatch.setattr(stopping, "LONGEST_EPISODE", 300)
+    run = make_run({**SHORT, **CORRIDOR, "env": "Endless-v0", **case})
+    with pytest.raises(UserError, match="^Endless-v0: an episode does not end in 300 steps: set env_kwargs"):
+        train_run(run, lambda _: True)
+
+
+def test_the_greedy_policys_episode_is_limited_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A random player reaches the end of the corridor; one that goes left does not."""
+    monkeypatch.setattr(stopping, "LONGEST_EPISODE", 3000)
+    run = make_run({**SHORT, **CORRIDOR, "algorithm": "qr-dqn", "env_kwargs": {"max_episode_steps": 10**6}})
+    trainer = OpenTrainer(run)
+    monkeypatch.setattr(trainer._model, "predict", lambda *_, **__: (np.zeros(1, int), None))
+    with pytest.raises(UserError, match="^Corridor-v0: an episode does not end in 3,000 steps"):
+        trainer.evaluate(0)
+
+
+@pytest.mark.parametrize("looks", [1, 100, 400])
+def test_a_run_that_cannot_be_resumed_stops_at_once(looks: int) -> None:
+    """In training and in evaluation, of episodes that do not end."""
+    run = make_run({**SHORT, **CORRIDOR, "env": "Endless-v0", "algorithm": "qr-dqn"})
+    seen = iter(range(looks))
+    result = train_run(run, lambda _: False, is_stopping=lambda: next(seen, None) is None)
+    assert (result.status, len(result.records.evaluations)) == ("stopped", 0)
 
 
 # --- Pictures --------------------------------------------------------------------------------------
@@ -259,7 +406,10 @@ def test_what_is_not_used_does_not_move_an_id() -> None:
         ({"policy": "NoPolicy"}, 'policy = "NoPolicy": ppo has MlpPolicy, CnnPolicy, MultiInputPolicy'),
         ({"algorithm": "dqn", "algorithm_kwargs": {"train_freq": 0}}, "train_freq = 0 .*: at least 1"),
         ({"algorithm": "qr-dqn", "horizon": 66}, "horizon = 66 .* every 4 steps; set .* = 68"),
-        ({"algorithm": "stable_baselines3:PPO"}, "horizon = 64 .* every 2048 steps; set horizon = 2048"),
+        (
+            {"algorithm": f"{__name__}:OwnRollouts"},
+            "horizon = 64 .* has n_steps = 100; set horizon = 100, or n_steps = 64 in algorithm_kwargs",
+        ),
         ({"algorithm": "sb3_contrib:ARS"}, "must be an OnPolicyAlgorithm or an OffPolicyAlgorithm"),
         ({"algorithm": "sb3_contrib:MaskablePPO"}, "evaluations do not support action masks"),
         (

@@ -91,6 +91,39 @@ def test_mistakes_have_their_names_in_the_file(tmp_path: Path, head: str, run: s
     assert "\n" not in str(refused.value)
 
 
+PRESETS = "[presets.quick]\nseeds = 1\nsteps = 100\n"
+REPLAY = 'title = "Replay"\n[run]\nenv = "CartPole-v1"\n'
+
+
+@pytest.mark.parametrize(
+    ("tables", "settings"),
+    [
+        ("algorithm = 'qr-dqn'\nn_steps = 3\n[conditions.one]\n", {}),
+        ("n_steps = 32\n[conditions.ppo]\n[conditions.other]\nalgorithm = 'dqn'\n", {}),
+        ("[factors.algorithm]\none = { algorithm = 'sac', n_steps = 3 }\ntwo = { slots = 2 }\n", {}),
+        ("algorithm = 'mine:Mine'\nn_steps = 3\n[conditions.one]\n", {}),
+        ("algorithm = 'dqn'\n[conditions.one]\n", {"n_steps": 4}),
+    ],
+)
+def test_n_steps_is_refused_where_it_would_not_reach_the_learner(
+    tables: str, settings: dict[str, Any], tmp_path: Path
+) -> None:
+    """Those of a learner with replay are of its returns, which are not the horizon."""
+    path = tmp_path / "replay.toml"
+    path.write_text(REPLAY + tables + PRESETS)
+    with pytest.raises(UserError, match="n_steps is not allowed for .*: write horizon, .* algorithm_kwargs"):
+        runs(path, **settings)
+
+
+def test_n_steps_is_an_argument_of_a_learner_with_replay(tmp_path: Path) -> None:
+    path = tmp_path / "replay.toml"
+    path.write_text(
+        REPLAY + "algorithm = 'dqn'\n[run.algorithm_kwargs]\nn_steps = 3\n[conditions.one]\n" + PRESETS
+    )
+    assert runs(path)["one"].algorithm_kwargs == '{"n_steps": 3}'
+    assert runs(path)["one"].horizon == 256
+
+
 def test_arguments_of_another_learner_are_kept_as_they_are(tmp_path: Path) -> None:
     arguments = 'learning_rate = "lin_7e-4"\ntau = 1.0\ntrain_freq = [1, "episode"]\n'
     entry = f'algorithm = "td3"\nn_timesteps = 100\n[run.algorithm_kwargs]\n{arguments}'

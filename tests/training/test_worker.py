@@ -44,7 +44,7 @@ class _Engine:
     def __init__(self, breaks: bool = False) -> None:
         self._breaks = breaks
 
-    def train(self, run: Run, on_update: OnUpdate, checkpoint: Checkpoint | None = None) -> Result:
+    def train(self, run: Run, on_update: OnUpdate, *_: object) -> Result:
         actor, critic = (((np.zeros((3, n), np.float32), np.zeros(n, np.float32)),) for n in (2, 1))
         metrics: list[Row] = [{**dict.fromkeys(METRIC_COLUMNS, 0.5), "step": 256}]
         for step in (256, 512):

@@ -14,13 +14,14 @@ from pneuma.engines.loop import ResumableTrainer
 from pneuma.engines.mlp import Layers, Network
 from pneuma.engines.policy import Policy, overflows
 from pneuma.engines.records import Checkpoint, Records
+from pneuma.engines.stopping import IsStopping, never
 
 
 class BatchedTrainer(ResumableTrainer):
     """Trains one run by compiled programs. One learner serves all players, or each player has its own."""
 
-    def __init__(self, run: Run) -> None:
-        super().__init__(run)
+    def __init__(self, run: Run, is_stopping: IsStopping = never) -> None:
+        super().__init__(run, is_stopping)
         self.collector = GymnasiumCollector(run) if is_gymnasium_id(run.env) else Collector(run)
         features, actions = self.collector.slots.observations.shape[1], self.collector.actions
         self.learners = [Learner(run, features, actions, player) for player in range(run.policies)]
