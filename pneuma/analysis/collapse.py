@@ -146,11 +146,12 @@ def _lasting(periods: list[Stretch], gap: float, least_length: float) -> list[St
 def _losses(run: Row) -> list[Stretch] | None:
     """Return where the return is below zero after having been above; None if that would mean nothing.
 
-    In a world that resets XP, a low return is that of one episode only. The world of imported logs is
-    unknown.
+    In a world that resets XP, a low return is that of one episode only, and in other environments returns may
+    change sign. The world of imported logs is unknown.
     """
     steps, returns = run.curve_points("return")
-    if not len(steps) or run.fields.get("xp_scope") == "episode":
+    is_possible = run.fields.get("xp_scope") == "forever" or "imported" in run.provenance
+    if not len(steps) or not is_possible:
         return None
     return stretches(steps, (returns < 0) & (np.maximum.accumulate(returns) > 0))
 

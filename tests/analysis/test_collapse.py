@@ -105,15 +105,20 @@ def test_a_return_that_sinks_below_zero_from_above_is_a_collapse_where_xp_is_nev
 ) -> None:
     """It crosses zero at update 60; a point averages five episodes, so that the one of update 62 is 0."""
     sinking = np.interp(np.arange(1, 101), [1, 40, 100], [0.0, 20.0, -40.0])
-    diagnosis = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=sinking)
+
+    def of_returns(returns: np.ndarray, **fields: Any) -> Diagnosis:
+        return diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=returns, **fields)
+
+    forever = {"xp_scope": "forever"}
+    diagnosis = of_returns(sinking, **forever)
     assert (diagnosis.collapsed, diagnosis.signs) == (True, ("return below zero",))
     assert diagnosis.onset_step == 6300
-    risen = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=np.abs(sinking))
-    assert risen == Diagnosis(False)
-    late = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=sinking + 36)  # from update 96 on
-    never_above = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=sinking - 20)
-    reset = diagnosed(tmp_path, healthy(), np.full(20, 0.1), returns=sinking, xp_scope="episode")
-    assert not (late.collapsed or never_above.collapsed or reset.collapsed)
+    assert of_returns(np.abs(sinking), **forever) == Diagnosis(False)  # it has risen
+    late = of_returns(sinking + 36, **forever)  # from update 96 on
+    never_above = of_returns(sinking - 20, **forever)
+    reset = of_returns(sinking, xp_scope="episode")
+    elsewhere = of_returns(sinking, env="Pendulum-v1")  # which has no XP: returns may change sign
+    assert not (late.collapsed or never_above.collapsed or reset.collapsed or elsewhere.collapsed)
 
 
 # --- Studies --------------------------------------------------------------------------------------
@@ -144,16 +149,28 @@ def test_incidence_counts_runs_with_an_exact_interval(data: StudyData) -> None:
     np.testing.assert_array_equal(outcome_values(data, "relu", "collapse-step"), [6100, 3100, np.nan])
 
 
-def test_logs_are_judged_by_their_entropy_alone(tmp_path: Path) -> None:
-    store = Store(tmp_path / "results")
-    entropies = [1.0 if k < 60 else 0.001 for k in range(1, 101)]
-    points = [("train/entropy_loss", 100 * k, -value) for k, value in enumerate(entropies, start=1)]
-    write_events(tmp_path / "logs" / "a_1" / "events.out.tfevents.1.host", points)
-    import_tensorboard([tmp_path / "logs"], store)
-    data = open_study(RunIndex(store), Query(study="logs"))
+def imported(folder: Path, tag: str, values: list[float]) -> StudyData:
+    """Import a log of one run with a hundred points."""
+    store = Store(folder / "results")
+    points = [(tag, 100 * k, value) for k, value in enumerate(values, start=1)]
+    write_events(folder / "logs" / "a_1" / "events.out.tfevents.1.host", points)
+    import_tensorboard([folder / "logs"], store)
+    return open_study(RunIndex(store), Query(study="logs"))
+
+
+def test_logs_are_judged_by_their_entropy(tmp_path: Path) -> None:
+    data = imported(tmp_path, "train/entropy_loss", [-1.0 if k < 60 else -0.001 for k in range(1, 101)])
     diagnosis = diagnose(data.rows[0])
     assert (diagnosis.collapsed, diagnosis.onset_step, diagnosis.onset_update) == (True, 6000, None)
     assert data.budget == BUDGET
+
+
+def test_logs_are_judged_by_returns_below_zero(tmp_path: Path) -> None:
+    """Of their world nothing is known."""
+    data = imported(tmp_path, "rollout/ep_rew_mean", [1.0 if k < 60 else -1.0 for k in range(1, 101)])
+    diagnosis = diagnose(data.rows[0])
+    assert (diagnosis.collapsed, diagnosis.onset_step) == (True, 6000)
+    assert diagnosis.signs == ("return below zero",)
 
 
 def test_a_run_of_which_actions_alone_are_known_is_no_healthy_one(tmp_path: Path) -> None:
