@@ -17,6 +17,8 @@ import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 import gymnasium
@@ -33,6 +35,7 @@ from pneuma.own_modules import load_module
 
 EXTRAS = ("minatar", "minigrid")
 """Extras that install environments, whose ids begin with their names."""
+MINATAR = "MinAtar/"
 FLAT_SPACES = (spaces.Box, spaces.Discrete, spaces.MultiBinary, spaces.MultiDiscrete)
 """Spaces of observations that can be made rows of numbers."""
 
@@ -305,6 +308,8 @@ def make_env(run: Run, render_mode: str = "") -> gymnasium.Env[Any, Any]:
     try:
         if run.env_module:
             _load(run.env_module)
+        if run.env.startswith(MINATAR) and run.env not in gymnasium.registry:
+            _register_minatar()
         with errors_from(f"env = {run.env}"):
             env = gymnasium.make(run.env, disable_env_checker=True, **arguments)
     except UserError as error:
@@ -316,6 +321,13 @@ def make_env(run: Run, render_mode: str = "") -> gymnasium.Env[Any, Any]:
         with errors_from(f"wrappers = {wrapper}"):
             env = load_class(class_name)(env, **json.loads(brace + arguments_text or "{}"))
     return env
+
+
+def _register_minatar() -> None:
+    """Register MinAtar's games, if they are installed: an import does not, and Gymnasium loads no plugins."""
+    if find_spec("minatar"):
+        with errors_from("MinAtar's games cannot be registered"):
+            import_module("minatar.gym").register_envs()
 
 
 def load_class(class_path: str) -> Any:

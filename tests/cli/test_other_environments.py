@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import pytest
 
 from pneuma.engines.records import WORLD_COLUMNS
@@ -130,3 +132,40 @@ def test_what_cannot_be_made_is_refused_with_its_reason(condition: str, why: str
         code, out, err = call("study", verb, *words)
         assert (code, out) == (2, "") and why in err.splitlines()[-1]
     assert not (tmp_path / "results").exists()
+
+
+EXAMPLES = sorted((Path(__file__).parents[2] / "studies" / "examples").glob("*.toml"))
+NEEDS = {"breakout": "minatar", "minigrid": "minigrid"}
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_each_example_can_be_planned(example: Path, tmp_path: Path) -> None:
+    """Its environment is made for that."""
+    package = NEEDS.get(example.stem)
+    if package:
+        pytest.importorskip(package, reason=f"needs the extra {package}")
+    printed("study", "plan", example, "--results", tmp_path / "results")
+
+
+MINATAR = """
+import gymnasium
+def register_envs():
+    gymnasium.register("MinAtar/Breakout-v1", "gymnasium.envs.classic_control:CartPoleEnv")
+"""
+
+
+def test_minatars_games_are_registered_where_they_are_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its import does not, and Gymnasium loads no plugins by entry points any more."""
+    package = tmp_path / "minatar"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "gym.py").write_text(MINATAR)
+    monkeypatch.syspath_prepend(tmp_path)
+    try:
+        printed("study", "plan", "breakout", "--results", tmp_path / "results")
+    finally:
+        gymnasium.registry.pop("MinAtar/Breakout-v1", None)
+        for name in ("minatar", "minatar.gym"):
+            sys.modules.pop(name, None)
