@@ -125,15 +125,18 @@ def _formatted_rows(frame: pd.DataFrame) -> list[list[str]]:
 
     A number with an interval is rounded with it; any other keeps six digits.
     """
+    columns = list(frame.columns)  # two may have the same name, as conditions of two studies have
     formatted_rows = []
-    for row in frame.to_dict("records"):
-        if {"value", "low", "high"} <= row.keys():
+    for row_values in frame.itertuples(index=False, name=None):
+        cells = list(row_values)
+        if {"value", "low", "high"} <= set(columns):
+            row = dict(zip(columns, row_values, strict=True))
             digits = decimals(row["value"], row["low"], row["high"])
             if row.get("statistic") == "count":
                 digits = 0
             for column in ("value", "low", "high"):
-                row[column] = number_text(row[column], digits)
-        formatted_rows.append([_formatted(value) for value in row.values()])
+                cells[columns.index(column)] = number_text(row[column], digits)
+        formatted_rows.append([_formatted(value) for value in cells])
     return formatted_rows
 
 
@@ -145,8 +148,8 @@ def _formatted(value: object) -> str:
 
 def _latex(cells: pd.DataFrame, is_numeric: Sequence[bool]) -> str:
     column_format = ""
-    for column, is_number in zip(cells, is_numeric, strict=True):
-        if cells[column].str.len().max() > LONGEST_IN_A_LINE:
+    for position, is_number in enumerate(is_numeric):
+        if cells.iloc[:, position].str.len().max() > LONGEST_IN_A_LINE:
             column_format += PARAGRAPH
         else:
             column_format += "r" if is_number else "l"

@@ -118,6 +118,10 @@ def _compare_studies(study_data: StudyData, other_data: StudyData, outcomes: Seq
     names = [study_data.study.name, other_data.study.name]
     if names[0] == names[1]:
         names = [study_data.label, other_data.label]
+    if names[0] == names[1]:
+        raise UserError(
+            f"{names[0]} is compared with itself; name another study, or one of its presets as @NAME"
+        )
     pairs: Pairs = {}
     for condition in study_data.conditions:
         if study_data.of_condition(condition) and other_data.of_condition(condition):

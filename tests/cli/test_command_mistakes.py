@@ -75,6 +75,13 @@ def test_a_mistake_is_one_line_and_nothing_is_written(words: str, here: Path) ->
     assert os.listdir(here) == []
 
 
+@pytest.mark.parametrize("words", ["activation@paper --with activation@paper", "activation@paper tanh tanh"])
+def test_what_is_compared_with_itself_is_refused(words: str, here: Path) -> None:
+    code, out, err = call("study", "compare", *words.split(), "--format", "markdown")
+    problem = err.splitlines()[-1]
+    assert (code, out) == (2, "") and ("compared with itself" in problem or "same condition" in problem)
+
+
 def test_a_file_here_is_suggested_for_a_mistyped_study(here: Path) -> None:
     (here / "shorter.toml").touch()
     assert "unknown study 'shortr' (did you mean shorter?)" in refused("study", "run", "shortr")

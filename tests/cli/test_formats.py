@@ -58,6 +58,9 @@ def test_a_long_latex_table_is_broken_over_pages_and_a_cell_of_markdown_stays_in
     assert r"\endhead" in long and "c59 & 3" in long
     signs = encode_frame(pd.DataFrame({"horizon-64": ["-0.04 [-0.1 to 1e-5]"]}), "latex").decode()
     assert "horizon-64 \\\\" in signs and "$-$0.04 [$-$0.1 to 1e-5]" in signs
+    twice = pd.DataFrame([["one", "two"]], columns=["same", "same"])
+    assert encode_frame(twice, "markdown").decode().splitlines()[-1] == "| one | two |"
+    assert "one & two" in encode_frame(twice, "latex").decode()
     odd = encode_frame(pd.DataFrame({"condition": ["a|b", "two\nlines"]}), "markdown")
     assert odd.decode() == "| condition |\n| --- |\n| a\\|b |\n| two<br>lines |\n"
 
