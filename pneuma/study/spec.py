@@ -433,10 +433,8 @@ def refuse_n_steps(runs: Iterable[Run]) -> None:
     """Refuse the key n_steps for a learner of which it does not set the field `horizon`."""
     for run in runs:
         if not has_rollouts(run.algorithm):
-            meaning = "horizon, the steps of a rollout or between two records"
-            raise UserError(
-                f"n_steps is not allowed for {run.algorithm}: write {meaning}, or put it into algorithm_kwargs"
-            )
+            remedy = "write horizon, the steps of a rollout or between two records, or put it into"
+            raise UserError(f"n_steps is not allowed for {run.algorithm}: {remedy} algorithm_kwargs")
 
 
 def _mistake_in(study_file: TomlFile, study: Study, condition: str, message: str) -> UserError:

@@ -262,14 +262,17 @@ def test_evaluations_do_not_touch_training(algorithm: str) -> None:
         assert weights(result.policy.learner) == weights(plain._model)
 
 
+ENDLESS = {"kind": "endless", "max_episode_steps": 10**6}
+
+
 @pytest.mark.parametrize("case", [{"algorithm": "qr-dqn"}, {"engine": "sb3"}, {"engine": "batched"}])
 def test_an_evaluation_whose_episodes_do_not_end_is_refused(
     case: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For all learners, in the greedy episodes too: a policy may be the first to find such an episode."""
     monkeypatch.setattr(stopping, "LONGEST_EPISODE", 300)
-    run = make_run({**SHORT, **CORRIDOR, "env": "Endless-v0", **case})
-    with pytest.raises(UserError, match="^Endless-v0: an episode does not end in 300 steps: set env_kwargs"):
+    run = make_run({**SHORT, **CORRIDOR, "env_kwargs": ENDLESS, **case})
+    with pytest.raises(UserError, match="^Corridor-v0: an episode does not end in 300 steps: set env_kwargs"):
         train_run(run, lambda _: True)
 
 
@@ -286,7 +289,7 @@ def test_the_greedy_policys_episode_is_limited_too(monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize("looks", [1, 100, 400])
 def test_a_run_that_cannot_be_resumed_stops_at_once(looks: int) -> None:
     """In training and in evaluation, of episodes that do not end."""
-    run = make_run({**SHORT, **CORRIDOR, "env": "Endless-v0", "algorithm": "qr-dqn"})
+    run = make_run({**SHORT, **CORRIDOR, "env_kwargs": ENDLESS, "algorithm": "qr-dqn"})
     seen = iter(range(looks))
     result = train_run(run, lambda _: False, is_stopping=lambda: next(seen, None) is None)
     assert (result.status, len(result.records.evaluations)) == ("stopped", 0)

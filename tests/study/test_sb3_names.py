@@ -111,7 +111,9 @@ def test_n_steps_is_refused_where_it_would_not_reach_the_learner(
     """Those of a learner with replay are of its returns, which are not the horizon."""
     path = tmp_path / "replay.toml"
     path.write_text(REPLAY + tables + PRESETS)
-    with pytest.raises(UserError, match="n_steps is not allowed for .*: write horizon, .* algorithm_kwargs"):
+    with pytest.raises(
+        UserError, match="n_steps is not allowed for .*: write horizon, .* into algorithm_kwargs"
+    ):
         runs(path, **settings)
 
 
