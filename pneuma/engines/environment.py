@@ -48,11 +48,10 @@ def first_capable_engine(run: Run) -> str:
     """Return the first engine that can train in a run's environment. The environment is made for that."""
     from gymnasium.spaces import Discrete
 
-    from pneuma.engines.gymnasium_env import make_env
+    from pneuma.engines.gymnasium_env import closed_after, make_env
 
-    env = make_env(run)
-    env.close()
-    return ENGINES[0] if isinstance(env.action_space, Discrete) else "sb3"
+    with closed_after(run, make_env(run)) as env:
+        return ENGINES[0] if isinstance(env.action_space, Discrete) else "sb3"
 
 
 def make_vec_env(run: Run) -> Any:

@@ -20,7 +20,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from pneuma.algorithms import OPTIMIZERS
 from pneuma.config import CPU, Run, as_fields, env_config, is_gymnasium_id, make_run
-from pneuma.engines.gymnasium_env import make_env
+from pneuma.engines.gymnasium_env import closed_after, make_env
 from pneuma.engines.mlp import layer_widths
 from pneuma.engines.normalization import CLIP, EPSILON, Scaling
 from pneuma.engines.policy import Policy
@@ -118,8 +118,8 @@ def observation_space(policy: Policy, run: Run) -> spaces.Box:
         raise UserError(f"only policies of {' and '.join(IN_ZIP)} can be exported, not of {run.algorithm}")
     features = policy.features
     if is_gymnasium_id(run.env):
-        env = make_env(run)
-        env.close()
+        with closed_after(run, make_env(run)) as env:
+            pass
         if isinstance(env.action_space, spaces.MultiBinary):
             raise UserError(f"cannot be exported: a .zip has no policy like this for {env.action_space}")
         if np.any(getattr(env.action_space, "start", 0)):

@@ -16,10 +16,10 @@ import json
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import gymnasium
 import numpy as np
@@ -49,6 +49,17 @@ def check_spaces(run: Run) -> None:
         if problem and run.engine != "sb3":
             raise UserError(f'{run.env}: {problem}, which only engine = "sb3" trains')
         slots.step(np.array([slots.random_action()]))
+        check_second(run)
+
+
+def check_second(run: Run) -> None:
+    """Open an environment beside another one, as a run does, and refuse one that allows no second one."""
+    try:
+        with closed_after(run, make_env(run)) as env, errors_from(f"{run.env} when it is reset"):
+            env.reset(seed=1)
+    except UserError as error:
+        reason = "a run opens several at once, in slots and for evaluations"
+        raise UserError(f"a second environment beside the first fails ({reason}): {error}") from None
 
 
 def _action_problem(run: Run, space: spaces.Space[Any]) -> str:
@@ -259,15 +270,20 @@ def choice_counts(space: spaces.Space[Any]) -> np.ndarray:
 
 def flattening(run: Run, space: spaces.Space[Any]) -> Callable[[Any], Any]:
     """Return a function that flattens an observation to a row of numbers."""
+    check_observations(run, space)
+    if isinstance(space, spaces.Box):
+        return lambda observation: np.reshape(observation, -1)
+    return lambda observation: spaces.flatten(space, observation)
+
+
+def check_observations(run: Run, space: spaces.Space[Any]) -> None:
+    """Refuse observations that are not numbers, and pictures that would be flattened."""
     for leaf_space in _leaf_spaces(space):
         if not isinstance(leaf_space, FLAT_SPACES):
             remedy = "name a wrapper that leaves that out"
             problem = f"{type(leaf_space).__name__} cannot be flattened to numbers"
             raise UserError(f"{run.env}: observations in {problem}: {remedy}")
     refuse_flat_pictures(run, space)
-    if isinstance(space, spaces.Box):
-        return lambda observation: np.reshape(observation, -1)
-    return lambda observation: spaces.flatten(space, observation)
 
 
 def _leaf_spaces(space: spaces.Space[Any]) -> list[spaces.Space[Any]]:
@@ -321,6 +337,26 @@ def make_env(run: Run, render_mode: str = "") -> gymnasium.Env[Any, Any]:
         with errors_from(f"wrappers = {wrapper}"):
             env = load_class(class_name)(env, **json.loads(brace + arguments_text or "{}"))
     return env
+
+
+class _Closes(Protocol):
+    def close(self) -> object: ...
+
+
+Closable = TypeVar("Closable", bound=_Closes)
+
+
+@contextmanager
+def closed_after(run: Run, env: Closable) -> Iterator[Closable]:
+    """Close a run's environment at the end of a `with` block; an error in it is a user's mistake."""
+    try:
+        yield env
+    except BaseException:
+        with suppress(Exception):  # the first error is the one to mend
+            env.close()
+        raise
+    with errors_from(f"{run.env} when it is closed"):
+        env.close()
 
 
 def _register_minatar() -> None:

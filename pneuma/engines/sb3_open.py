@@ -14,7 +14,6 @@ import json
 import math
 import re
 import warnings
-from contextlib import closing
 from inspect import signature
 from typing import Any
 from zipfile import ZipFile
@@ -35,7 +34,14 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from pneuma.algorithms import find_algorithm, has_rollouts
 from pneuma.config import CPU, Run, slot_seeds, stream_seed
 from pneuma.engines.environment import check_device
-from pneuma.engines.gymnasium_env import errors_from, load_class, make_env, refuse_flat_pictures
+from pneuma.engines.gymnasium_env import (
+    check_observations,
+    check_second,
+    closed_after,
+    errors_from,
+    load_class,
+    make_env,
+)
 from pneuma.engines.loop import Trainer
 from pneuma.engines.policy import LEARNER_FILE
 from pneuma.engines.records import Records, Row, evaluation_row, metrics_row
@@ -85,16 +91,17 @@ def check_learner(run: Run) -> None:
             raise UserError(f"algorithm_kwargs: {argument} is not allowed: {reason}")
     if run.algorithm == "ppo":
         _check_arguments(run)
-    with closing(make_env(run)) as env:
-        refuse_flat_pictures(run, env.observation_space)
+    with closed_after(run, make_env(run)) as env:
+        check_observations(run, env.observation_space)
     with (
         warnings.catch_warnings(action="ignore"),  # the run itself warns
-        closing(_environments(run, run.slots)) as environments,
+        closed_after(run, _environments(run, run.slots)) as environments,
     ):
         learner = _make_learner(run, environments)
         with errors_from(f"{run.env} in its first step"):
             environments.reset()
             environments.step(np.array([environments.action_space.sample() for _ in range(run.slots)]))
+        check_second(run)
     pace = _pace(learner)
     if isinstance(learner, OnPolicyAlgorithm) and run.horizon != pace:
         remedy = f"set horizon = {pace}, or n_steps = {run.horizon} in algorithm_kwargs"
@@ -246,7 +253,7 @@ class OpenTrainer(Trainer):
         torch.manual_seed(self._seed % 2**63)
         try:
             with (
-                closing(_environments(self.run, 1, self._seed)) as env,
+                closed_after(self.run, _environments(self.run, 1, self._seed)) as env,
                 errors_from(f"{self.run.env} in evaluation"),
             ):
                 if isinstance(env, VecNormalize) and isinstance(self._env, VecNormalize):
@@ -309,7 +316,8 @@ def load_learner(run: Run, zip_bytes: bytes) -> LearnedPolicy:
 
     The learner and its environment are made from the run's fields. Nothing is unpickled.
     """
-    learner = _make_learner(run, _environments(run, 1), to_play=True)
+    with closed_after(run, _environments(run, 1)) as environments:
+        learner = _make_learner(run, environments, to_play=True)
     try:
         learner.set_parameters(io.BytesIO(zip_bytes), device=CPU)
         with ZipFile(io.BytesIO(zip_bytes)) as archive:
@@ -320,7 +328,6 @@ def load_learner(run: Run, zip_bytes: bytes) -> LearnedPolicy:
         ) from None
     if getattr(learner, "use_sde", False):
         learner.policy.reset_noise()
-    learner.env.close()
     return LearnedPolicy(learner)
 
 

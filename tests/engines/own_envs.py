@@ -34,6 +34,9 @@ OBSERVED: dict[str, spaces.Space[Any]] = {
     "dict": spaces.Dict({"b": BOX, "a": spaces.Discrete(6)}),
     "low": spaces.Box(-1, 3, (2,), np.float64),
     "double": spaces.Box(-1, 3, (2,), np.float32),
+    "graph": spaces.Graph(BOX, None),
+    "sequence": spaces.Sequence(BOX),
+    "one of": spaces.OneOf([BOX, spaces.Discrete(6)]),
     "text": spaces.Dict({"a": BOX, "mission": spaces.Text(9)}),
     "picture": spaces.Box(0, 255, (36, 36, 3), np.uint8),
     "small picture": spaces.Box(0, 255, (8, 8, 3), np.uint8),
@@ -91,6 +94,28 @@ class Corridor(gymnasium.Env[Any, Any]):
         paid = float("nan") if self.taken == self.nan else -0.1 - 0.01 * self.np_random.random()
         there = self.cell == 5
         return self._seen(), 1.0 if there else paid, there, False, {"is_success": there}
+
+
+class Alone(Corridor):
+    """There can be only one at a time, as where each opens the same port."""
+
+    is_open = False
+
+    def __init__(self) -> None:
+        super().__init__()
+        if Alone.is_open:
+            raise OSError("Address already in use")
+        Alone.is_open = True
+
+    def close(self) -> None:
+        Alone.is_open = False
+
+
+class Clinging(Corridor):
+    """It cannot be closed."""
+
+    def close(self) -> None:
+        raise OSError("still in use")
 
 
 class Counting(gymnasium.Wrapper[Any, Any, Any, Any]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import statistics  # noqa: F401  # loaded before a file of its name
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from pneuma.config import Run, make_run, slot_seeds
-from pneuma.engines.environment import check_environment
+from pneuma.engines.environment import check_environment, first_capable_engine
 from pneuma.engines.gymnasium_env import GymnasiumSlots, make_env
 from pneuma.engines.gymnasium_evaluation import Evaluation
 from pneuma.engines.policy import Policy, read_sound_policy
@@ -21,6 +22,7 @@ from pneuma.errors import UserError
 from pneuma.study.identity import run_id
 
 from . import own_envs
+from .own_envs import Alone, Clinging
 from .trained import CORRIDOR, OTHERS, bits, constant, run_of, train
 
 
@@ -161,3 +163,34 @@ def test_files_of_one_name_are_two_modules_of_which_a_process_loads_one(tmp_path
     for run, name in zip(runs[1:], ("of_one_name", "statistics"), strict=True):
         with pytest.raises(UserError, match=f"another module {name}: give the file another name"):
             make_env(run)
+
+
+LEARNERS: list[dict[str, Any]] = [
+    {"engine": "batched"}, {"engine": "sb3"}, {"algorithm": "dqn"}, {"algorithm": "qr-dqn"},
+    {"algorithm_kwargs": {"clip_range_vf": 0.2}}, {"algorithm": "recurrent-ppo", "policy": "MlpLstmPolicy"},
+]  # fmt: skip
+
+
+@pytest.fixture
+def odd_classes() -> Iterator[None]:
+    """Environments that no other test has: of some there is one at a time."""
+    for own_class in (Alone, Clinging):
+        gymnasium.register(f"{own_class.__name__}-v0", own_class)
+    yield
+    for own_class in (Alone, Clinging):
+        del gymnasium.registry[f"{own_class.__name__}-v0"]
+
+
+@pytest.mark.usefixtures("odd_classes")
+@pytest.mark.parametrize("learner", LEARNERS)
+def test_what_no_learner_can_train_in_is_refused_in_one_line_by_all(learner: dict[str, Any]) -> None:
+    for kind, space in (("text", "Text"), ("graph", "Graph"), ("sequence", "Sequence"), ("one of", "OneOf")):
+        with pytest.raises(UserError, match=f"Corridor-v0: observations in {space} cannot be flattened"):
+            check_environment(make_run({**CORRIDOR, "env_kwargs": {"kind": kind}, **learner}))
+    clinging = make_run({"env": "Clinging-v0", "horizon": 64, **learner})
+    for check in (check_environment, first_capable_engine):
+        with pytest.raises(UserError, match="^Clinging-v0 when it is closed: OSError: still in use$"):
+            check(clinging)
+    reason = r"a second environment beside the first fails \(a run opens several .*Address already in use"
+    with pytest.raises(UserError, match=reason):
+        check_environment(make_run({"env": "Alone-v0", "horizon": 64, "slots": 1, **learner}))
