@@ -232,7 +232,7 @@ class ActionValues:
     last state before it are known. A time limit that terminates ends them.
     """
 
-    def __init__(self, run: Run, starts: int, is_stopping: IsStopping) -> None:
+    def __init__(self, run: Run, starts: int, is_stopping: IsStopping = never) -> None:
         self.run, self._is_stopping = run, is_stopping
         steps_beyond = _steps_beyond(run)
         longest_steps = run.episode_steps + (steps_beyond or 0)

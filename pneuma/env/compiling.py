@@ -78,7 +78,8 @@ inlined_early: Any = njit(**_INNER, inline="always")  # by numba before compilin
 typed_intrinsic: Any = intrinsic
 typed_arrays: Any = arrayobj
 typed_codegen: Any = cgutils
-_GENERATOR_ADDRESSES = (_helperlib.rnd_get_np_state_ptr, _helperlib.rnd_get_py_state_ptr)
+typed_helpers: Any = _helperlib
+_GENERATOR_ADDRESSES = (typed_helpers.rnd_get_np_state_ptr, typed_helpers.rnd_get_py_state_ptr)
 typed_void: Any = types.void
 typed_float: Any = types.float32
 typed_double: Any = types.float64
@@ -105,12 +106,12 @@ def target_features() -> str:
 
 def compiled_states() -> list[Any]:
     """Return the states of numba's own generators, for `restore_compiled`."""
-    return [_helperlib.rnd_get_state(address()) for address in _GENERATOR_ADDRESSES]
+    return [typed_helpers.rnd_get_state(address()) for address in _GENERATOR_ADDRESSES]
 
 
 def restore_compiled(states: list[Any]) -> None:
     for address, state in zip(_GENERATOR_ADDRESSES, states, strict=True):
-        _helperlib.rnd_set_state(address(), state)
+        typed_helpers.rnd_set_state(address(), state)
 
 
 def array_from(codegen: Any, builder: Any, array_type: Any, address: Any, lengths: Any) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics  # noqa: F401  # loaded before a file of its name
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -175,7 +175,7 @@ LEARNERS: list[dict[str, Any]] = [
 def odd_classes() -> Iterator[None]:
     """Environments that no other test has: of some there is one at a time."""
     for own_class in (Alone, Clinging):
-        gymnasium.register(f"{own_class.__name__}-v0", own_class)
+        gymnasium.register(f"{own_class.__name__}-v0", cast(Any, own_class))
     yield
     for own_class in (Alone, Clinging):
         del gymnasium.registry[f"{own_class.__name__}-v0"]

@@ -47,8 +47,8 @@ class Mine(DQN):
 class OwnRollouts(PPO):
     """A learner of one's own, whose rollouts have another length by default."""
 
-    def __init__(self, *arguments: Any, n_steps: int = 100, **options: Any) -> None:
-        super().__init__(*arguments, n_steps=n_steps, **options)
+    def __init__(self, policy: Any, env: Any, n_steps: int = 100, **options: Any) -> None:
+        super().__init__(policy, env, n_steps=n_steps, **options)
 
 
 def pasted(**fields: Any) -> Run:

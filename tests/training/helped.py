@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 from gymnasium.envs.classic_control import CartPoleEnv
@@ -41,7 +41,8 @@ class Forked(CartPoleEnv):
             time.sleep(600)
         if self._taken == 40 and self._in_step_40 == "die":
             os.kill(os.getpid(), signal.SIGKILL)
-        return super().step(action)
+        step: Any = super().step
+        return step(action)
 
     def close(self) -> None:
         self._helper.terminate()
@@ -64,4 +65,4 @@ class Subprocess(CartPoleEnv):
 
 
 for own_class in (Forked, Subprocess):
-    gymnasium.register(f"{own_class.__name__}-v0", own_class, max_episode_steps=100)
+    gymnasium.register(f"{own_class.__name__}-v0", cast(Any, own_class), max_episode_steps=100)

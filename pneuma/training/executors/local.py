@@ -383,7 +383,7 @@ class _Worker(subprocess.Popen[bytes]):
         """Return what it has printed, without waiting for more, and whether its pipe is closed."""
         is_closed = False
         while not is_closed:
-            printed_bytes = self.events.read(2**16)
+            printed_bytes: Any = self.events.read(2**16)
             if printed_bytes is None:  # there is no more yet
                 break
             is_closed = not printed_bytes
