@@ -29,7 +29,6 @@ from pneuma.analysis.export import encode_frame
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.answers.curves import find_curves
-from pneuma.answers.notes import TRAILING_WINDOW
 from pneuma.answers.one_action import find_one_action
 from pneuma.answers.outcomes import show_outcomes
 from pneuma.config import as_fields, make_run
@@ -47,7 +46,6 @@ from pneuma.search.log import read_published
 from pneuma.search.spec import load_search
 from pneuma.store.index import RunIndex
 from pneuma.store.provenance import available_cores
-from pneuma.store.series import SLACK
 from pneuma.store.store import PUBLISHED, Store
 from pneuma.study.plan import Query
 from pneuma.values import format_value
@@ -83,20 +81,24 @@ OF_OWN_GAME: Mapping[str, Mapping[str, Mapping[str, str]]] = {
     },
 }
 """The conditions of the thesis's own game that a figure shows, by title, with the figure's names for them."""
+ONE_ENVIRONMENT = "Older runs, trained in one environment, not in four."
 OWN_QUANTITIES = ("return", "entropy")
 THESIS_QUANTITIES = ("return", "share_killed")
 SEARCHES = {("ppo", "arena"): (), ("ppo", "text"): ("values",), ("godot", None): ("values",)}
 """The published searches that a page shows, each with its world if it has several; () is all its pictures."""
 ELSEWHERE = {"CartPole": "cartpole", "Acrobot": "acrobot", "MinAtar's Breakout": "breakout"}
 """Studies of the same question in other environments, by the titles of their panels."""
-WHOLE = ("architecture", "activation", "actor-size", "breakout", "cartpole", "robustness")
-"""Studies without a figure, because another figure shows every condition, or a table shows everything."""
+WHOLE = (
+    "architecture", "activation", "actor-size", "author-logs", "breakout", "cartpole", "collapse",
+    "late-collapse", "published-logs", "robustness", "team", "three-updates",
+)  # fmt: skip
+"""Studies without a figure: another figure shows every condition, or a table or a sentence is enough."""
 EARLIER: Mapping[str, tuple[str, dict[str, Any]]] = {"fig-6-2": ("one-environment", {"slots": 1})}
 """Figures that show earlier runs too: the preset and the changed fields that these have."""
+SEEN_SEEDS = range(100, 150)
+"""Of runs that were known when their claims were stated. They are not drawn beside fresh ones."""
 IN_ONE_ACTION = ("betas-by-clip", "betas-longer")
 """Studies whose figure shows when runs come to stay in one action."""
-BESIDE = {"published-logs": "author-logs"}
-"""The imported logs that are drawn with a study, and not alone."""
 
 SETTINGS = (
     "gamma", "gae_lambda", "learning_rate", "clip_range", "horizon", "minibatch", "epochs",
@@ -106,7 +108,7 @@ SETTINGS = (
 """Fields that the thesis's Tables 6.1 and 6.2 state or leave to the library."""
 
 
-def draw_all(folder: Path, results: Path = RESULTS, logs: Mapping[str, str] = BESIDE) -> list[Path]:
+def draw_all(folder: Path, results: Path = RESULTS) -> list[Path]:
     """Draw all figures and write the table of settings; return the files written."""
     folder.mkdir(parents=True, exist_ok=True)
     written = [*_draw_environment(folder), _write_settings(folder)]
@@ -114,10 +116,10 @@ def draw_all(folder: Path, results: Path = RESULTS, logs: Mapping[str, str] = BE
     sizes: dict[str, int] = {}
     for table in index.tables.values():
         sizes[table.about["study"]] = sizes.get(table.about["study"], 0) + len(table.index)
-    largest_first = sorted({*sizes} - {*logs.values()}, key=lambda name: (-sizes[name], name))
+    largest_first = sorted(sizes, key=lambda name: (-sizes[name], name))
     with ProcessPoolExecutor(available_cores(), get_context("spawn")) as pool:
         verdicts = pool.submit(_draw_verdicts, folder, results)
-        for paths in pool.map(partial(_draw_one, folder, results, logs), largest_first):
+        for paths in pool.map(partial(_draw_one, folder, results), largest_first):
             written += paths
     written += verdicts.result()
     written += _draw_searches(folder, results)
@@ -191,7 +193,7 @@ def _write_settings(folder: Path) -> Path:
 # --- One study ---------------------------------------------------------------------------------------
 
 
-def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str) -> list[Path]:
+def _draw_one(folder: Path, results: Path, study: str) -> list[Path]:
     """Draw all figures of a study; return the files written."""
     index, pages = _published(results), []
     for figure, (figure_study, _) in THESIS_FIGURES.items():
@@ -208,7 +210,7 @@ def _draw_one(folder: Path, results: Path, beside: Mapping[str, str], study: str
         runs_there = study_runs(index, study, "godot")
         pages += [replace(one_action_page(find_one_action(runs_there)), basename=study)] if runs_there else []
     elif study not in WHOLE:
-        pages += _study_pages(index, study, beside.get(study))
+        pages += _study_pages(index, study)
     return _save(folder, pages)
 
 
@@ -222,7 +224,7 @@ def _elsewhere(index: RunIndex) -> Page:
     return curves_page(find_curves(columns), basename="elsewhere")
 
 
-def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
+def _study_pages(index: RunIndex, study: str) -> list[Page]:
     """Return a study over the worlds of its tables: curves if they fit, or else its summary; and more."""
     worlds = {table.about.get("world") for table in index.tables.values() if table.about["study"] == study}
     columns: dict[str, StudyData] = {}
@@ -235,15 +237,8 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
         return []
     shown = {name for data in columns.values() for name in data.conditions}
     data = next(iter(columns.values()))
-    if logs:
-        every = open_study(index, Query(logs))
-        whole = every.runs["condition"][every.runs["end"] >= (1 - SLACK) * every.runs["end"].median()]
-        names = [name for name in data.conditions if data.engines(name) != {"sb3"}]
-        ours, beside = data.of_conditions(names), every.of_conditions([*whole])
-        answer = find_curves({"": ours}, ["return"], beside, band="runs", window=TRAILING_WINDOW)
-        return [curves_page(answer, study)]
+    pages: list[Page] = []
     if len(data.study.outcomes) > 1:
-        pages = []
         for data in columns.values():
             basename = f"{study}-{data.world}" if len(columns) > 1 else study
             pages.append(summary_page(show_outcomes({"": data}), basename))
@@ -251,6 +246,8 @@ def _study_pages(index: RunIndex, study: str, logs: str | None) -> list[Page]:
         pages = [summary_page(show_outcomes(columns), basename=study)]
     else:
         pages = [curves_page(find_curves(columns), basename=study)]
+    if all(fields.get("slots") == 1 for data in columns.values() for fields in data.fields.values()):
+        pages = [replace(page, caption=[ONE_ENVIRONMENT, *page.caption]) for page in pages]
     return pages
 
 
@@ -296,8 +293,11 @@ def thesis_columns(index: RunIndex, figure: str) -> dict[str, StudyData]:
 def _add_column(
     columns: dict[str, StudyData], title: str, data: StudyData, conditions: Sequence[str]
 ) -> None:
-    trained = {*data.runs["condition"]}
-    shown = [name for name in conditions if name in trained]
+    shown = [name for name in conditions if data.of_condition(name)]
+    has_fresh_seed = ~data.runs["seed"].isin(SEEN_SEEDS)
+    fresh_conditions = {*data.runs["condition"][has_fresh_seed]}
+    if fresh_conditions:
+        shown = [name for name in shown if name in fresh_conditions]
     if len(shown) > 1:
         columns[title] = data.of_conditions(shown)
 

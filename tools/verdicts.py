@@ -1,6 +1,7 @@
 """All verdicts on the thesis's sentences as a forest plot: a row for each, a panel for each world.
 
 An interval is drawn as a multiple of its margin, and so that the side on the right is what the sentence says.
+Its colour is that of its own outcome: a sentence may hold by one outcome and be undecided by another.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from pneuma.analysis.claims.words import (
     rows_of_claims,
     verdict_table,
     word,
+    word_of,
     worlds_of,
 )
 from pneuma.figures.origin import line_of_runs, origin_text
@@ -46,6 +48,7 @@ MOST_MARGINS = 8.0
 """Intervals are cut there, with an arrow."""
 BESIDE_ARROW = 0.7 * MOST_MARGINS
 """Where a mark stands that lies further out."""
+AXIS_LABEL = "difference in margins"
 TICKS = {-5: "−5", -1: "−1", 0: "0", 1: "1", 5: "5"}
 LOOKS: dict[str, dict[str, Any]] = {
     HOLDS: {"marker": "o", "color": "C0"},
@@ -91,15 +94,27 @@ def draw_verdicts(claims: ByClaim, folder: Path) -> list[Path]:
             left = (SENTENCES_INCHES + place * panel) / WIDTH_INCHES
             axes = figure.add_axes((left, bottom, 0.9 * panel / WIDTH_INCHES, share))
             axes.set_title(name, fontsize=TYPE)
+            axes.set_xlabel(AXIS_LABEL, fontsize=TYPE, labelpad=2)
             _draw_scale(axes, lines)
             for row in rows:
                 if world in row.verdicts:
                     _draw_verdicts(axes, row, row.verdicts[world])
-        words = {word(verdict) for by_world in claims.values() for verdict in by_world.values()}
+        words = _drawn_words(claims)
         _draw_legend(figure, words)
         paths = save_figure(figure, folder, STEM, ("png",), _origin(claims))
         plt.close(figure)
     return paths
+
+
+def _drawn_words(claims: ByClaim) -> set[str]:
+    """Return the words whose marks are in the figure."""
+    words: set[str] = set()
+    for by_world in claims.values():
+        for verdict in by_world.values():
+            words.update(word_of(contrast.verdict) for contrast in _drawn(verdict))
+            if word(verdict) == NOT_TESTED:
+                words.add(NOT_TESTED)
+    return words
 
 
 def _rows(claims: ByClaim) -> list[Row]:
@@ -154,13 +169,13 @@ def _draw_scale(axes: Axes, lines: float) -> None:
 
 
 def _draw_verdicts(axes: Axes, row: Row, verdicts: Sequence[Verdict]) -> None:
-    """Draw the intervals of verdicts below each other, in their own colours, and the letters of labels."""
+    """Draw intervals below each other, each as its own outcome decides, and the letters of labels."""
     middle = (row.top + row.bottom) / 2
     drawn = [(verdict, contrast) for verdict in verdicts for contrast in _drawn(verdict)]
     if all(word(verdict) == NOT_TESTED for verdict in verdicts):
         axes.plot(0, middle, markersize=4, **LOOKS[NOT_TESTED])
-    for line, (verdict, contrast) in enumerate(drawn, start=1):
-        look = LOOKS[word(verdict)]
+    for line, (_, contrast) in enumerate(drawn, start=1):
+        look = LOOKS[word_of(contrast.verdict)]
         height = row.top + (row.bottom - row.top) * line / (len(drawn) + 1)
         low, centre, high = _in_margins(contrast)
         axes.plot([low, high], [height, height], color=look["color"], linewidth=1.0, zorder=2)
@@ -212,10 +227,10 @@ def _draw_legend(figure: Figure, words: set[str]) -> None:
     ]
     figure.legend(handles=marks, loc="lower left", ncols=4, bbox_to_anchor=(0.0, 0.0), fontsize=TYPE)
     text = (
-        "Differences with their intervals, in margins: to the right as the sentence says;\n"
-        "grey: too small to count. “Little to no effect” and “similar” hold within the grey.\n"
-        "The axis is compressed beyond ±1; an arrow: the interval goes on beyond its end. A mark alone\n"
-        "has no interval. p: preregistered; a: amended; 3: same runs as list 3; d: descriptive; *: changed."
+        "To the right as the sentence says; grey: too small to count. “Little to no effect” and “similar”\n"
+        "hold within the grey. The colour is that of an outcome alone: the sentence's verdict stands in the\n"
+        "table. Beyond ±1 the axis is compressed; an arrow: the interval goes on. A mark alone has no\n"
+        "interval. p: preregistered; a: amended; 3: same runs as list 3; d: descriptive; *: changed."
     )
     figure.text(0.99, 0.01, text, ha="right", va="bottom", color=GREY, linespacing=1.25)
 

@@ -8,6 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
+from pneuma.analysis.study_data import StudyData
 from pneuma.config import make_run
 from pneuma.figures.origin import origin_text
 from pneuma.figures.style import save_figure
@@ -60,9 +61,20 @@ def test_every_table_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: 
     assert _runs(folder / "mine.png") == ["mine, tanh, seeds 0..1", "mine, relu, seeds 0..1"]
     of_activation = ["activation, tanh, seeds 300..301", "activation, relu, seeds 300..301"]
     assert _runs(folder / "fig-6-5.png") == of_activation
-    figures.draw_all(folder, published, {"mine": "activation"})
-    assert _runs(folder / "mine.png")[1:3] == ["mine, relu, seeds 0..1", of_activation[0]]
-    assert not (folder / "fig-6-5.png").exists()  # it is drawn beside, and no more alone
+
+
+def test_runs_that_were_known_are_not_drawn_beside_fresh_ones(tmp_path: Path) -> None:
+    study = HandMade(tmp_path)
+    columns: dict[str, StudyData] = {}
+    for condition, seed in (("tanh", 300), ("relu", 300), ("leaky-relu", 100)):
+        study.add(condition, seed)
+    figures._add_column(columns, "The arena", study.data, ("tanh", "relu", "leaky-relu"))
+    assert {*columns["The arena"].runs["condition"]} == {"tanh", "relu"}
+
+
+def test_captions_say_that_runs_had_one_environment(published: Path) -> None:
+    (page,) = figures._study_pages(figures._published(published), "mine")
+    assert page.caption[0] == figures.ONE_ENVIRONMENT
 
 
 def _runs(path: Path) -> list[str]:

@@ -190,7 +190,12 @@ def cell(verdict: Verdict) -> str:
 
 
 def word(verdict: Verdict) -> str:
-    return _WORD_OF[verdict.verdict]
+    return word_of(verdict.verdict)
+
+
+def word_of(verdict: str) -> str:
+    """Return the word for a verdict's code, as of a single contrast."""
+    return _WORD_OF[verdict]
 
 
 def lines(verdict: Verdict) -> list[str]:
