@@ -82,6 +82,7 @@ OF_OWN_GAME: Mapping[str, Mapping[str, Mapping[str, str]]] = {
 }
 """The conditions of the thesis's own game that a figure shows, by title, with the figure's names for them."""
 ONE_ENVIRONMENT = "Older runs, trained in one environment, not in four."
+REWARDS = {"classes": "All classes are rewarded for kills."}
 OWN_QUANTITIES = ("return", "entropy")
 THESIS_QUANTITIES = ("return", "share_killed")
 SEARCHES = {("ppo", "arena"): (), ("ppo", "text"): ("values",), ("godot", None): ("values",)}
@@ -246,6 +247,8 @@ def _study_pages(index: RunIndex, study: str) -> list[Page]:
         pages = [summary_page(show_outcomes(columns), basename=study)]
     else:
         pages = [curves_page(find_curves(columns), basename=study)]
+    if study in REWARDS:
+        pages = [replace(page, caption=[REWARDS[study], *page.caption]) for page in pages]
     if all(fields.get("slots") == 1 for data in columns.values() for fields in data.fields.values()):
         pages = [replace(page, caption=[ONE_ENVIRONMENT, *page.caption]) for page in pages]
     return pages

@@ -27,16 +27,19 @@ from pneuma.analysis.curves import (
 )
 from pneuma.analysis.environments import in_environment_of
 from pneuma.analysis.outcomes import have_one_return, is_foreign
-from pneuma.analysis.quantities import POWERS, QUANTITIES
+from pneuma.analysis.quantities import POWERS, QUANTITIES, SHARES
 from pneuma.analysis.study_data import StudyData
 from pneuma.answers.answer import Answer
-from pneuma.answers.notes import BUDGET_AVERAGE, averaging, merge_notes, notes_on_runs
+from pneuma.answers.notes import BUDGET_AVERAGE, averaging, merge_notes, notes_on_runs, notes_on_windows
 from pneuma.errors import Hint, UserError, counted
 from pneuma.store.quantities import UPDATE_QUANTITIES
 from pneuma.store.series import GRID_POINTS
+from pneuma.values import per_cent
 
 DEFAULT_QUANTITIES, EVALUATED = ("return", "share_killed", "success"), "evaluated_return"
 DEFAULT_BAND, INTERVAL = BAND_NAMES[0], "ci"
+MOST_LEVELS = 4
+"""Most different levels of random players that a note names."""
 LEAST_EVALUATIONS = 3
 """With fewer, a curve of evaluations is a dot or two."""
 LEAST_POINTS = GRID_POINTS // 2
@@ -311,6 +314,7 @@ def _notes(column: Column, options: CurveOptions) -> list[str]:
             )
         if curve.values.isna().all().any():
             notes.append(f"Some of {curve_text} have no value in a panel and are left out of its means.")
+    notes += _notes_on_random_levels(column)
     averaged: dict[str, list[str]] = {}
     for quantity in column.curves:
         if quantity in EPISODE_WORDS:
@@ -320,12 +324,26 @@ def _notes(column: Column, options: CurveOptions) -> list[str]:
     for average, averaged_words in averaged.items():
         averaged_text = " and ".join(dict.fromkeys(averaged_words))
         notes.append(f"{averaged_text[0].upper()}{averaged_text[1:]}: {average}.")
+    if BUDGET_AVERAGE in averaged:
+        notes += notes_on_windows(study_data, beside)
     if beside and beside.averaged_over is not None:
         beside_name = beside.study.name
         average = averaging(beside, options.window)
         notes.append(f"{beside_name}: {average}. The environment of {beside_name} is not recorded.")
     if options.x in X_NOTES:
         notes.append(X_NOTES[options.x])
+    return notes
+
+
+def _notes_on_random_levels(column: Column) -> list[str]:
+    """Return whose lines those of random players are, if they differ between conditions."""
+    notes: list[str] = []
+    levels = column.reference[column.reference["x"].isna()]
+    for quantity, of_quantity in levels.groupby("quantity", sort=False):
+        if QUANTITIES[str(quantity)].kind == SHARES and 1 < of_quantity["value"].nunique() <= MOST_LEVELS:
+            by_level = of_quantity.sort_values("value", ascending=False)
+            texts = [f"{row.condition} {per_cent(row.value)}" for row in by_level.itertuples()]
+            notes.append(f"Random players: {', '.join(texts)}.")
     return notes
 
 

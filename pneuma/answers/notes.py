@@ -11,7 +11,7 @@ from pneuma.analysis.outcomes import kinds_of_return
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import counted
 from pneuma.store.quantities import WINDOWS
-from pneuma.store.series import SLACK
+from pneuma.store.series import GRID_POINTS, SLACK, WINDOW_POINTS
 from pneuma.values import format_settings
 
 TRAILING_WINDOW = WINDOWS[1]
@@ -123,6 +123,17 @@ def averaging(study_data: StudyData, window: str | None = None) -> str:
     if study_data.averaged_over or (window or study_data.windows[0]) == TRAILING_WINDOW:
         return f"mean of the last {study_data.averaged_over or 100} episodes"
     return BUDGET_AVERAGE
+
+
+def notes_on_windows(study_data: StudyData, beside: StudyData | None = None) -> list[str]:
+    """Return over how many steps points average if runs in a figure have several budgets."""
+    budgets = {run.budget for run in (*study_data.rows, *(beside.rows if beside else ()))}
+    if not budgets or max(budgets) <= min(budgets) * (1 + SLACK):
+        return []
+    steps = " or ".join(
+        f"{WINDOW_POINTS * budget / GRID_POINTS:,.0f}" for budget in (min(budgets), max(budgets))
+    )
+    return [f"Budgets differ, so points average {steps} steps, and curves of longer runs lag more."]
 
 
 def _named(conditions: Sequence[str]) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import matplotlib as mpl
 import numpy as np
@@ -16,7 +18,9 @@ from scipy import stats
 
 from pneuma import __version__
 from pneuma.analysis.runs import open_study
+from pneuma.analysis.study_data import StudyData
 from pneuma.answers.curves import find_curves
+from pneuma.answers.notes import notes_on_windows
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.figures.curves import curves_page
@@ -65,6 +69,14 @@ def test_every_run_of_another_study_is_drawn_beside(
     dashed = [line for line in beside.lines if line.get_linestyle() == "--"]
     assert {line.get_color() for line in dashed} >= {"C0", "C1"}
     assert {line.get_alpha() for line in dashed} - {None} == {0.6}  # no condition is fainter than another
+
+
+def test_curves_of_several_budgets_come_with_the_steps_that_a_point_averages(study: HandMade) -> None:
+    """The runs have 1,000 steps and, beside, 2,000: a twentieth of each is averaged."""
+    longer = SimpleNamespace(rows=[SimpleNamespace(budget=2 * BUDGET)])
+    (note,) = notes_on_windows(study.data, cast(StudyData, longer))
+    assert "points average 50 or 100 steps" in note
+    assert notes_on_windows(study.data, study.data) == []
 
 
 def test_runs_beside_are_of_the_same_environment_or_not_drawn(
