@@ -342,7 +342,9 @@ def _notes_on_random_levels(column: Column) -> list[str]:
     for quantity, of_quantity in levels.groupby("quantity", sort=False):
         if QUANTITIES[str(quantity)].kind == SHARES and 1 < of_quantity["value"].nunique() <= MOST_LEVELS:
             by_level = of_quantity.sort_values("value", ascending=False)
-            texts = [f"{row.condition} {per_cent(row.value)}" for row in by_level.itertuples()]
+            texts = []
+            for condition, value in zip(by_level["condition"], by_level["value"], strict=True):
+                texts.append(f"{condition} {per_cent(float(value))}")
             notes.append(f"Random players: {', '.join(texts)}.")
     return notes
 
