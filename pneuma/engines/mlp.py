@@ -386,7 +386,7 @@ def choose(network: Any, observations: Any, draws: Any, is_playing: Any, actions
     playing_rows = np.empty(len(is_playing), np.int64)
     scratch, starts = make_scratch(widths, len(is_playing))
     for policy in range(policies):
-        playing_count = 0
+        playing_count = np.int64(0)  # `forward` would be compiled twice, for a literal 0, too
         for row in range(policy, len(is_playing), policies):
             if is_playing[row]:
                 playing_rows[playing_count] = row

@@ -62,6 +62,8 @@ def cached(*signature: Any, using: Any = njit, notice: str = "", **options: Any)
                 function_cache.flush()
         if notice and not cache_index and sys.stderr.isatty():
             print(notice, file=sys.stderr)
+        if using is njit:
+            options["no_cfunc_wrapper"] = True  # compiled functions call each other directly
         return using(*signature, cache=can_cache, **options)(function)
 
     return compiled

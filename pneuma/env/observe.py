@@ -285,5 +285,5 @@ def _may_walk(world: World, player_index: int) -> bool:
     """Return whether terrain lets a player walk on for a tick; bodies are ignored, as they may move."""
     player = world.players[player_index]
     rules.pack_player(world, player_index)
-    x, y = rules.walk(world, player_index, False)
+    x, y = rules.walk(world, player_index, np.bool_(False))
     return x != player.x or y != player.y

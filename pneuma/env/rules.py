@@ -276,7 +276,7 @@ def _act(world: World, player_index: int, action: int) -> None:
                     _heal(patient, world.player_stats[patient_index], event, player_stats.heal)
     else:
         player.facing = action
-        player.x, player.y = walk(world, player_index, True)
+        player.x, player.y = walk(world, player_index, np.bool_(True))
 
 
 @inlined
@@ -345,7 +345,7 @@ def _tick_monster(world: World, monster_index: int) -> None:
         step_y = _approach(player.y - monster.y, monster_stats.stand_off, monster_stats.speed)
     if step_x != 0.0 or step_y != 0.0:
         stops = world.settings.monster_stops
-        monster.x, monster.y = move(world, monster_index, step_x, step_y, stops, True)
+        monster.x, monster.y = move(world, monster_index, step_x, step_y, stops, np.bool_(True))
 
 
 @inlined
@@ -578,10 +578,10 @@ def move(
     `stops` has a bit for each code of terrain that stops it.
     """
     box_place = world.boxes[body_index].place
-    if step_x != 0.0:
-        box_place[0] = _moved_along(world, body_index, 0, step_x, stops, among_bodies)
-    if step_y != 0.0:
-        box_place[1] = _moved_along(world, body_index, 1, step_y, stops, among_bodies)
+    distances = step_x, step_y
+    for axis in range(2):
+        if distances[axis] != 0.0:
+            box_place[axis] = _moved_along(world, body_index, axis, distances[axis], stops, among_bodies)
     return box_place[0], box_place[1]
 
 

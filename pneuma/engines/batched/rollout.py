@@ -125,12 +125,12 @@ class GymnasiumCollector(Collector):
 
     def _play(self, actor: Network, draws: np.ndarray, rollout: Rollout) -> int:
         slots = self.slots
-        is_playing = np.ones(draws.shape[1], np.bool_)
+        is_playing, actions = np.ones(draws.shape[1], np.bool_), np.empty(draws.shape[1], np.int64)
         endings = 0
         for step, step_draws in enumerate(draws):
-            observations, actions = rollout.observations[:, step], rollout.actions[:, step]
-            observations[:], rollout.starts[:, step] = slots.observations, slots.begins
-            choose(actor, observations, step_draws, is_playing, actions)
+            rollout.observations[:, step], rollout.starts[:, step] = slots.observations, slots.begins
+            choose(actor, slots.observations, step_draws, is_playing, actions)
+            rollout.actions[:, step] = actions
             rollout.rewards[:, step], terminated, truncated = slots.step(actions)
             for slot in np.flatnonzero(terminated | truncated):
                 ending = rules.TIME_LIMIT if truncated[slot] else rules.RUNNING
@@ -149,7 +149,7 @@ class GymnasiumCollector(Collector):
 def _play(handle: Any, actor: Any, draws: Any, default_starts: Any, rollout: Any) -> int:
     state = open_state(handle)
     actions = np.zeros((state.players.shape[0], state.players.shape[1]), np.int64)
-    endings = 0
+    endings = np.int64(0)  # `_keep_step` would be compiled twice, for a literal 0 and for other numbers
     for step in range(draws.shape[0]):
         _choose(handle, actor, draws[step], rollout, step, actions)
         run_worlds(handle.ctypes.data, actions.ctypes, STEP | RECORD)
@@ -162,16 +162,19 @@ def _choose(handle: Any, actor: Any, draws: Any, rollout: Any, step: int, action
     """Record what each slot observes and sample its action; idle slots observe zeros."""
     state = open_state(handle)
     players = state.players.shape[1]
+    features = state.observations.shape[2]
+    observations = np.zeros((len(draws), features), np.float32)
     for i in range(len(draws)):
         slot = state.slots[i // players, i % players]
         if not slot.idle:
-            for j in range(state.observations.shape[2]):  # a slice would compile the text of an error
-                rollout.observations[i, step, j] = state.observations[i // players, i % players, j]
+            for j in range(features):  # a slice would compile the text of an error
+                observations[i, j] = state.observations[i // players, i % players, j]
+                rollout.observations[i, step, j] = observations[i, j]
         rollout.starts[i, step] = slot.begins
-    observations, slot_actions = rollout.observations[:, step], rollout.actions[:, step]
+    slot_actions = np.empty(len(draws), np.int64)
     choose(actor, observations, draws, np.ones(len(draws), np.bool_), slot_actions)
     for i in range(len(draws)):
-        actions[i // players, i % players] = slot_actions[i]
+        rollout.actions[i, step] = actions[i // players, i % players] = slot_actions[i]
 
 
 @kernel
