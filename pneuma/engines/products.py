@@ -48,7 +48,7 @@ FEW_ROWS = 4
 
 
 def _tile(rows: int, panels: int, reads_across: bool) -> Any:
-    """Return a function that writes a tile of a product, for `multiply` or `multiply_across`.
+    """Return a function that writes a tile of a product, from a row and a panel on.
 
     The sums stay in registers, which a loop that numba compiles cannot ask for. LLVM divides vectors of
     `COLUMNS` numbers into those that the processor has. Products and sums are fused, that is rounded once,
@@ -58,11 +58,11 @@ def _tile(rows: int, panels: int, reads_across: bool) -> Any:
     everywhere = ir.Constant(ir.VectorType(ir.IntType(32), COLUMNS), None)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        row, panel, operands = arguments
         (
             a, a_start, a_distance, a_blocks, a_block, steps, b, b_start, b_panel, b_step,
             first, first_start, first_panel, c, c_start, c_panel, c_row,
-        ) = arguments  # fmt: skip
-
+        ) = typed_codegen.unpack_tuple(builder, operands)  # fmt: skip
         one = a_distance.type(1)
         a_row, a_step = (one, a_distance) if reads_across else (a_distance, one)
 
@@ -72,16 +72,17 @@ def _tile(rows: int, panels: int, reads_across: bool) -> Any:
         def moved(start: Any, distance: Any, times: Any) -> Any:
             return builder.add(start, builder.mul(distance, times))
 
-        def starts(start: Any, distance: Any, count: int) -> list[Any]:
+        def starts(start: Any, distance: Any, first_index: Any, count: int) -> list[Any]:
+            start = moved(start, distance, first_index)
             return [moved(start, distance, distance.type(number)) for number in range(count)]
 
         fused_type = ir.FunctionType(vector, [vector, vector, vector])
         fused = typed_codegen.get_or_insert_function(builder.module, fused_type, f"llvm.fma.v{COLUMNS}f32")
         sums = []
-        for panel_start in starts(first_start, first_panel, panels):
+        for panel_start in starts(first_start, first_panel, panel, panels):
             begin = builder.load(vector_at(first, panel_start), align=4)
             sums.append([typed_codegen.alloca_once_value(builder, begin) for _ in range(rows)])
-        row_starts, panel_starts = starts(a_start, a_row, rows), starts(b_start, b_panel, panels)
+        row_starts, panel_starts = starts(a_start, a_row, row, rows), starts(b_start, b_panel, panel, panels)
         with typed_codegen.for_range(builder, a_blocks) as blocks:
             block_start = builder.mul(blocks.index, a_block)
             first_step = builder.mul(blocks.index, steps)
@@ -91,30 +92,21 @@ def _tile(rows: int, panels: int, reads_across: bool) -> Any:
                 for panel_start in panel_starts:
                     factors.append(builder.load(vector_at(b, moved(panel_start, b_step, step)), align=4))
                 offset = moved(block_start, a_step, loop.index)
-                for row, row_start in enumerate(row_starts):
+                for number, row_start in enumerate(row_starts):
                     value = builder.load(builder.gep(a, [builder.add(row_start, offset)]))
                     single = builder.insert_element(vector(ir.Undefined), value, ir.IntType(32)(0))
                     values = builder.shuffle_vector(single, single, everywhere)
                     for factor, panel_sums in zip(factors, sums, strict=True):
-                        total = panel_sums[row]
+                        total = panel_sums[number]
                         builder.store(builder.call(fused, [values, factor, builder.load(total)]), total)
-        for panel_start, panel_sums in zip(starts(c_start, c_panel, panels), sums, strict=True):
-            for row_start, total in zip(starts(panel_start, c_row, rows), panel_sums, strict=True):
+        for panel_start, panel_sums in zip(starts(c_start, c_panel, panel, panels), sums, strict=True):
+            for row_start, total in zip(starts(panel_start, c_row, row, rows), panel_sums, strict=True):
                 builder.store(builder.load(total), vector_at(c, row_start), align=4)
         return context.get_dummy_value()
 
     @typed_intrinsic
-    def tile(
-        typing: Any,
-        a: Any, a_start: Any, a_distance: Any, a_blocks: Any, a_block: Any, steps: Any,
-        b: Any, b_start: Any, b_panel: Any, b_step: Any, first: Any, first_start: Any, first_panel: Any,
-        c: Any, c_start: Any, c_panel: Any, c_row: Any,
-    ) -> Any:  # fmt: skip
-        types = (
-            a, a_start, a_distance, a_blocks, a_block, steps, b, b_start, b_panel, b_step,
-            first, first_start, first_panel, c, c_start, c_panel, c_row,
-        )  # fmt: skip
-        return typed_void(*types), generate
+    def tile(typing: Any, row: Any, panel: Any, operands: Any) -> Any:
+        return typed_void(row, panel, operands), generate
 
     return tile
 
@@ -133,7 +125,10 @@ def _product(reads_across: bool) -> Any:
         tile_rows = TILE_ROWS if rows >= TILE_ROWS else FEW_ROWS if rows >= FEW_ROWS else 1
         tile_panels = TILE_PANELS if panels >= TILE_PANELS and tile_rows == TILE_ROWS else 1
         row_tiles, panel_tiles = -(-rows // tile_rows), -(-panels // tile_panels)
-        a_row = 1 if reads_across else a_distance
+        operands = (
+            a, a_start, a_distance, a_blocks, a_block, steps, b, b_start, b_panel, b_step,
+            first, first_start, first_panel, c, c_start, c_panel, c_row,
+        )  # fmt: skip
         for index in range(row_tiles * panel_tiles):
             if left_once:
                 row_tile, panel_tile = index // panel_tiles, index % panel_tiles
@@ -142,28 +137,14 @@ def _product(reads_across: bool) -> Any:
             # the last tile ends with the last row or panel: what two tiles share has the same bits in both
             row = min(row_tile * tile_rows, rows - tile_rows)
             panel = min(panel_tile * tile_panels, panels - tile_panels)
-            a_at, b_at = a_start + row * a_row, b_start + panel * b_panel
-            first_at, c_at = first_start + panel * first_panel, c_start + panel * c_panel + row * c_row
             if tile_panels > 1:
-                whole_tile(
-                    a, a_at, a_distance, a_blocks, a_block, steps, b, b_at, b_panel, b_step,
-                    first, first_at, first_panel, c, c_at, c_panel, c_row,
-                )  # fmt: skip
+                whole_tile(row, panel, operands)
             elif tile_rows == TILE_ROWS:
-                one_panel(
-                    a, a_at, a_distance, a_blocks, a_block, steps, b, b_at, b_panel, b_step,
-                    first, first_at, first_panel, c, c_at, c_panel, c_row,
-                )  # fmt: skip
+                one_panel(row, panel, operands)
             elif tile_rows == FEW_ROWS:
-                few_rows(
-                    a, a_at, a_distance, a_blocks, a_block, steps, b, b_at, b_panel, b_step,
-                    first, first_at, first_panel, c, c_at, c_panel, c_row,
-                )  # fmt: skip
+                few_rows(row, panel, operands)
             else:
-                one_row(
-                    a, a_at, a_distance, a_blocks, a_block, steps, b, b_at, b_panel, b_step,
-                    first, first_at, first_panel, c, c_at, c_panel, c_row,
-                )  # fmt: skip
+                one_row(row, panel, operands)
 
     return product
 

@@ -219,12 +219,7 @@ def learn(
                 critic_scratch[i] = actor_scratch[i]
             logits = forward(actor_weights, actor_widths, activation, len(indices), actor_scratch, actor_rows)
             values = forward(
-                critic_weights,
-                critic_widths,
-                run_numbers.activation,
-                len(indices),
-                critic_scratch,
-                critic_rows,
+                critic_weights, critic_widths, activation, len(indices), critic_scratch, critic_rows
             )
             _policy_loss(
                 actor_scratch, logits, actor_widths[-1], indices, actions, old_logs, advantages, run_numbers,
