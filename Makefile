@@ -87,7 +87,7 @@ docs: $(TESTED)  ## Build the pages of docs/ as a site in site/, with all comman
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 test: lint  ## Check style and types, and run the fast tests
-	$(BIN)/python -m pytest -m 'not slow' -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 storm: $(TESTED)  ## Kill and damage studies at random, and compare every bit
 	$(BIN)/python -m tests.training.storm

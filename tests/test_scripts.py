@@ -53,6 +53,12 @@ def test_options_narrow_the_commands_of_a_part() -> None:
     assert [words[4] for words in commands("causes", "status", ["collapse"], ["text"])] == ["text"]
 
 
+def test_slow_tests_run_only_where_they_are_asked_for(pytestconfig: pytest.Config) -> None:
+    """A single file, run while one works, took networks of 1.2 GB."""
+    assert pytestconfig.getini("addopts")[-2:] == ["-m", "not slow"]
+    assert "pytest -m slow $(SLOW_$*)" in (ROOT / "Makefile").read_text()
+
+
 def test_makefile_names_every_part() -> None:
     makefile = (ROOT / "Makefile").read_text()
     assert {*re.findall(r"\$\(REPRODUCE\) (\S+)", makefile)} == {*REPRODUCE["PARTS"]}

@@ -26,7 +26,16 @@ from pneuma.store.index import RunIndex
 from pneuma.store.store import Store
 from pneuma.study.plan import Query
 
-from ..hand_made import BUDGET, healthy, learning, one_action, save_collapse, study_of, write_events
+from ..hand_made import (
+    BUDGET,
+    COLLAPSED,
+    healthy,
+    learning,
+    one_action,
+    save_collapse,
+    study_of,
+    write_events,
+)
 
 
 def diagnosed(folder: Path, updates: np.ndarray, shares: np.ndarray, **more: Any) -> Diagnosis:
@@ -54,6 +63,14 @@ def apart(second: int) -> np.ndarray:
     return updates
 
 
+def repeated(*places: int) -> np.ndarray:
+    """Return updates with a policy of one action in some places of each three, from 61 to 92."""
+    updates = healthy()
+    for place in places:
+        updates[60 + place : 92 : 3] = COLLAPSED
+    return updates
+
+
 SEEN: dict[str, tuple[np.ndarray, np.ndarray, dict[str, Any], dict[str, Any]]] = {
     # name: (updates, evaluations, more about the run, its diagnosis)
     "one action to the end": (
@@ -67,6 +84,12 @@ SEEN: dict[str, tuple[np.ndarray, np.ndarray, dict[str, Any], dict[str, Any]]] =
         healthy(), after(learning(), 15, 0.1), {},
         {"collapsed": True, "signs": ("fall",), "onset_step": 7500},
     ),
+    # Of a budget twice as long three updates may lie between, and it must last for ten.
+    "in two of three updates": (
+        repeated(0, 1), learning(), {"steps": 2 * BUDGET},
+        {"collapsed": True, "onset_step": 6100},
+    ),
+    "in one of three updates": (repeated(0), learning(), {"steps": 2 * BUDGET}, {"collapsed": False}),
     "diverged": (
         one_action(61), learning(), {"end": 8000},
         {"collapsed": True, "onset_update": 61},

@@ -185,6 +185,23 @@ def test_curves_lie_over_episodes_and_over_time_too(store: Store) -> None:
         assert curve.runs[0].loc[curve.runs.index >= end / 4].dropna().iloc[[0, -1]].tolist() == [1, 4]
 
 
+def test_episodes_are_counted_by_their_length_up_to_each_point(store: Store) -> None:
+    """Ten episodes of ten steps and a return of 1, then two of fifty and 5: step 100 lies at 10 episodes.
+
+    A window holds an end up to step 110, at 11 episodes. By the mean length of all, 17 steps, it lies at 7.
+    """
+    ends = [*range(10, 101, 10), 150, 200]
+    episodes = [
+        {"step": end, "length": 10 if end <= 100 else 50, "return": 1.0 if end <= 100 else 5.0}
+        for end in ends
+    ]
+    save_run(store, make_id("a", 0), episodes, [], [], 200, fields={"steps": 200, "slots": 1})
+    (curve,) = study_curves(study_of(store, {("a", 0): make_id("a", 0)}), ["return"], x="episodes")["return"]
+    values = curve.runs[0]
+    assert values.loc[1.1:10.9].unique().tolist() == [1]
+    assert values.loc[11.2:12.0].between(1, 5, inclusive="neither").all() and values.iloc[-1] == 5
+
+
 def test_on_a_logarithmic_axis_means_and_intervals_are_of_logarithms() -> None:
     """Of 1, 10 and 100 the mean is 10, and its interval reaches as many times above as below it."""
     runs = pd.DataFrame([[1, 10, 100, 1, 100], [5, 0, 5, 0, 5]])  # what is 0 has no logarithm

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
@@ -68,6 +69,18 @@ def test_intervals_of_deviations_cover_of_normal_runs() -> None:
         interval = intervals.deviation_interval(runs)
         covered += interval.low <= 1 <= interval.high
     assert 0.92 < covered / 600 < 0.98
+
+
+def test_the_interval_of_a_deviation_by_hand() -> None:
+    """About the trimmed mean: of eight runs two are cut at each end, as 8 / (2 x root of 4) is 2.
+
+    That is 1.5, about which the fourth powers sum up to 5,269.5; about the mean, 2.5, the squares to 76.
+    So the kurtosis is 8 x 5,269.5 / 76^2 = 7.2985 and the error of ln(variance), root((7.2985 - 5/8) / 7),
+    0.9764. 8 / (8 - 1.96) = 1.3245: ln(1.3245 x 76/7) = 2.6658, give or take 1.96 x 1.3245 x 0.9764 = 2.5347.
+    """
+    interval = intervals.deviation_interval(np.array([0.0, 0, 1, 1, 2, 2, 4, 10]))
+    assert interval.low == pytest.approx(math.exp((2.6658 - 2.5347) / 2), rel=1e-4)
+    assert interval.high == pytest.approx(math.exp((2.6658 + 2.5347) / 2), rel=1e-4)
 
 
 @pytest.mark.parametrize("values", [[], [3.0], [2.0, 2.0, 2.0, 2.0, 2.0, 2.0]])

@@ -100,6 +100,18 @@ def test_a_published_table_is_read_as_what_it_was_made_from(
         export_records(again, "episodes", store)
 
 
+def test_a_run_that_has_other_numbers_than_its_published_row_is_reported_and_used(store: Store) -> None:
+    publish(trained(store), store)
+    save_run(store, A0, 1)  # as if trained again, with other returns
+    index = RunIndex(store, shipped=False)
+    lines: list[str] = []
+    data = open_study(index, Query(study="mine"), say=lines.append)
+    returns = {run.run_id: run.statistic("return", "last") for run in data.rows}
+    assert returns[A0] == pytest.approx(returns[B0] + 1 / 3)
+    table = store.published_path("mine")
+    assert f"{table}: its run {A0} has other numbers here; those here are used" in index.problems
+
+
 def test_logs_give_what_was_logged(store: Store, tmp_path: Path) -> None:
     points = [("rollout/ep_rew_mean", 100 * k, float("nan") if k == 2 else k / 4) for k in range(1, 11)]
     points += [("train/entropy_loss", 100, -0.125), ("charts/SPS", 150, 9.0), ("own", 1000, 2.0)]

@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pneuma.analysis.environments import AGGREGATES, bootstrap, improvement, profile
+from pneuma.analysis.environments import (
+    AGGREGATES,
+    bootstrap,
+    by_environment,
+    improvement,
+    profile,
+    references,
+    scores,
+)
+from pneuma.store.store import Store
+
+from ..hand_made import make_id, save_run, study_of
 
 A = [
     np.array([0.34, 0.584, 0.389, 0.827, 0.308, 0.154, 0.374, 0.611, 0.582, 0.449]),
@@ -38,13 +49,25 @@ def test_probability_of_improvement_and_profile_are_rliables() -> None:
     assert bootstrap(improvement, A, B) == pytest.approx((0.443, 0.722), abs=0.01)
     thresholds = np.array([0.25, 0.5, 0.75, 1.0])
     np.testing.assert_allclose(profile(A, thresholds), [29 / 30, 23 / 30, 15 / 30, 5 / 30])
-    low, high = bootstrap(lambda scores: profile(scores, thresholds), A)
+    low, high = bootstrap(lambda runs: profile(runs, thresholds), A)
     np.testing.assert_allclose(low, [0.9, 0.667, 0.333, 0.067], atol=0.035)
     np.testing.assert_allclose(high, [1.0, 0.867, 0.633, 0.267], atol=0.035)
 
 
+def test_the_best_conditions_mean_scores_one_and_not_the_highest_run(store: Store) -> None:
+    """Means are 5 and 6, and 9 is the highest run; the random player's 1 scores 0."""
+    finals = {("a", 0): 1.0, ("a", 1): 9.0, ("b", 0): 5.5, ("b", 1): 6.5}
+    for cell, value in finals.items():
+        evaluations = [{"step": step, "return": value, "random_return": 1.0} for step in (500, 1000)]
+        fields = {"env": "CartPole-v1", "seed": cell[1]}
+        save_run(store, make_id(*cell), [], [], evaluations, 1000, fields=fields)
+    parts = by_environment(study_of(store, {cell: make_id(*cell) for cell in finals}))
+    assert references(parts) == {"CartPole-v1": (1.0, 6.0)}
+    assert [[*scores(parts)[name][0]] for name in "ab"] == [[0.0, 1.6], [0.9, 1.1]]
+
+
 def test_by_hand_with_unequal_numbers_of_runs() -> None:
-    scores = [np.array([0.0, 1.0]), np.array([2.0])]
-    assert AGGREGATES["mean"](scores) == pytest.approx(1.25)  # of 0.5 and 2
-    assert AGGREGATES["optimality gap"](scores) == pytest.approx(1 / 3)  # 2 counts as 1
-    assert improvement(scores, [np.array([0.5]), np.array([2.0])]) == pytest.approx(0.5)
+    a = [np.array([0.0, 1.0]), np.array([2.0])]
+    assert AGGREGATES["mean"](a) == pytest.approx(1.25)  # of 0.5 and 2
+    assert AGGREGATES["optimality gap"](a) == pytest.approx(1 / 3)  # 2 counts as 1
+    assert improvement(a, [np.array([0.5]), np.array([2.0])]) == pytest.approx(0.5)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,7 @@ from pneuma.engines.records import (
 )
 from pneuma.engines.sb3 import Sb3Trainer
 
+from ..env.arena import EMPTY
 from .trained import constant, run_of, train
 
 ENGINES = ALGORITHMS["ppo"].engines
@@ -112,6 +115,43 @@ def test_a_budget_within_an_update_is_trained_to_its_end_and_each_policy_is_eval
     assert [evaluated[step] for step in steps] == [policy.checksum for policy in policies]
     # At the end of the last update the learning rate is 0.
     assert isinstance(result.policy, Policy) and result.policy.checksum == policies[-1].checksum
+
+
+OF_TWO_PLAYERS: dict[str, float] = {
+    "step": 7, "episodes": 4, "share_killed": 0.5, "score": 1 / 3, "return": (9.93 - 0.07) / 2, "length": 3,
+    "died": 0, "argmax_starts": 1, "argmax_share_killed": 0.5, "argmax_score": 1 / 3,
+    "argmax_return": (9.93 - 0.07) / 2, "random_share_killed": 0.25, "steps_to_clear": 3, "hp_lost": 7,
+    "commonest_action": 1, "kill_evenness": 0,
+}  # fmt: skip
+"""Two players strike a squid below them, one of two monsters; the first kills it, for 10 XP. The bamboo above
+bites both once, for 7 of 100 HP. The random player's share is set: a score is (1/2 - 1/4) / (3/4)."""
+OF_VALUES: dict[str, float] = {"q_estimate": 7, "q_true": 9.93 / 3}
+"""Of one player there, whose best action always has the value 7: nothing is earned after the first step."""
+ELSEWHERE: dict[str, float] = {
+    "step": 7, "episodes": 2, "return": 2, "length": 1, "argmax_starts": 5, "argmax_return": 2, "success": 0,
+    "random_return": 2, "random_spread": 0,
+}  # fmt: skip
+"""In an environment that pays 2 for the only step of each episode, and never reports success."""
+
+
+def test_each_column_of_an_evaluation_has_its_value_by_hand(tmp_path: Path) -> None:
+    monsters = (("squid", 0.0, 50.0), ("bamboo", 0.0, -60.0))
+    level = replace(EMPTY, starts=((0.0, 0.0),), monsters=monsters).write(tmp_path)
+    there: dict[str, Any] = {"level": level, "reward": "kills", "episode_steps": 3, "evaluation_episodes": 4}
+    two = evaluation.Evaluation(run_of(**there, players=2, horizon=32))
+    two.random_share = 0.25
+    row = two.evaluate(constant([0, 0, 0, 0, 99], 12), 7)
+    assert row == pytest.approx(OF_TWO_PLAYERS)
+    one = evaluation.Evaluation(run_of("dqn", **there, time_limit="terminate", gamma=0.5))
+    values = one.evaluate(constant([0, 0, 0, 0, 7], 12, critic=(), exploration=0.0), 7)
+    assert {column: values[column] for column in values.keys() - row.keys()} == pytest.approx(OF_VALUES)
+    wrappers = ["tests.engines.own_envs:Counting", "tests.engines.own_envs:Doubled"]
+    last = {"name": "TimeLimit", "max_episode_steps": 1}
+    corridor = run_of(env="Corridor-v0", env_module="tests.engines.own_envs", wrappers=[*wrappers, last])
+    other = gymnasium_evaluation.Evaluation(corridor).evaluate(constant([-9, 9], 2), 7)
+    assert {column: value for column, value in other.items() if not math.isnan(value)} == ELSEWHERE
+    columns = {*EVALUATION_COLUMNS, *VALUE_COLUMNS}
+    assert columns == OF_TWO_PLAYERS.keys() | OF_VALUES.keys() | ELSEWHERE.keys()
 
 
 def test_evaluations_have_the_declared_columns_and_each_is_of_the_worlds_that_record_it() -> None:

@@ -48,6 +48,9 @@ def test_score_is_zero_for_the_random_player_and_one_where_all_are_killed(evalua
     killed, at_random = row["share_killed"], row["random_share_killed"]
     assert 0 < at_random < 0.3 and killed != at_random
     assert row["score"] == pytest.approx((killed - at_random) / (1 - at_random))
+    by_attacks_alone = evaluation.worlds.players["kills"][24:].sum(axis=1).mean() / 14  # its likeliest action
+    assert by_attacks_alone != killed
+    assert row["argmax_score"] == pytest.approx((by_attacks_alone - at_random) / (1 - at_random))
 
 
 def test_a_certain_policy_plays_each_start_the_same_way_sampled_or_not(evaluation: Evaluation) -> None:

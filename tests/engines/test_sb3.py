@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import weakref
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -58,6 +58,29 @@ def test_a_policy_whose_logits_overflow_is_not_kept(monkeypatch: pytest.MonkeyPa
     huge = Policy("leaky-relu", random_layers((60, 8, 5), 1e30), ())
     monkeypatch.setattr(sb3, "extract_policy", lambda *_: huge)
     assert not trainer.update(0, 64, Records())
+
+
+@pytest.mark.parametrize("error", [ValueError, RuntimeError])
+def test_an_error_is_a_divergence_only_where_a_number_overflows(
+    error: type[Exception], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Torch refuses to sample from logits that are not numbers; any other error is a crash."""
+    trainer = sb3.Sb3Trainer(run_of(engine="sb3", activation="leaky-relu"))
+    assert trainer.update(0, 64, Records())
+    observation = np.zeros((1, 60), np.float32)
+
+    def fail() -> NoReturn:
+        trainer._visited.observations.append(observation)
+        raise error("refused")
+
+    monkeypatch.setattr(trainer, "_learn", fail)
+    with pytest.raises(error, match="refused"):
+        trainer.update(0, 64, Records())
+    observation = np.full((1, 60), 3e38, np.float32)
+    assert trainer.update(0, 64, Records()) is False
+    observation = np.zeros((1, 60), np.float32)
+    next(trainer._model.policy.parameters()).data[:] = np.nan
+    assert trainer.update(0, 64, Records()) is False
 
 
 @pytest.mark.parametrize(

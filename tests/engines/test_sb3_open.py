@@ -9,6 +9,7 @@ import zipfile
 from contextlib import nullcontext
 from inspect import signature
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from torch import nn
 
 from pneuma.config import Run, effective_fields, make_run
-from pneuma.engines import stopping
+from pneuma.engines import gymnasium_frames, stopping
 from pneuma.engines.environment import check_environment
 from pneuma.engines.gymnasium_env import make_env, refuse_flat_pictures
 from pneuma.engines.loop import train_run
@@ -366,6 +367,23 @@ def test_a_policy_comes_back_without_unpickling(case: str, monkeypatch: pytest.M
     monkeypatch.setattr(save_util, "json_to_data", None)  # which unpickles
     loaded, _ = load_learner(run, data).predict(observations, deterministic=True)
     np.testing.assert_array_equal(loaded, expected)
+
+
+def test_a_recurrent_policy_remembers_from_the_first_frame_to_the_last(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It begins an episode once, and is handed back the state that it gave a step before."""
+    calls = []
+
+    def predict(observation: Any, state: Any, episode_start: np.ndarray, deterministic: bool) -> Any:
+        calls.append((state, episode_start.tolist()))
+        return np.int64(0), len(calls)
+
+    learner: Any = SimpleNamespace(get_vec_normalize_env=lambda: None, predict=predict)
+    monkeypatch.setattr(gymnasium_frames, "_frame", lambda *_: np.zeros((1, 1, 3)))
+    frames = [*gymnasium_frames.episode_frames(make_run(SHORT), LearnedPolicy(learner), seed=0)]
+    assert 5 < len(calls) == len(frames) - 1  # to the left alone a pole falls within a dozen steps
+    assert calls == [(None, [True]), *((k, [False]) for k in range(1, len(calls)))]
 
 
 def test_what_is_no_learners_file_is_refused() -> None:

@@ -24,7 +24,7 @@ from pneuma.env.worlds import Worlds
 
 from .oracle import Pair as Place
 from .oracle_arrays import Pair
-from .oracle_cases import CODES, Map
+from .oracle_cases import Map
 
 THESIS, GODOT, ARENA = ENVIRONMENTS
 DOWN, LEFT, UP, RIGHT, ATTACK = rules.DOWN, rules.LEFT, rules.UP, rules.RIGHT, rules.ATTACK
@@ -33,7 +33,8 @@ FLAME, HEAL = rules.FLAME, rules.HEAL
 CORNERS = [*itertools.product((-540.0, 540.0), repeat=2)]
 EMPTY = Map(20, 20, origin=(10, 10), starts=((0.0, 0.0),))
 FIELD = replace(EMPTY, monsters=tuple(("bamboo", x, y) for x, y in CORNERS))
-ZOO = replace(EMPTY, monsters=tuple((name, x, y) for name, (x, y) in zip(CODES, CORNERS, strict=True)))
+KINDS = ("bamboo", "spirit", "raccoon", "squid")
+ZOO = replace(EMPTY, monsters=tuple((name, x, y) for name, (x, y) in zip(KINDS, CORNERS, strict=True)))
 
 
 def characters_file(folder: Path, text: str) -> str:

@@ -8,6 +8,7 @@ bytes, each a mood that a player keeps for four steps.
 from __future__ import annotations
 
 import itertools
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +18,7 @@ import numpy as np
 from hypothesis import reject
 from hypothesis import strategies as st
 
+from pneuma.env.characters import DATA
 from pneuma.env.fields import REWARDS, EnvConfig, make_env_config
 from pneuma.env.rules import ATTACK, DOWN, LEFT, RIGHT, UP
 from pneuma.env.worlds import Worlds
@@ -26,7 +28,9 @@ from pneuma.field_types import OneOf
 from .oracle import Oracle, Pair, Player
 
 MOOD_STEPS = 4
-CODES = {"bamboo": 390, "spirit": 391, "raccoon": 392, "squid": 393}
+SHIPPED = tomllib.loads((DATA / "characters.toml").read_text(encoding="utf-8"))
+CODES = {name: monster["code"] for name, monster in SHIPPED["monsters"].items()}
+"""Of the shipped monsters, by their names."""
 START, OBSTACLE, WATER, GRASS = 400, 395, 0, 2
 CROWD = 30
 REACH = 47.5

@@ -23,12 +23,14 @@ CLASSES = {  # HP, energy, attack, magic, speed
     "warrior": (100, 60, 12, 4, 5),
 }
 WEAPONS = {"sword": (15, 100), "lance": (30, 400), "axe": (20, 300), "rapier": (8, 50), "sai": (10, 80)}
-MONSTERS = {  # HP, XP, attack, speed, knock-back, attack radius, notice radius
-    "squid": (1, 10, 2, 3, 20, 100, 200),
-    "raccoon": (1, 25, 5, 2, 10, 100, 180),
-    "spirit": (1, 11, 2, 4, 20, 100, 220),
-    "bamboo": (1, 9, 1, 3, 20, 100, 300),
+MONSTERS = {  # HP, XP, attack, speed, knock-back, ticks of safety, attack radius, notice radius
+    "squid": (1, 10, 2, 3, 20, 18, 100, 200),
+    "raccoon": (1, 25, 5, 2, 10, 18, 100, 180),
+    "spirit": (1, 11, 2, 4, 20, 18, 100, 220),
+    "bamboo": (1, 9, 1, 3, 20, 18, 100, 300),
 }
+BAMBOO = 40, 1, 7, 2.5, 0, 0, 40, 300
+"""Of the thesis, in the same units; the weapon alone knocks it back."""
 
 
 def make_worlds(**settings: object) -> Worlds:
@@ -51,12 +53,17 @@ def test_every_number_of_a_class_and_a_weapon_reaches_the_rules(tmp_path: Path) 
         assert (stats["sword"]["damage"], stats["swing"]) == (7 + damage, round((400 + cooldown) * 0.06))
 
 
-def test_every_number_of_a_monster_reaches_the_rules(zoo: str) -> None:
-    worlds = make_worlds(level=zoo, characters="pygame")
+@pytest.mark.parametrize(("characters", "bamboo"), [("pygame", MONSTERS["bamboo"]), ("", BAMBOO)])
+def test_every_number_of_each_shipped_monster_reaches_the_rules(
+    characters: str, bamboo: tuple[float, ...], tmp_path: Path
+) -> None:
+    places = tuple((name, 90.0 * place, 400.0) for place, name in enumerate(CODES))
+    worlds = make_worlds(level=replace(EMPTY, monsters=places).write(tmp_path), characters=characters)
+    by_hand = {**MONSTERS, "bamboo": bamboo}
     for name, stats in zip(CODES, worlds.monster_stats[0], strict=True):
-        *expected, attack_radius, notice_radius = MONSTERS[name]
-        assert numbers(stats, "hp xp damage speed knock_speed safe") == [*expected, 18]
-        assert numbers(stats, "attack_squared notice_squared") == [attack_radius**2, notice_radius**2]
+        *expected, attack_radius, notice_radius = by_hand[name]
+        assert numbers(stats, "hp xp damage speed knock_speed safe") == expected, name
+        assert numbers(stats, "attack_squared notice_squared") == [attack_radius**2, notice_radius**2], name
 
 
 ROGUE = """

@@ -11,7 +11,7 @@ import pytest
 from pneuma.env import layouts
 from pneuma.env.worlds import Worlds
 
-from .arena import ARENA, GODOT, RIGHT, THESIS, begin, stage
+from .arena import ARENA, FLAME, GODOT, HEAL, RIGHT, THESIS, begin, play, stage
 
 WIDTHS = {"thesis": (4, 4), "pygame": (6, 5), "godot": (4, 5)}  # of the player's part and of a monster's
 
@@ -56,6 +56,19 @@ def test_a_scale_holds_for_every_number(
     pair.put(x=-540, y=270, hp=40, xp=3)
     assert pair.worlds.observations[0, 0, :4] == pytest.approx([x, y, hp, xp], abs=1e-6)
     assert rows(pair.worlds)[0] == pytest.approx([distance, 0.6, -0.8, monster_hp], abs=1e-6)  # (300, -400)
+
+
+@pytest.mark.parametrize(("spell", "cost"), [(FLAME, 20), (HEAL, 10)])
+@pytest.mark.parametrize(("missing", "allowed"), [(0.0, True), (0.26, True), (0.3, False)])
+def test_a_spell_is_allowed_if_it_can_be_paid_at_the_last_tick_of_a_step(
+    arena: str, spell: int, cost: float, missing: float, allowed: bool
+) -> None:
+    """A player gains 0.6 energy a second a point of magic, of which it has 4: 0.28 in seven ticks."""
+    pair = stage(arena, magic=True)
+    pair.put(energy=cost - missing, hp=50)
+    assert bool(pair.worlds.masks[0, 0, spell]) == allowed
+    play(pair.worlds, spell)
+    assert bool(pair.worlds.players["energy"][0, 0] < 1) == allowed  # it was paid
 
 
 @pytest.mark.parametrize("env_id", [ARENA, THESIS, GODOT])

@@ -22,9 +22,11 @@ from pneuma.env.fields import ENVIRONMENTS
 from pneuma.env.gym import PneumaEnv
 from pneuma.env.players import Hunter
 from pneuma.env.render import Renderer
+from pneuma.env.sprites import monster_picture
 from pneuma.env.worlds import Worlds
 
 from .arena import ATTACK, FLAME, HEAL, begin, stage
+from .oracle_cases import CODES
 
 MIDDLE = 160  # the art pixel of (0, 0)
 MARGIN, PITCH = 6, 13  # art pixels above the first strip, and from one to the next
@@ -92,6 +94,16 @@ def test_an_arc_covers_the_box_that_strikes(arena: str, facing: int) -> None:
     inside = abs(x - sword["x"][0, facing] / 4) <= half_width + 1
     inside &= abs(y - sword["y"][0, facing] / 4) <= half_height + 1
     assert inside.sum() > 0.85 * 4 * half_width * half_height
+
+
+@pytest.mark.parametrize("name", CODES)
+def test_each_shipped_monster_has_a_picture_of_its_own(name: str) -> None:
+    """In two poses, each calm and alert; one without a file would look like a stranger."""
+    poses = [(0, False), (1, False), (0, True), (1, True)]
+    pictures = [monster_picture(name, *pose) for pose in poses]
+    strangers = [monster_picture("stranger", *pose) for pose in poses]
+    assert {picture.tobytes() for picture in pictures}.isdisjoint(picture.tobytes() for picture in strangers)
+    assert len({picture.tobytes() for picture in pictures}) == 4 and pictures[0][..., 3].any()
 
 
 def test_a_badge_tells_the_three_worlds_apart(arena: str) -> None:

@@ -140,6 +140,7 @@ def test_without_columns_they_are_listed_with_options_to_copy() -> None:
     ("rows", "options", "message"),
     [
         ("1.024,5", "", "row 2: '1.024' in column step must be a whole number as 1024, without thousands"),
+        ("1.000,5", "", "row 2: '1.000' in column step must be a whole number as 1024, without thousands"),
         ('"1,024",5', "", "'1,024' in column step must be a plain number as 1024 or 0.5, without thousands"),
         ('8,"1,5"', "", "'1,5' in column return must be a plain number"),
         ("1,024,5", "", "Expected 2 fields in line 2, saw 3"),

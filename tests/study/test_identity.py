@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from pneuma.algorithms import OPTIMIZERS
 from pneuma.config import GYMNASIUM_FIELDS, Run, make_run
 from pneuma.engines.environment import check_environment
 from pneuma.env.load_level import LEVELS
@@ -23,6 +24,13 @@ ACTIVATION_SEED_0 = {
 }
 """Stored runs are found by these: a change here retrains everybody's runs. Change it on purpose only."""
 
+DEFAULT_IDS = {
+    "adam": "5815058912419fe4", "sgd": "b89de5ff66e99ec1", "rmsprop": "d8bfc45fbecced64",
+    "upgd": "ebb49191447ccab3", "a2c": "1b343c09ff4588d4", "trpo": "7b9701ba409844d2",
+    "dqn": "800e43d9942d89fb", "double-dqn": "a29fcc0bf1e38d1c",
+}  # fmt: skip
+"""Of a run of each optimizer and algorithm, with their own defaults."""
+
 ELSEWHERE = {"engine", "level", "characters", "reward"}
 """Fields that are not hashed by their value, but by a version or by the contents of files."""
 UNREAD = {"momentum": 0.9, "noise": 0.01, "target_kl": 0.02, "buffer_size": 64}
@@ -33,6 +41,13 @@ def test_the_shipped_studys_runs_keep_their_ids() -> None:
     selection = Query(seeds=(0,), steps=50_000, settings={"slots": 1})
     cells = make_plan(load_study("activation", "text"), selection).cells
     assert {cell.condition: cell.run_id for cell in cells} == ACTIVATION_SEED_0
+
+
+@pytest.mark.parametrize("name", DEFAULT_IDS)
+def test_a_new_field_moves_no_id(name: str) -> None:
+    key = "optimizer" if name in OPTIMIZERS else "algorithm"
+    remedy = f"a new field that {name} reads: `declare` it with the value that changes nothing, not with None"
+    assert run_id(make_run({key: name})) == DEFAULT_IDS[name], remedy
 
 
 def test_a_configuration_is_a_run_without_its_seed_and_steps() -> None:

@@ -125,6 +125,19 @@ def test_an_engine_that_breaks_is_a_crash_of_the_run_that_it_was_training(
     assert [event["status"] for event in events if event["event"] == "end"] == ["done", "crashed"]
 
 
+def test_a_run_is_not_trained_under_an_id_that_its_files_no_longer_give(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its level, say, was edited after the plan was made: its numbers would be those of another run."""
+    monkeypatch.setattr(worker, "train_run", _Engine().train)
+    store, events = Store(tmp_path), io.StringIO()
+    job = Job({"a0" * 8: RUNS[0]}, store, HERE, last_try=True)
+    assert not worker.Worker(events, threading.Event()).train(job)
+    (event,) = map(json.loads, events.getvalue().splitlines())
+    assert event["status"] == store.status("a0" * 8).name == "crashed"
+    assert "own files (level, characters, reward, environment, wrappers) changed" in event["reason"]
+
+
 def test_an_endless_error_is_a_message_of_usual_length() -> None:
     for error in (RuntimeError("a" * 5_000_000), UserError("a" * 5_000_000)):
         assert len(worker.describe(error)) == 4_003
