@@ -56,7 +56,7 @@ figures: install  ## Draw everything in paper_figures/, and write the tables tha
 # runs, and ARGS its options: `make reproduction DO=plan` tells how long it takes, DO=publish writes the tables to
 # commit, and `make reproduction ARGS="--studies clip-range --seeds 2 --steps 4096"` is a quick look.
 
-REPRODUCE = $(BIN)/python studies/reproduce.py
+REPRODUCE = $(BIN)/python studies/scripts/reproduce.py
 
 reproduction: install  ## Train chapter 6's small networks: mostly 30 seeds of 1M steps, in two worlds
 	$(REPRODUCE) small-networks $(DO) $(ARGS)

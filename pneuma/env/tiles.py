@@ -31,7 +31,7 @@ def number_regions(tiles: np.ndarray) -> np.ndarray:
 
 
 def has_free_square(free: np.ndarray, side: int) -> np.ndarray:
-    """Return for each tile whether the square of `side` tiles to its right and below is free, (rows, columns)."""
+    """Return whether a square of tiles is free, by its upper left tile, (rows, columns) bool."""
     padded = np.pad(free, (0, side - 1))
     return sliding_window_view(padded, (side, side)).all(axis=(2, 3))
 

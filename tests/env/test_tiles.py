@@ -51,5 +51,7 @@ def test_sums_are_of_the_square_around() -> None:
         for radius in (1, 4, 9):
             for axis in (0, 1):
                 weights = np.ones(2 * radius + 1)
-                expected = ndimage.convolve1d(numbers if axis == 0 else expected, weights, axis, mode="nearest")
+                expected = ndimage.convolve1d(
+                    numbers if axis == 0 else expected, weights, axis, mode="nearest"
+                )
             np.testing.assert_array_equal(sum_around(numbers, radius), expected)
