@@ -33,7 +33,7 @@ def number_regions(tiles: np.ndarray) -> np.ndarray:
 def has_free_square(free: np.ndarray, side: int) -> np.ndarray:
     """Return whether a square of tiles is free, by its upper left tile, (rows, columns) bool."""
     padded = np.pad(free, (0, side - 1))
-    return sliding_window_view(padded, (side, side)).all(axis=(2, 3))
+    return np.asarray(sliding_window_view(padded, (side, side)).all(axis=(2, 3)))
 
 
 def sum_around(tiles: np.ndarray, radius: int, beyond: Literal["edge", "constant"] = "edge") -> np.ndarray:
