@@ -25,6 +25,7 @@ help:            ## Say what each target does
 
 install: $(INSTALLED)  ## Build .venv with what studies need
 
+# At its end the byte code of pip leaves, 8 MB.
 $(INSTALLED): pyproject.toml constraints.txt hashes.txt hashes-uv.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v < (3, 14) else "Pneuma needs Python 3.11 to 3.13; this is %d.%d. Name another: make PYTHON=python3.12 ..." % v)'
 	$(PYTHON) -m venv .venv
@@ -34,6 +35,7 @@ $(INSTALLED): pyproject.toml constraints.txt hashes.txt hashes-uv.txt
 	    { echo "Taking PyTorch from pip's index, which may bring CUDA"; $(PIP) --constraint constraints.txt torch; }
 	$(call INSTALL,$(OWN) .)
 	$(BIN)/python -m compileall -q pneuma
+	@find .venv -path '*/pip/*' -name __pycache__ -prune -exec rm -r {} +
 	@touch $@
 
 $(TESTED): $(INSTALLED) hashes-dev.txt
