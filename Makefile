@@ -5,10 +5,16 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 TESTED := .venv/.tested
+# PyTorch's build: cpu, or cu130 and others as uv names them; `default` is that of pip's index, which may bring CUDA.
+TORCH ?= cpu
+UV := build/uv/bin/uv
 # Byte-compiling all that is installed, 2 GB, takes longer than to do so with what is imported.
 PIP = $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
+# uv is faster, and finds PyTorch's builds; pip installs where uv cannot be had, or does not reach an index.
+INSTALL = $(UV) pip install --quiet --python .venv $(1) || $(PIP) $(1)
 HASHED = --no-deps --require-hashes --requirement
 OWN = --no-build-isolation --constraint constraints.txt --editable
+BACKEND = $(filter-out --torch-backend=default,--torch-backend=$(TORCH))
 
 .PHONY: help install constraints study figures docs test storm test-all release-check slow-0 slow-1 slow-2 lint clean
 .PHONY: reproduction reproduction-rest reproduction-causes reproduction-winners reproduction-slow
@@ -19,28 +25,33 @@ help:            ## Say what each target does
 
 install: $(INSTALLED)  ## Build .venv with what studies need
 
-$(INSTALLED): pyproject.toml constraints.txt hashes.txt
+# At its end the byte code of pip leaves, 8 MB.
+$(INSTALLED): pyproject.toml constraints.txt hashes.txt hashes-uv.txt
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v < (3, 14) else "Pneuma needs Python 3.11 to 3.13; this is %d.%d. Name another: make PYTHON=python3.12 ..." % v)'
 	$(PYTHON) -m venv .venv
-	$(PIP) $(HASHED) hashes.txt
-	$(PIP) $(OWN) .
+	$(PIP) --upgrade --target build/uv $(HASHED) hashes-uv.txt || echo "uv cannot be had: pip installs all"
+	$(call INSTALL,$(HASHED) hashes.txt)
+	$(UV) pip install --quiet --python .venv $(BACKEND) --constraint constraints.txt torch || \
+	    { echo "Taking PyTorch from pip's index, which may bring CUDA"; $(PIP) --constraint constraints.txt torch; }
+	$(call INSTALL,$(OWN) .)
 	$(BIN)/python -m compileall -q pneuma
+	@find .venv -path '*/pip/*' -name __pycache__ -prune -exec rm -r {} +
 	@touch $@
 
 $(TESTED): $(INSTALLED) hashes-dev.txt
-	$(PIP) $(HASHED) hashes-dev.txt
-	$(PIP) $(OWN) '.[dev]'
+	$(call INSTALL,$(HASHED) hashes-dev.txt)
+	$(call INSTALL,$(OWN) '.[dev]')
 	@touch $@
 
 PINS = --constraint constraints.txt
-COMPILE = $(BIN)/uv pip compile --quiet --universal --upgrade --no-annotate --no-header
+COMPILE = $(UV) pip compile --quiet --universal --upgrade --no-annotate --no-header
 
 # uv asks the index for all files of a version.
 constraints: $(TESTED)  ## Write constraints.txt and hashes anew; PINS= takes the newest versions
-	$(PIP) uv
+	echo uv | $(COMPILE) --python-version 3.11.5 --generate-hashes - --output-file build/uv.txt
 	$(COMPILE) --python-version 3.11.5 --extra dev --generate-hashes $(PINS) pyproject.toml --output-file build/all.txt
 	echo setuptools | $(COMPILE) --python-version 3.11.5 --constraint build/all.txt pyproject.toml - --output-file build/run.txt
-	.ci/pins build/all.txt build/run.txt
+	.ci/pins build/all.txt build/run.txt build/uv.txt
 
 study: install  ## Run the activation study (thesis Fig. 6.5) at its quick preset, and draw it
 	$(BIN)/pneuma study run activation
@@ -56,7 +67,7 @@ figures: install  ## Draw everything in paper_figures/, and write the tables tha
 # runs, and ARGS its options: `make reproduction DO=plan` tells how long it takes, DO=publish writes the tables to
 # commit, and `make reproduction ARGS="--studies clip-range --seeds 2 --steps 4096"` is a quick look.
 
-REPRODUCE = $(BIN)/python studies/reproduce.py
+REPRODUCE = $(BIN)/python studies/scripts/reproduce.py
 
 reproduction: install  ## Train chapter 6's small networks: mostly 30 seeds of 1M steps, in two worlds
 	$(REPRODUCE) small-networks $(DO) $(ARGS)

@@ -12,6 +12,8 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, distribution
+from importlib.util import find_spec
 from typing import Any
 
 NEAR = 0.6
@@ -102,9 +104,32 @@ class RunWarning(UserWarning):
     """An oddity of a run that is trained anyway; reported once per run, and stored with it."""
 
 
-def install_extra(extra_name: str) -> str:
-    """Return the command that installs an extra from Pneuma's folder; PyPI's `pneuma` is another project."""
-    return f"pip install -c constraints.txt -e '.[{extra_name}]' in Pneuma's folder"
+NEEDED_BY_STUDIES = (
+    "typer", "rich", "pandas", "pyarrow", "scipy", "torch", "stable_baselines3", "sb3_contrib", "optuna",
+    "matplotlib", "jinja2", "safetensors",
+)  # fmt: skip
+"""Packages that commands and studies need, and Pneuma's worlds do not."""
+
+
+def require(*packages: str, command: str = "") -> None:
+    """Raise an error that names the command to install packages, if one is missing."""
+    for package in packages:
+        if find_spec(package) is None:
+            message = f"{package} is not installed: {command or install_command()}"
+            raise ModuleNotFoundError(message, name=package) from None
+
+
+def install_command(extra_name: str = "") -> str:
+    """Return the command that installs what Pneuma needs, or an extra.
+
+    Of an installed Pneuma pip only takes what is missing. PyPI's `pneuma` is another project.
+    """
+    extra = f"[{extra_name}]" if extra_name else ""
+    try:
+        distribution("pneuma-rl")
+    except PackageNotFoundError:
+        return f"pip install -c constraints.txt -e '.{extra}' in Pneuma's folder"
+    return f"pip install 'pneuma-rl{extra}'" if extra else "pip install pneuma-rl"
 
 
 def printable(text: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -79,6 +80,40 @@ def test_modules_import_only_what_their_layer_may() -> None:
     assert breaches == []
 
 
+_ANYWHERE = {"annotated_types", "numpy", "pydantic", "pydantic_core", "typing_extensions"}
+_WORLDS = {"PIL", "gymnasium", "llvmlite", "numba"}
+_LEARNERS = {"safetensors", "sb3_contrib", "stable_baselines3", "torch"}
+_TABLES = {"pandas", "pyarrow", "scipy"}
+PACKAGES = {
+    "pneuma.env.pettingzoo": {"gymnasium", "pettingzoo"},
+    "pneuma.env.sb3": {"gymnasium", "stable_baselines3"},
+    "pneuma.env": _WORLDS,
+    "pneuma.engines": {"gymnasium", "llvmlite", "numba"} | _LEARNERS,
+    "pneuma.store": {"gymnasium", "pandas", "pyarrow", "safetensors", "torch"},
+    "pneuma.training": {"ray", "rich", "torch"},
+    "pneuma.imports": {"pandas", "tensorboard"},
+    "pneuma.analysis": _TABLES,
+    "pneuma.search": {"optuna"},
+    "pneuma.answers": {"optuna", "pandas"},
+    "pneuma.figures": {"PIL", "jinja2", "markupsafe", "matplotlib", "optuna", "pandas"},
+    "pneuma.api": {"matplotlib"},
+    "pneuma.cli": {"gymnasium", "pandas", "rich", "typer"},
+}
+"""The packages of others that a room may import, beside those that all may."""
+
+
+def test_a_room_imports_only_its_packages() -> None:
+    """The worlds' are few, so that they are light to install; `env/test_bare.py` plays with them alone."""
+    breaches = []
+    for module, path in MODULES.items():
+        allowed = next((names for room, names in PACKAGES.items() if _belongs(module, room)), set())
+        for line, imported in _imports(path):
+            package = imported.partition(".")[0]
+            if package not in sys.stdlib_module_names | _ANYWHERE | allowed | {"pneuma"}:
+                breaches.append(f"{path.relative_to(ROOT)}:{line} imports {package}")
+    assert breaches == []
+
+
 def test_the_package_list_is_every_folder_with_code() -> None:
     """The list is written out, so that a wheel holds nothing by accident and misses nothing."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -88,6 +123,8 @@ def test_the_package_list_is_every_folder_with_code() -> None:
     assert len(listed) == len(set(listed))
     beside = {"pneuma.published": "results/published", "pneuma.studies": "studies"}
     assert settings["tool"]["setuptools"]["package-dir"] == beside
+    private = {path.name for path in (ROOT / "studies").glob("*.py")} - {"reward_scale.py"}  # of a study
+    assert private == set()
 
 
 MEASURED_IN = ("pneuma.env", "pneuma.engines", "pneuma.store", "pneuma.analysis")

@@ -19,7 +19,7 @@ from pneuma.study.shipped import list_studies
 from pneuma.study.spec import Study, load_study
 
 ROOT = Path(__file__).parents[1]
-REPRODUCE = runpy.run_path(str(ROOT / "studies/reproduce.py"))
+REPRODUCE = runpy.run_path(str(ROOT / "studies/scripts/reproduce.py"))
 
 
 def _planned(study: Study, preset: str, steps: int | None = None) -> set[str]:
@@ -95,7 +95,7 @@ def test_a_failure_stops_no_other_study(
     assert len(called) == trained
 
 
-TABULAR = runpy.run_path(str(ROOT / "studies/tabular.py"))
+TABULAR = runpy.run_path(str(ROOT / "studies/scripts/tabular.py"))
 POST_OFFICE, LETTERS, HOME = 0, 1, 2
 GO_ON, GO_HOME = 0, 1
 
@@ -139,7 +139,7 @@ def test_a_run_is_that_of_the_published_table() -> None:
     assert TABULAR["train"](condition, seed=3)[0] == pytest.approx(0.6126915267749027)
 
 
-RANDOM_RETURNS = runpy.run_path(str(ROOT / "studies/random_returns.py"))
+RANDOM_RETURNS = runpy.run_path(str(ROOT / "studies/scripts/random_returns.py"))
 
 
 def test_the_random_players_returns_are_printed_as_they_are_published() -> None:

@@ -208,6 +208,6 @@ ROOT = Path(__file__).parents[1]
 
 def test_untrusted_every_python_that_is_started_leaves_the_working_folder_off_its_path() -> None:
     commands = []
-    for path in [*(ROOT / "pneuma").rglob("*.py"), *(ROOT / "studies").glob("*.py")]:
+    for path in [*(ROOT / "pneuma").rglob("*.py"), *(ROOT / "studies").rglob("*.py")]:
         commands += re.findall(r"\bsys\.executable\b.{8}", path.read_text())
     assert len(commands) == 2 and all("-P" in command for command in commands), commands

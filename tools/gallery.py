@@ -1,6 +1,6 @@
 """The pictures of the gallery: worlds, classes, spells, islands, and an agent before and after training.
 
-The agent's episodes are a recording (`studies/record_play.py`), so that nothing is trained here.
+The agent's episodes are a recording (`studies/scripts/record_play.py`), so that nothing is trained here.
 """
 
 from __future__ import annotations

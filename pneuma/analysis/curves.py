@@ -239,7 +239,7 @@ NEAR = 0.02
 def random_levels(study_data: StudyData, quantity: str) -> dict[str, float]:
     """Return the level of the random player in each condition's world.
 
-    Its share of monsters killed is that of `studies/random_returns.py`, which is one number for a world.
+    Its share of monsters killed is that of `studies/scripts/random_returns.py`, one number for a world.
     Elsewhere it is what the evaluations of the condition recorded. Its normalised score is 0 by definition.
     Near levels are one. Empty if no player was recorded.
     """
@@ -264,8 +264,8 @@ def random_returns(study_data: StudyData, last_step: float) -> pd.Series | None:
     """Return what a random player earns in training, by step; None if it was not measured in such a world.
 
     It was measured over a million steps of four environments, as training curves are
-    (`studies/random_returns.py`). Where XP is never reset, it depends on both. Elsewhere it is the same at
-    every step up to the end.
+    (`studies/scripts/random_returns.py`). Where XP is never reset, it depends on both. Elsewhere it is the
+    same at every step up to the end.
     """
     for world in measured_worlds():
         if all(has_settings(fields, world["settings"]) for fields in study_data.fields.values()):

@@ -44,7 +44,7 @@ def compare_with_random(index: RunIndex) -> Answer:
     worlds = [world for world in measured_worlds() if world["settings"].get("env") == own_env]
     if not worlds:
         raise UserError(
-            "no random player's returns are published; python studies/random_returns.py measures them"
+            "no random player's returns are published; python studies/scripts/random_returns.py measures them"
         )
     (world,) = worlds
     random_curve = np.array(world["mean"], float), make_grid(world["steps"])

@@ -17,7 +17,7 @@ from pneuma.cli import STOPPED
 from pneuma.cli import options as opt
 from pneuma.cli.hints import command
 from pneuma.cli.output import Result, say
-from pneuma.errors import UserError, counted, install_extra, tallied
+from pneuma.errors import UserError, counted, install_command, tallied
 from pneuma.store.provenance import uncommitted
 from pneuma.store.store import Store
 from pneuma.study import plan, spec
@@ -143,7 +143,7 @@ def _check_logs(folders: Iterable[str]) -> None:
 def _log_folders(planned: plan.Plan, folder: Path) -> dict[str, str]:
     """Return the folder of each run's TensorBoard log, named so that `pneuma import` can read it."""
     if find_spec("tensorboard") is None:
-        raise UserError(f"--tensorboard needs the tensorboard package: {install_extra('tensorboard')}")
+        raise UserError(f"--tensorboard needs the tensorboard package: {install_command('tensorboard')}")
     study_folder = folder.resolve() / planned.study.name
     slugs: dict[str, str] = {}
     for condition in planned.conditions:

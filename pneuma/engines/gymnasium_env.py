@@ -30,7 +30,7 @@ from pneuma.algorithms import VALUE_BASED
 from pneuma.config import Run
 from pneuma.engines.normalization import Normalization, Scaling
 from pneuma.engines.records import episode_row
-from pneuma.errors import OwnCodeError, RunWarning, UserError, install_extra
+from pneuma.errors import OwnCodeError, RunWarning, UserError, install_command
 from pneuma.own_modules import load_module
 
 EXTRAS = ("minatar", "minigrid")
@@ -379,7 +379,7 @@ def _registration_hint(run: Run) -> str:
     package = "install its package"
     for extra in EXTRAS:
         if run.env.lower().startswith(extra):
-            package = install_extra(extra)
+            package = install_command(extra)
     return f"; {package}, or name the module that registers it as env_module"
 
 

@@ -16,7 +16,7 @@ from pneuma.config import Run
 from pneuma.engines.gymnasium_env import actions_in_space, errors_from, flattening, make_env
 from pneuma.engines.policy import Policy
 from pneuma.engines.sb3_open import LearnedPolicy
-from pneuma.errors import UserError, install_extra
+from pneuma.errors import UserError, install_command
 
 FRAMES_PER_SECOND = 30
 """The frame rate of an environment whose metadata contain none."""
@@ -42,7 +42,7 @@ def episode_frames(run: Run, policy: Policy | LearnedPolicy | None, seed: int) -
         except DependencyNotInstalled as error:
             if "pygame" not in str(error):
                 raise
-            raise UserError(f"{run.env} is drawn by pygame: {install_extra('play')}") from None
+            raise UserError(f"{run.env} is drawn by pygame: {install_command('play')}") from None
         yield first_frame
         is_first, has_ended = True, False
         while not has_ended:

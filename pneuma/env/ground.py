@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
-from scipy.ndimage import convolve1d
 
 from pneuma.env import rules
 from pneuma.env.level import BRIDGE, GRASS, SAND, SNOW, WATER, Level, Rectangle
 from pneuma.env.sprites import TILE, read_art, rgb
+from pneuma.env.tiles import sum_around
 
 SHORE_TILES = 2
 """Tiles of water around the land on the whole map."""
@@ -98,20 +98,11 @@ def _soften(ground: np.ndarray) -> np.ndarray:
         tiles = ground == ground_code
         if not tiles.any():
             continue
-        count = _sum_around(tiles.repeat(TILE, 0).repeat(TILE, 1), _ROUNDING)
+        count = sum_around(tiles.repeat(TILE, 0).repeat(TILE, 1), _ROUNDING)
         count += np.where(count > 0, _wobble(ground.shape, ground_code), -1000)
         pixel_ground[count > highest_count] = ground_code
         np.maximum(highest_count, count, out=highest_count)
     return pixel_ground
-
-
-def _sum_around(pixels: np.ndarray, radius: int) -> np.ndarray:
-    """Return the sum of the pixels in a square of 2 radius + 1 around each."""
-    pixel_sums = pixels.astype(np.int32)
-    weights = np.ones(2 * radius + 1)
-    for axis in (0, 1):
-        pixel_sums = convolve1d(pixel_sums, weights, axis, mode="nearest")
-    return pixel_sums
 
 
 def _wobble(shape: tuple[int, ...], hash_salt: int, step: int = 8) -> np.ndarray:
@@ -125,7 +116,7 @@ def _wobble(shape: tuple[int, ...], hash_salt: int, step: int = 8) -> np.ndarray
         after = noise[1:].repeat(step, 0)
         weight = np.tile(np.arange(step, dtype=np.int32), len(noise) - 1)[:, None]
         noise = np.moveaxis((before * (step - weight) + after * weight) // step, 0, axis)
-    blurred = _sum_around(noise[: shape[0] * TILE, : shape[1] * TILE], step // 4)
+    blurred = sum_around(noise[: shape[0] * TILE, : shape[1] * TILE], step // 4)
     return blurred // (2 * (step // 4) + 1) ** 2
 
 
@@ -135,9 +126,9 @@ def _paint_water(image: np.ndarray, pixel_ground: np.ndarray) -> None:
     land = pixel_ground != WATER
     shape = (pixel_ground.shape[0] // TILE, pixel_ground.shape[1] // TILE)
     noise = _wobble(shape, 7)
-    shallow = water & (_sum_around(land, 9) + noise > 50)
+    shallow = water & (sum_around(land, 9) + noise > 50)
     image[shallow] = rgb(_SHALLOWS)
-    near_shore, further, furthest = [_sum_around(land, radius) > 0 for radius in (1, 4, 5)]
+    near_shore, further, furthest = [sum_around(land, radius) > 0 for radius in (1, 4, 5)]
     image[water & (near_shore | (furthest & ~further & (noise > 6)))] = rgb(_FOAM)
 
 

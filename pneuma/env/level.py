@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import AfterValidator
-from scipy.ndimage import label, minimum_filter
 
 from pneuma.env import rules
 from pneuma.env.fields import EnvConfig
+from pneuma.env.tiles import has_free_square, number_regions
 from pneuma.errors import UserError
 
 START_CODE = 400
@@ -125,8 +125,7 @@ def _refuse_walled_in(level: Level, free: np.ndarray, side: float, with_monsters
     As many tiles must be free side by side as the longer side of a player's body needs.
     """
     tiles_abreast = math.ceil(side / level.tile)
-    has_room = minimum_filter(free, tiles_abreast, mode="constant", cval=False, origin=-(tiles_abreast // 2))
-    regions, _ = label(has_room)  # by the upper left tile of a body; 0 where none fits
+    regions = number_regions(has_free_square(free, tiles_abreast))  # by the upper left tile of a body
     places = [(f"start place {index}", x, y) for index, (x, y) in enumerate(level.starts.tolist())]
     if with_monsters:
         for index, monster in enumerate(level.monsters):

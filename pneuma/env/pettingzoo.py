@@ -7,10 +7,16 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
-from pettingzoo import ParallelEnv
 
 from pneuma.env.fields import ENVIRONMENTS
 from pneuma.env.interface import Interface, read_options
+from pneuma.errors import require
+
+try:
+    from pettingzoo import ParallelEnv
+except ModuleNotFoundError:
+    require("pettingzoo", command="pip install pettingzoo")
+    raise
 
 
 class PneumaParallelEnv(Interface, ParallelEnv[str, np.ndarray, np.int64]):

@@ -14,11 +14,11 @@ import re
 from collections.abc import Callable
 
 import numpy as np
-from scipy.ndimage import convolve, label
 
 from pneuma.env import rules
 from pneuma.env.fields import RANDOM
 from pneuma.env.level import BRIDGE, GRASS, SAND, SNOW, WATER, Level, MonsterPlace
+from pneuma.env.tiles import number_regions, sum_around
 from pneuma.errors import UserError
 
 SPLITS = ("train", "test")
@@ -111,7 +111,7 @@ def _draw_ground(draw_uniform: Draw) -> np.ndarray:
     ground[~land] = WATER
     if draw_uniform(1)[0] < 0.6:
         _dig_strait(draw_uniform, ground, sand_begins)
-    regions = _number_regions(ground != WATER)
+    regions = number_regions(ground != WATER)
     ground[regions != _largest(regions)] = WATER
     return ground
 
@@ -184,7 +184,7 @@ def _draw_terrain(draw_uniform: Draw, ground: np.ndarray) -> np.ndarray:
 def _choose_tiles(draw_uniform: Draw, terrain: np.ndarray, count: int) -> np.ndarray | None:
     """Return (count, 2) rows and columns, start places first, far apart and with open tiles around."""
     is_open = terrain == rules.OPEN
-    regions = _number_regions(is_open)
+    regions = number_regions(is_open)
     has_room = (regions == _largest(regions)) & (_count_around(is_open) == 9)
     tiles = np.argwhere(has_room)
     tiles = tiles[np.argsort(draw_uniform(len(tiles)), kind="stable")]
@@ -224,17 +224,12 @@ def _cells(count: int, cell: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _count_around(tiles: np.ndarray) -> np.ndarray:
     """Return how many of each tile and its eight neighbours are set, for (rows, columns) bool."""
-    return np.asarray(convolve(tiles.astype(np.int64), np.ones((3, 3), np.int64), mode="constant"))
-
-
-def _number_regions(tiles: np.ndarray) -> np.ndarray:
-    """Number the connected regions of set tiles from 1; 0 elsewhere, (rows, columns) int32."""
-    return np.asarray(label(tiles, output=np.int32)[0])
+    return sum_around(tiles, 1, "constant")
 
 
 def _without_specks(tiles: np.ndarray, smallest: int) -> np.ndarray:
     """Leave out the regions of set tiles that have fewer than `smallest`."""
-    regions = _number_regions(tiles)
+    regions = number_regions(tiles)
     region_sizes = np.bincount(regions.ravel())
     return (regions > 0) & (region_sizes[regions] >= smallest)
 

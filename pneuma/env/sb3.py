@@ -8,10 +8,16 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
 
 from pneuma.env.fields import ENVIRONMENTS
 from pneuma.env.interface import Interface, read_options, world_seeds
+from pneuma.errors import require
+
+try:
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnv, VecEnvIndices, VecEnvStepReturn
+except ModuleNotFoundError:
+    require("stable_baselines3", command="pip install stable-baselines3")
+    raise
 
 
 class SlotsVecEnv(VecEnv):

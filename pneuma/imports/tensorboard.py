@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import pandas as pd
 
-from pneuma.errors import UserError, counted, install_extra
+from pneuma.errors import UserError, counted, install_command
 from pneuma.files import read_regular
 from pneuma.imports.logs import (
     MOST_COLUMNS,
@@ -172,7 +172,7 @@ def read_event_file(path: Path) -> tuple[list[Scalar], int]:
         from tensorboard.compat.proto.event_pb2 import Event
         from tensorboard.util.tensor_util import make_ndarray
     except ImportError:
-        needed = f"reading TensorBoard logs needs the tensorboard package: {install_extra('tensorboard')}"
+        needed = f"reading TensorBoard logs needs the tensorboard package: {install_command('tensorboard')}"
         raise UserError(needed) from None
     scalars: list[Scalar] = []
     sound_bytes = 0

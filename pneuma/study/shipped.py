@@ -31,7 +31,7 @@ def read_published_file(path: Path) -> bytes:
 
 
 def random_returns_file() -> Path:
-    """Return the output of `studies/random_returns.py`: a random player's returns in each world."""
+    """Return the output of `studies/scripts/random_returns.py`: a random player's returns in each world."""
     return shipped_tables() / "random-returns.json"
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-GREEDY = runpy.run_path(str(Path(__file__).parents[2] / "studies/greedy.py"))
+GREEDY = runpy.run_path(str(Path(__file__).parents[2] / "studies/scripts/greedy.py"))
 STEPS = 50
 STRIKE, LEFT, RIGHT = 4, 1, 3
 

@@ -65,7 +65,7 @@ MISTAKES = {
     "study plot algorithms --world text": "pneuma study run algorithms",
     "study compare activation tanh relu --format svg": "--format svg: must be one of table",
     f"{RUN} --executor slurm": "--executor slurm: must be one of local, ray; docs/scaling.md shows",
-    "study plan breakout": "pip install -c constraints.txt -e '.[minatar]' in Pneuma's folder",
+    "study plan breakout": "pip install 'pneuma-rl[minatar]'",
 }
 
 

@@ -20,7 +20,7 @@ from functools import cache
 from importlib.util import find_spec
 from typing import Any
 
-from pneuma.errors import Hint, UserError, install_extra
+from pneuma.errors import Hint, UserError, install_command
 from pneuma.store.provenance import CARRIED_CODE, SOURCE, available_cores, code, machine
 from pneuma.store.store import Status
 from pneuma.training.executors.base import RAY, Event, ExecutorConfig, Job, OnEvent, end_event
@@ -38,7 +38,7 @@ LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 def most_workers(config: ExecutorConfig) -> int:
     """Return how many runs the cluster's CPUs can train at once; this does not start a cluster."""
     if find_spec("ray") is None:
-        raise UserError(EXECUTOR, f" needs Ray: {install_extra('ray')}")
+        raise UserError(EXECUTOR, f" needs Ray: {install_command('ray')}")
     if config.address is None:
         return available_cores()
     join(config.address)

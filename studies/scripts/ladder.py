@@ -1,6 +1,6 @@
 """Add the changes of a study one by one, the most helpful first; print the conditions of the ladder.
 
-    python studies/ladder.py studies/changes.toml RESULTS > ladder.txt
+    python studies/scripts/ladder.py studies/changes.toml RESULTS > ladder.txt
 
 Each condition of the study except its baseline is a change. At every rung each change that is left is trained
 on top of those already taken, on seeds that no study has, and the one with the most kills is taken, helpful

@@ -1,6 +1,6 @@
 """Print how often agents are stuck, in greedy play and with sampled actions, for the study `greedy-gap`.
 
-    python studies/greedy.py RESULTS [STUDY] > stuck.csv
+    python studies/scripts/greedy.py RESULTS [STUDY] > stuck.csv
 
 Each row is one condition played in one way: the mean over its runs, which need their policies. Play is cut
 into windows of 50 steps. An agent is stuck in a window in which it hits nothing and stays within one tile.

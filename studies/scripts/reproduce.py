@@ -1,8 +1,8 @@
 """Train the studies of one part of the thesis, each in all its worlds; or plan, publish or draw them.
 
-    python studies/reproduce.py small-networks            # as `make reproduction`
-    python studies/reproduce.py small-networks plan       # as `make reproduction DO=plan`
-    python studies/reproduce.py small-networks run --studies clip-range --seeds 2 --steps 4096
+    python studies/scripts/reproduce.py small-networks            # as `make reproduction`
+    python studies/scripts/reproduce.py small-networks plan       # as `make reproduction DO=plan`
+    python studies/scripts/reproduce.py small-networks run --studies clip-range --seeds 2 --steps 4096
 
 Each step is `pneuma study COMMAND STUDY`, to which other options are passed on. A run that crashed stops no
 other study.

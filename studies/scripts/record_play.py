@@ -2,7 +2,7 @@
 
     pneuma study run tuned --condition tuned --seeds 300..300 --steps 4096       # one update
     pneuma study run tuned --condition tuned --seeds 300..300 --steps 1_000_000
-    python studies/record_play.py RESULTS RUN_ID RUN_ID > results/published/played.json
+    python studies/scripts/record_play.py RESULTS RUN_ID RUN_ID > results/published/played.json
 
 All agents play one episode of the same seed. Actions are numbers of one digit, one after another.
 """

@@ -1,6 +1,6 @@
 """A random player's kills and returns in each world, measured as those of chapter 6's runs.
 
-    python studies/random_returns.py results/published/random-returns.json
+    python studies/scripts/random_returns.py results/published/random-returns.json
 
 A policy whose weights are all zero draws each action with the same probability. It plays in four environments
 for a million steps, with the streams of twenty seeds. Returns are averaged over the twentieth of the budget
@@ -109,7 +109,7 @@ def table(measured: Mapping[str, Mapping[str, Any]]) -> str:
 
 if __name__ == "__main__":
     if len(sys.argv) != 2:
-        sys.exit("python studies/random_returns.py FILE: name the file to write")
+        sys.exit("python studies/scripts/random_returns.py FILE: name the file to write")
     measured_worlds = {world: measure(world) for world in WORLDS}
     Path(sys.argv[1]).write_text(json.dumps(measured_worlds, indent=1) + "\n", encoding="utf-8")
     print(table(measured_worlds))

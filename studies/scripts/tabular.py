@@ -1,6 +1,6 @@
 """Q-learning and double Q-learning in tables, on the mailman's day of the thesis's Fig. 2.1.
 
-    python studies/tabular.py [FILE]      writes the table (default: paper_figures/tables/tabular.md)
+    python studies/scripts/tabular.py [FILE]      writes the table (default: paper_figures/tables/tabular.md)
 
 "For deterministic environments, the ideal value is alpha = 1" (section 3.1): three learning rates on a day of
 which route and values are known. "The problem actually occurred due to the imprecision of the action-values,
@@ -31,7 +31,7 @@ GAMMA = 0.99
 EXPLORATION = 0.1
 """The probability of a random action."""
 
-FILE = Path(__file__).parents[1] / "paper_figures" / "tables" / "tabular.md"
+FILE = Path(__file__).parents[2] / "paper_figures" / "tables" / "tabular.md"
 
 
 @dataclass(frozen=True)

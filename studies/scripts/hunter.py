@@ -1,4 +1,4 @@
-"""What the scripted hunter kills, to compare agents with: `python studies/hunter.py`.
+"""What the scripted hunter kills, to compare agents with: `python studies/scripts/hunter.py`.
 
 A hundred episodes each, in the arena and on the islands of the study `islands`.
 """
