@@ -16,7 +16,7 @@ import json
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, Protocol, TypeVar
@@ -49,17 +49,20 @@ def check_spaces(run: Run) -> None:
         if problem and run.engine != "sb3":
             raise UserError(f'{run.env}: {problem}, which only engine = "sb3" trains')
         slots.step(np.array([slots.random_action()]))
-        check_second(run)
+        check_others(run)
 
 
-def check_second(run: Run) -> None:
-    """Open an environment beside another one, as a run does, and refuse one that allows no second one."""
-    try:
-        with closed_after(run, make_env(run)) as env, errors_from(f"{run.env} when it is reset"):
-            env.reset(seed=1)
-    except UserError as error:
-        reason = "a run opens several at once, in slots and for evaluations"
-        raise UserError(f"a second environment beside the first fails ({reason}): {error}") from None
+def check_others(run: Run) -> None:
+    """Open an environment a slot beside another one, as a run does, and refuse one that allows fewer."""
+    with ExitStack() as opened:
+        try:
+            for _ in range(run.slots):
+                env = opened.enter_context(closed_after(run, make_env(run)))
+                with errors_from(f"{run.env} when it is reset"):
+                    env.reset(seed=1)
+        except UserError as error:
+            reason = f"a run opens at least {run.slots + 1} at once, in slots and for evaluations"
+            raise UserError(f"another environment beside the first fails ({reason}): {error}") from None
 
 
 def _action_problem(run: Run, space: spaces.Space[Any]) -> str:

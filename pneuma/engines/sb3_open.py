@@ -36,7 +36,7 @@ from pneuma.config import CPU, Run, slot_seeds, stream_seed
 from pneuma.engines.environment import check_device
 from pneuma.engines.gymnasium_env import (
     check_observations,
-    check_second,
+    check_others,
     closed_after,
     errors_from,
     load_class,
@@ -93,6 +93,7 @@ def check_learner(run: Run) -> None:
         _check_arguments(run)
     with closed_after(run, make_env(run)) as env:
         check_observations(run, env.observation_space)
+        check_others(run)
     with (
         warnings.catch_warnings(action="ignore"),  # the run itself warns
         closed_after(run, _environments(run, run.slots)) as environments,
@@ -101,7 +102,6 @@ def check_learner(run: Run) -> None:
         with errors_from(f"{run.env} in its first step"):
             environments.reset()
             environments.step(np.array([environments.action_space.sample() for _ in range(run.slots)]))
-        check_second(run)
     pace = _pace(learner)
     if isinstance(learner, OnPolicyAlgorithm) and run.horizon != pace:
         remedy = f"set horizon = {pace}, or n_steps = {run.horizon} in algorithm_kwargs"
@@ -145,7 +145,8 @@ def _algorithm_kwargs(run: Run) -> dict[str, Any]:
 
 def _environments(run: Run, slots: int, seed: int = 0) -> VecEnv:
     """Return environments in slots, normalised if the run asks for it."""
-    environments: VecEnv = DummyVecEnv([lambda: Monitor(make_env(run))] * slots)
+    with errors_from(run.env):
+        environments: VecEnv = DummyVecEnv([lambda: Monitor(make_env(run))] * slots)
     environments.seed(seed % 2**31)
     if run.normalize_observations or run.normalize_rewards:
         environments = VecNormalize(

@@ -36,6 +36,7 @@ OBSERVED: dict[str, spaces.Space[Any]] = {
     "double": spaces.Box(-1, 3, (2,), np.float32),
     "graph": spaces.Graph(BOX, None),
     "sequence": spaces.Sequence(BOX),
+    "nested": spaces.Dict({"a": spaces.Dict({"b": BOX})}),
     "one of": spaces.OneOf([BOX, spaces.Discrete(6)]),
     "text": spaces.Dict({"a": BOX, "mission": spaces.Text(9)}),
     "picture": spaces.Box(0, 255, (36, 36, 3), np.uint8),
@@ -97,18 +98,18 @@ class Corridor(gymnasium.Env[Any, Any]):
 
 
 class Alone(Corridor):
-    """There can be only one at a time, as where each opens the same port."""
+    """There can be few at a time, as where each opens one of a list of ports."""
 
-    is_open = False
+    opened, largest = 0, 1
 
     def __init__(self) -> None:
         super().__init__()
-        if Alone.is_open:
+        if Alone.opened == Alone.largest:
             raise OSError("Address already in use")
-        Alone.is_open = True
+        Alone.opened += 1
 
     def close(self) -> None:
-        Alone.is_open = False
+        Alone.opened -= 1
 
 
 class Clinging(Corridor):

@@ -191,6 +191,17 @@ def test_what_no_learner_can_train_in_is_refused_in_one_line_by_all(learner: dic
     for check in (check_environment, first_capable_engine):
         with pytest.raises(UserError, match="^Clinging-v0 when it is closed: OSError: still in use$"):
             check(clinging)
-    reason = r"a second environment beside the first fails \(a run opens several .*Address already in use"
-    with pytest.raises(UserError, match=reason):
-        check_environment(make_run({"env": "Alone-v0", "horizon": 64, "slots": 1, **learner}))
+    for slots, largest in ((1, 1), (3, 3)):
+        Alone.largest = largest
+        reason = rf"another environment .* fails \(a run opens at least {slots + 1} at once.*Address already in use"
+        with pytest.raises(UserError, match=reason):
+            check_environment(make_run({"env": "Alone-v0", "horizon": 64, "slots": slots, **learner}))
+    Alone.largest = 4
+    check_environment(make_run({"env": "Alone-v0", "horizon": 64, "slots": 3, **learner}))
+
+
+@pytest.mark.parametrize("algorithm", ["qr-dqn", "stable_baselines3:PPO"])
+def test_observations_that_a_library_refuses_are_refused_in_one_line(algorithm: str) -> None:
+    run = make_run({**CORRIDOR, "env_kwargs": {"kind": "nested"}, "algorithm": algorithm})
+    with pytest.raises(UserError, match="^Corridor-v0: NotImplementedError: Nested observation spaces"):
+        check_environment(run)

@@ -16,6 +16,7 @@ import pytest
 from pneuma.errors import UserError
 from pneuma.search.log import LogLock, read_record
 from pneuma.store.store import PUBLISHED, Store
+from pneuma.study.shipped import shipped_tables
 
 from .conftest import MEDIAN, MakeTask, comparable, open_log
 
@@ -176,3 +177,12 @@ def test_untrusted_a_log_or_its_lock_that_is_a_link_or_a_pipe_is_not_written(
             task.record(store)
         (folder / name).unlink()
     assert elsewhere.read_text() == "mine\n"
+
+
+@pytest.mark.parametrize("path", sorted(shipped_tables().glob("search-*.log")), ids=lambda path: path.stem)
+def test_each_published_log_fits_its_searchs_file(path: Path, store: Store) -> None:
+    name, _, world = path.stem.removeprefix("search-").rpartition("-")
+    if not name:  # of a search that is in one world
+        name, world = world, ""
+    record = read_record(store, name, world or None)
+    assert record.published and record.best is not None
