@@ -31,7 +31,7 @@ from pneuma.seeds import read_seeds
 from pneuma.store.last_queries import on_top_of_last
 from pneuma.store.provenance import available_cores, project
 from pneuma.store.store import Store
-from pneuma.store.stored_runs import find_run, stored_run, trusted_settings
+from pneuma.store.stored_runs import find_trained, stored_run, trusted_settings
 from pneuma.study import plan, spec
 from pneuma.study.identity import describe_user_code, user_files
 from pneuma.training import execute
@@ -390,7 +390,7 @@ def promote(
 def load_policy(
     run_id: str, results: Where | None = None, *, trust: bool = False
 ) -> tuple[Policy | LearnedPolicy, str, dict[str, Any]]:
-    """Load the final policy of a stored run.
+    """Load the final policy of a stored run, or of one that comes with Pneuma.
 
     Args:
         run_id: the run's id, or its first digits if no other begins so.
@@ -406,8 +406,7 @@ def load_policy(
     Raises:
         UserError: for an unknown run, a run without a policy, or one that needs `trust`.
     """
-    store = _store(results)
-    full_id = find_run(store, run_id)
+    store, full_id = find_trained(_store(results), run_id)
     run_settings = trusted_settings(store, full_id, trust)
     policy = stored_policy(store, full_id, run_settings)
     env_id = read_field(Run, "env", run_settings.get("env"))

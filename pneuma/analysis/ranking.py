@@ -26,7 +26,8 @@ def ranked_runs(study_data: StudyData, outcome_name: str = "") -> tuple[str, pd.
     check_outcome(outcome_name, study_data.environments)
     stored_runs = study_data.runs[study_data.runs["where"] == ""]
     if not len(stored_runs):
-        raise UserError(f"{study_data.label}: none of its runs is stored here")
+        train = study_data.call("run_study")
+        raise UserError(f"{study_data.label}: none of its runs is stored here; train them with `", train, "`")
     outcome_values = [outcome(row, outcome_name) for row in stored_runs["row"]]
     ranked = stored_runs[["run_id", "condition", "seed"]].assign(value=outcome_values)
     is_lower_better = find_outcome(outcome_name).better == "lower"

@@ -26,7 +26,7 @@ from pneuma.store.series import held_curve, make_grid
 from pneuma.store.store import FINISHED
 from pneuma.study.identity import config_id
 from pneuma.study.plan import Plan, Query
-from pneuma.study.spec import LAST, Study
+from pneuma.study.spec import LAST, Study, named_condition
 from pneuma.values import format_settings, settings_name
 
 RUN_KEY_COLUMNS = ("condition", "seed", "run_id")
@@ -294,6 +294,7 @@ class StudyData:
 
     def of_conditions(self, selected: Sequence[str]) -> StudyData:
         """Return the study with some of its conditions."""
+        selected = [named_condition(condition, self.study.levels) for condition in selected]
         for condition in selected:
             if condition not in self.fields:
                 raise unknown_name(f"condition of study {self.study.name}", condition, self.fields)

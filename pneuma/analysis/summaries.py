@@ -8,7 +8,7 @@ at its own end.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -160,11 +160,7 @@ def compare_groups(a: Group, b: Group, outcome: str) -> dict[str, Any]:
         UserError: for an unknown outcome, or returns that have different units.
     """
     declared = find_outcome(outcome)
-    if declared.is_return and len(_units_of_return(a, b)) > 1:
-        raise UserError(
-            f"outcome {outcome}: returns with different rewards or numbers of players cannot be compared; "
-            "name another, such as final-share-killed"
-        )
+    refuse_different_returns(_units_of_return(a, b), outcome)
     all_values_a = outcome_values(a.data, a.condition, outcome)
     all_values_b = outcome_values(b.data, b.condition, outcome)
     values_a, values_b = all_values_a[~np.isnan(all_values_a)], all_values_b[~np.isnan(all_values_b)]
@@ -194,6 +190,15 @@ def compare_groups(a: Group, b: Group, outcome: str) -> dict[str, Any]:
         "seeds_b": len(values_b),
         "without_value": len(all_values_a) + len(all_values_b) - len(values_a) - len(values_b),
     }
+
+
+def refuse_different_returns(units_of_return: Collection[str], outcome: str) -> None:
+    """Refuse an outcome that is a return, where returns have several units."""
+    if find_outcome(outcome).is_return and len(units_of_return) > 1:
+        raise UserError(
+            f"outcome {outcome}: returns with different rewards or numbers of players cannot be compared; "
+            "name another, such as final-share-killed"
+        )
 
 
 def _mean(run_values: np.ndarray) -> float:

@@ -15,6 +15,7 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import Group, compare_groups, outcomes_to_compare
 from pneuma.answers.answer import Answer
 from pneuma.answers.cells import comparison_cells, with_cells
+from pneuma.answers.factors import compare_factors, factors_of
 from pneuma.answers.notes import (
     averaging,
     notes_on_ends,
@@ -25,7 +26,7 @@ from pneuma.answers.notes import (
 from pneuma.answers.summary import SCALE
 from pneuma.errors import UserError, counted
 from pneuma.study.plan import Query
-from pneuma.study.spec import load_study
+from pneuma.study.spec import CONDITION, load_study, named_condition
 
 LEGEND = (
     "Means and their difference with a 95 % interval (Welch), each rounded by itself. P(better): the",
@@ -37,13 +38,17 @@ Pairs = dict[str, tuple[Group, Group]]
 
 
 def narrowed(query: Query, a: str, b: str) -> Query:
-    """Return a query of two conditions alone, unless their names are of conditions in each environment."""
+    """Return a query of two conditions alone, unless they are factors or conditions in each environment."""
     try:
         study = load_study(query.study)
     except UserError:  # it has no file
         return replace(query, conditions=(a, b))
+    if {a, b} & {CONDITION, *study.factors, *query.settings} - {*study.conditions}:
+        return query
     set_by_factors = [set_fields for levels in study.factors.values() for set_fields in levels.values()]
-    if a not in study.conditions and any("env" in set_fields for set_fields in set_by_factors):
+    if named_condition(a, study.levels) not in study.conditions and any(
+        "env" in set_fields for set_fields in set_by_factors
+    ):
         return query
     return replace(query, conditions=(a, b))
 
@@ -57,11 +62,12 @@ def compare(
 ) -> Answer:
     """Compare condition `a` with `b`, or each condition with that of the same name of another study.
 
-    In a study of several environments `a` and `b` are compared in each, and their scores over all.
+    In a study of several environments `a` and `b` are compared in each, and their scores over all. Of two
+    factors of a crossed study, it gives what `compare_factors` does.
 
     Args:
         study_data: an opened study.
-        a: a condition.
+        a: a condition, or a factor.
         b: the condition that it is compared with.
         outcomes: names from docs/outcomes.md; default: the study's, or the default ones, after those of a
             claim about these conditions.
@@ -76,8 +82,11 @@ def compare(
     """
     if other_data is not None:
         return _compare_studies(study_data, other_data, outcomes)
+    a, b = (named_condition(name, study_data.study.levels) for name in (a, b))
     if a == b:
         raise UserError(f"{a} and {b} are the same condition; name two of {', '.join(study_data.conditions)}")
+    if {a, b} & {*factors_of(study_data)} - {*study_data.fields}:
+        return compare_factors(study_data, a, b, outcomes)
     data_by_env = by_environment(study_data)
     if a not in study_data.fields and len(data_by_env) > 1:
         return _compare_in_environments(study_data, data_by_env, a, b, outcomes or [OUTCOME])

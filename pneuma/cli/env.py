@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, check_file, rows_result, write_file
+from pneuma.cli.output import Result, check_file, rows_result, say, write_file
 from pneuma.env.fields import ENVIRONMENTS
 from pneuma.errors import UserError, counted, unknown_name
 from pneuma.presets import WORLDS
@@ -53,7 +54,7 @@ def render(
     name: Environment,
     out: Annotated[Path, opt.option("FILE", "The .png to write, or a .gif of an episode.")],
     player: Annotated[
-        str, opt.option("AGENT", "Agent: random, hunter, a run id, or best:STUDY (the study's best run).")
+        str, opt.option("AGENT", "Agent: random, hunter, a run id, or best:STUDY, its best run.")
     ] = RANDOM,
     seed: Seed = 0,
     seconds: Annotated[float, opt.option("N", "Longest episode in a .gif, in seconds.", min=1.0)] = 20.0,
@@ -129,14 +130,14 @@ def render(
 def _load_player(
     player: str, env_id: str, results: Path, trust: bool
 ) -> tuple[Policy | LearnedPolicy, dict[str, Any]]:
-    """Return the policy and the settings of a stored run, which must be of an environment."""
+    """Return the policy and the settings of a trained run, which must be of an environment."""
     from pneuma.api import stored_policy
     from pneuma.store.store import Store
-    from pneuma.store.stored_runs import find_run, trusted_settings
+    from pneuma.store.stored_runs import find_trained, trusted_settings
 
-    store = Store(results)
     try:
-        run_id = find_run(store, _best_run(player, env_id, results) if player.startswith(BEST) else player)
+        run_prefix = _best_run(player, env_id, results) if player.startswith(BEST) else player
+        store, run_id = find_trained(Store(results), run_prefix)
         settings = trusted_settings(store, run_id, trust)
         policy = stored_policy(store, run_id, settings)
     except UserError as error:
@@ -147,17 +148,35 @@ def _load_player(
 
 
 def _best_run(player: str, env_id: str, results: Path) -> str:
-    """Return the best stored run of best:STUDY in an environment, by the primary outcome."""
+    """Return the best run of best:STUDY in an environment, by the primary outcome.
+
+    Where none of the study's runs is stored here, those count that come with Pneuma.
+    """
     from pneuma.analysis.environments import by_environment
     from pneuma.analysis.ranking import ranked_runs
+    from pneuma.analysis.runs import configurations_of, find_study, finished_rows, open_study
+    from pneuma.store.index import RunIndex
+    from pneuma.store.store import Store
+    from pneuma.store.stored_runs import shipped_runs
+    from pneuma.study.plan import Query
 
-    worlds = [name for name, world in WORLDS.items() if world.env == env_id]
-    data = opt.RunFilter(world=next(iter(worlds), None), results=results).open(player.removeprefix(BEST))
+    index, query = RunIndex(Store(results)), Query().named(player.removeprefix(BEST))
+    study, _, _ = configurations_of(index, query.study, None)
+    worlds_of_env = [world for world in study.worlds if WORLDS[world].env == env_id]
+    query = replace(query, world=next(iter(worlds_of_env), None))
+    for policies in (index, RunIndex(shipped_runs())):
+        data = finished_rows(policies, find_study(policies, query))
+        if (data.runs["where"] == "").any():
+            break
+    else:
+        data = open_study(index, query)
     data_by_environment = by_environment(data)
     if env_id not in data_by_environment:
         raise UserError(f"was trained in {' and '.join(data_by_environment)}, not in {env_id}")
-    _, ranked_frame = ranked_runs(data_by_environment[env_id])
-    return str(ranked_frame["run_id"].iloc[0])
+    outcome, ranked_frame = ranked_runs(data_by_environment[env_id])
+    best = ranked_frame.iloc[0]
+    say(f"{player}: {best.condition}, seed {best.seed}, run {best.run_id} ({outcome} {best.value:.3g})")
+    return str(best.run_id)
 
 
 def _story(worlds: Worlds) -> str:

@@ -38,8 +38,10 @@ def summary(
 def compare(
     name: opt.Study,
     selection: opt.RunFilter,
-    a: Annotated[str | None, opt.argument("A", "A condition.")] = None,
-    b: Annotated[str | None, opt.argument("B", "The condition that A is compared with.")] = None,
+    a: Annotated[str | None, opt.argument("A", "A condition, or a factor.")] = None,
+    b: Annotated[
+        str | None, opt.argument("B", "What A is compared with; another factor if A is one.")
+    ] = None,
     with_: Annotated[
         str | None, opt.option("STUDY", "Compare each condition with another study's.", name="--with")
     ] = None,
@@ -49,7 +51,8 @@ def compare(
     """Compare two conditions: the difference of their means, and how likely a run of A beats one of B.
 
     With --with, each condition is compared with the condition of the same name in another study. In a study
-    of several environments, A and B are compared in each, and by their scores over all.
+    of several environments, A and B are compared in each, and by their scores over all. Of two factors of a
+    crossed study it shows means at each pair of levels, main effects and interactions.
     """
     from pneuma.answers import comparison
 

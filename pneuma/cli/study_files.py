@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from pneuma.analysis.study_data import StudyData
     from pneuma.figures.grid import Page
 
-CURVES, SUMMARY, PROFILE, ONE_ACTION = FIGURE_KINDS = ("curves", "summary", "profile", "one-action")
+FIGURE_KINDS = ("curves", "summary", "profile", "one-action", "factors")
+CURVES, SUMMARY, PROFILE, ONE_ACTION, FACTORS = FIGURE_KINDS
 EVERY_QUANTITY, ACTIONS = "all", "actions"
 _ENDINGS = ", ".join(EXPORT_SUFFIXES)
 PUBLISHED_CURVES = (
@@ -181,6 +182,14 @@ def _draw(study_data: StudyData, drawing: Drawing, beside_data: StudyData | None
         from pneuma.answers.one_action import find_one_action  # SciPy's statistics take half a second
 
         return shares.one_action_page(find_one_action(study_data))
+    if figure_kind == FACTORS:
+        from pneuma.answers.factors import compare_factors, factors_of
+        from pneuma.figures.heat_map import heat_map_page
+
+        factors = factors_of(next(iter(columns.values())))
+        if len(factors) < 2:
+            raise UserError(f"--figure {FACTORS} requires two factors; {study_data.label} has {len(factors)}")
+        return heat_map_page(compare_factors(study_data, *factors[:2]))
     if figure_kind == SUMMARY:
         page = summary_page(show_outcomes(columns))
     elif figure_kind == CURVES:

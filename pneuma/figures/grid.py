@@ -72,6 +72,7 @@ class Panel:
         draw: draws into its axes, and sets their limits.
         x_kind, y_kind: `VALUES`, `SHARES` or `POWERS`.
         rows: labels of rows, the first at the top; None if the upright axis has values.
+        columns: labels of columns; None if the other axis has values.
     """
 
     draw: Callable[[Axes], object]
@@ -81,6 +82,7 @@ class Panel:
     x_kind: str = VALUES
     y_kind: str = VALUES
     rows: Sequence[str] | None = None
+    columns: Sequence[str] | None = None
 
 
 @dataclass(frozen=True)
@@ -179,7 +181,15 @@ def _arrange(page: Page, width: float) -> list[list[Panel | None]]:
 def fill(axes: Axes, panel: Panel, width: float, row_inches: float = ROW_INCHES) -> None:
     """Draw a panel into axes, of a width in inches and a height of rows."""
     panel.draw(axes)
-    _format_axis(axes.xaxis, panel.x_kind, 3 if width < NARROW else 5)
+    if panel.columns is None:
+        _format_axis(axes.xaxis, panel.x_kind, 3 if width < NARROW else 5)
+    else:
+        letters = characters(text_points(), width / len(panel.columns))
+        axes.set_xticks(
+            range(len(panel.columns)), [textwrap.fill(clean(label), letters) for label in panel.columns]
+        )
+        axes.tick_params(axis="x", length=0)
+        axes.grid(visible=False)
     if panel.rows is None:
         _format_axis(axes.yaxis, panel.y_kind, 6)
     else:

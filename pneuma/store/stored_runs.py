@@ -6,12 +6,14 @@ The folder may be untrusted: nothing in it is executed.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from pneuma.config import FIELDS, Run, as_fields, make_run
 from pneuma.errors import Hint, UserError, nearest_name
 from pneuma.store.store import Store, read_sound
 from pneuma.study.identity import describe_user_code
+from pneuma.study.shipped import shipped_tables
 
 MOST_LISTED = 5
 
@@ -30,6 +32,19 @@ def find_run(store: Store, prefix: str) -> str:
     hint = nearest_name(prefix, run_ids) if run_ids else " (it holds none)"
     text = f"no run {prefix!r} in {folder}{hint}; `pneuma run list` shows all runs; "
     raise UserError(text, Hint("results"), " selects the folder")
+
+
+def shipped_runs() -> Store:
+    """Return the trained runs that come with Pneuma, without their records (`tools/trained.py`)."""
+    return Store(shipped_tables())
+
+
+def find_trained(store: Store, prefix: str) -> tuple[Store, str]:
+    """Return the run with an id or a unique prefix, and its store: this one, or that of shipped runs."""
+    if not any(run_id.startswith(prefix.lower()) for run_id in store.runs()):
+        with suppress(UserError):
+            return shipped_runs(), find_run(shipped_runs(), prefix)
+    return store, find_run(store, prefix)
 
 
 def run_files(store: Store, run_id: str) -> list[dict[str, Any]]:

@@ -36,6 +36,7 @@ from pneuma.study.spec import (
     QUICK,
     Preset,
     Study,
+    named_condition,
     no_effect_message,
     refuse_n_steps,
     unread_fields,
@@ -133,6 +134,7 @@ def make_plan(study: Study, query: Query, engine: Callable[[Run], str] | None = 
             find one.
     """
     preset = query.preset or default_preset(study)
+    query = replace(query, conditions=tuple(named_condition(name, study.levels) for name in query.conditions))
     amounts = find_preset(study, preset).amounts(study.conditions, study.world)
     for condition in query.conditions:
         if condition in study.conditions and condition not in amounts:
@@ -227,6 +229,7 @@ def configure(
             levels[condition] = {**(study.levels.get(origin) or {CONDITION: origin}), **changed}
     baseline = next(condition for condition, origin in origins.items() if origin == study.baseline)
     if selection:
+        selection = [named_condition(name, levels) for name in selection]
         for condition in selection:
             if condition not in conditions and condition not in study.conditions:
                 raise unknown_name(f"condition of study {study.name}", condition, conditions)

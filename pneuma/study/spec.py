@@ -353,6 +353,14 @@ def _worlds(study: Study) -> tuple[str, ...]:
     return tuple(world_names) or (TEXT,)
 
 
+def named_condition(name: str, levels: Mapping[str, Mapping[str, str]]) -> str:
+    """Return the crossed condition whose levels a name consists of, as in "tanh, 0.05"; or else the name."""
+    for condition, levels_by_factor in levels.items():
+        if name == ", ".join(levels_by_factor.values()):
+            return condition
+    return name
+
+
 def _crossed(study_file: TomlFile, study: Study) -> Study:
     """Cross a study's conditions with its factors, if it has some."""
     factors = dict(study.factors)
@@ -392,8 +400,27 @@ def _crossed(study_file: TomlFile, study: Study) -> Study:
                 colors[condition] = study.colors[name]
         if baseline in value_names:
             baseline = condition
-    changes = {"conditions": conditions, "levels": levels, "labels": labels, "colors": colors}
-    return study.model_copy(update={**changes, "baseline": baseline})
+    changes = {
+        "conditions": conditions,
+        "levels": levels,
+        "labels": {named_condition(name, levels): label for name, label in labels.items()},
+        "colors": {named_condition(name, levels): color for name, color in colors.items()},
+        "baseline": named_condition(baseline, levels),
+        "presets": {name: _with_full_names(preset, levels) for name, preset in study.presets.items()},
+    }
+    return study.model_copy(update=changes)
+
+
+def _with_full_names(amounts: Any, levels: Mapping[str, Mapping[str, str]]) -> Any:
+    """Return a preset, or its exceptions in a world, whose conditions have their full names."""
+    changes: dict[str, Any] = {"only": tuple(named_condition(name, levels) for name in amounts.only)}
+    changes["conditions"] = {
+        named_condition(name, levels): amount for name, amount in amounts.conditions.items()
+    }
+    for world in WORLDS:
+        if getattr(amounts, world, None):
+            changes[world] = _with_full_names(getattr(amounts, world), levels)
+    return amounts.model_copy(update=changes)
 
 
 def _check_runs(study_file: TomlFile, study: Study) -> None:

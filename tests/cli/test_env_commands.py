@@ -13,9 +13,15 @@ from sb3_contrib import QRDQN
 
 from pneuma.api import load_policy
 from pneuma.config import env_config, make_run
+from pneuma.engines.policy import Policy
 from pneuma.engines.sb3_open import OpenTrainer
 from pneuma.env.worlds import Worlds
+from pneuma.store.index import RunIndex
+from pneuma.store.row_builder import stored_row
 from pneuma.store.store import Store
+from pneuma.store.stored_runs import shipped_runs
+from pneuma.study.plan import Query, make_plan
+from pneuma.study.spec import load_study
 
 from ..env.arena import EMPTY
 from .calls import call, policy_of, printed, refused, save_policy
@@ -128,3 +134,38 @@ def test_a_picture_that_needs_pygame_names_the_extra(monkeypatch: pytest.MonkeyP
     monkeypatch.setitem(sys.modules, "pygame", None)
     message = refused("env", "render", "CartPole-v1", "--out", "a.png")
     assert message.startswith("CartPole-v1 is drawn by pygame: pip install") and "'.[play]'" in message
+
+
+def test_each_shipped_agent_plays_and_is_that_of_its_row(here: Path) -> None:
+    """Together they take at most 1 MB, and are cells of published plans by the present engine."""
+    shipped = shipped_runs()
+    assert sum(path.stat().st_size for path in shipped.root.glob("runs/*/*")) <= 1_000_000
+    cells = {
+        cell.run_id: cell
+        for study in ("activation", "tuned")
+        for cell in make_plan(load_study(study, "arena"), Query(preset="paper")).cells
+    }
+    conditions = {cells[run_id].condition for run_id in shipped.runs()}
+    assert conditions == {"table-6-2", "relu", "leaky-relu", "tuned"}  # the first is tanh, too
+    tables = RunIndex(shipped, stored=False).tables.values()
+    for run_id in shipped.runs():
+        assert shipped.status(run_id).name == "done"  # all its files are what was written
+        policy, env_id, _ = load_policy(run_id)
+        assert isinstance(policy, Policy)
+        rows = [stored_row(shipped, run_id)]
+        rows += [table.row(run_id) for table in tables if run_id in table.row_numbers]
+        assert {row.policy for row in rows} == {policy.checksum}
+        gif = f"{run_id}.gif"
+        printed("env", "render", env_id, "--player", run_id[:6], "--seconds", "1", "--out", gif)
+        assert frames(gif) > 1
+
+
+def test_the_best_shipped_agent_plays_where_no_run_is_stored(here: Path) -> None:
+    words = ("env", "render", "pneuma/PneumaArena-v0", "--seconds", "1", "--out", "agent.gif", "--player")
+    assert (
+        "tuned, seed 301, run aa090fb32185653e (final-share-killed 0.993)" in call(*words, "best:tuned").err
+    )
+    assert frames("agent.gif") > 1
+    assert "`pneuma study run ladder" in refused(*words, "best:ladder")  # none of its runs is shipped
+    message = refused(*words, "best:cartpole")
+    assert "was trained in CartPole-v1, not in pneuma/PneumaArena-v0" in message

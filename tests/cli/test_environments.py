@@ -12,7 +12,7 @@ from pneuma.answers.curves import find_curves
 from pneuma.answers.outcomes import show_outcomes
 from pneuma.answers.profiles import profile_scores
 from pneuma.api import open_data
-from pneuma.cli.study_files import FIGURE_KINDS
+from pneuma.cli.study_files import FACTORS, FIGURE_KINDS
 from pneuma.config import as_fields
 from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import Page, Panel
@@ -116,8 +116,10 @@ SHOWN = {
 """Words that stand on figures of each kind alone."""
 
 
-@pytest.mark.parametrize("kind", FIGURE_KINDS)
+@pytest.mark.parametrize("kind", SHOWN)
 def test_a_kind_of_figure_is_drawn_and_no_other(study: Path, kind: str) -> None:
+    """That of factors has a study of its own (`analysis/test_factors.py`)."""
+    assert {*SHOWN, FACTORS} == {*FIGURE_KINDS}
     printed("study", "plot", study, "--figure", kind, "--out", "drawn.svg")
     drawn = Path("drawn.svg").read_text()
     assert [other for other, words in SHOWN.items() if words in drawn] == [kind]
