@@ -90,7 +90,8 @@ def plain(value: Any) -> Any:
 
 
 READ = {
-    "run_id", "seed", "steps", "end", "fields", "signs", "evaluations", "return last", "hp last",
+    "run_id", "provenance", "seed", "steps", "end", "fields", "signs", "evaluations", "return last",
+    "hp last",
     "explained_variance early", "grad_norm", "approx_kl peak", "approx_kl extreme",
     *(f"action_{place} last" for place in range(5)),
 }  # fmt: skip
@@ -139,10 +140,12 @@ class Runs:
 
 
 def fixed(rows: Sequence[Row], seeds: Sequence[int], steps: int) -> list[Row]:
-    """Return the runs of some seeds and steps, seed by seed."""
-    chosen = [row for row in rows if row["seed"] in seeds and steps <= row["steps"] < steps * (1 + SLACK)]
-    assert len({row["seed"] for row in chosen}) == len(chosen), "two runs of one seed have the same fields"
-    return sorted(chosen, key=lambda row: int(row["seed"]))
+    """Return the runs of some seeds and steps, seed by seed: of a seed the one that was trained first."""
+    chosen: dict[int, Row] = {}
+    for row in sorted(rows, key=lambda row: str(json.loads(row["provenance"]).get("started"))):
+        if row["seed"] in seeds and steps <= row["steps"] < steps * (1 + SLACK):
+            chosen.setdefault(row["seed"], row)
+    return [chosen[seed] for seed in sorted(chosen)]
 
 
 # --- Outcomes ----------------------------------------------------------------------------------------

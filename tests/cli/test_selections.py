@@ -35,10 +35,9 @@ def show(store: Store, name: str, world: str | None = None, **query: Any) -> tup
 
 
 def test_where_nothing_was_run_the_published_preset_is_shown(store: Store) -> None:
-    """Tables 300 to 329 of the page: 30 runs of tanh, and 30 of ReLU though 60 are published."""
-    code, out, err = call("study", "compare", "activation", *PAIR, "--results", store.root)
+    code, out, err = call("study", "compare", "actor-size", "small", "small-critic", "--results", store.root)
     assert code == 0 and "30 and 30" in out
-    coverage = "activation in the arena, preset paper, tanh and relu alone: 60 of 60 runs "
+    coverage = "actor-size in the arena, preset paper, small and small-critic alone: 60 of 60 runs "
     assert err.splitlines()[-1] == f"{coverage}(published; 60 by an earlier version)."
 
 
@@ -121,7 +120,7 @@ def test_a_run_of_another_version_counts_where_there_is_no_other(
 
 def test_a_published_run_has_the_fields_of_its_cell_whatever_fields_have_left_since(store: Store) -> None:
     index = RunIndex(store)
-    data = find_study(index, Query().named("activation@paper"))
+    data = find_study(index, Query(conditions=("small",)).named("actor-size@paper"))
     run_id, condition = data.runs[["run_id", "condition"]].iloc[0]
     stored, fields = index.document("fields", run_id), as_fields(data.configurations[condition])
     assert stored.keys() - fields.keys() and have_same_fields(fields, stored)
@@ -133,16 +132,16 @@ def test_a_published_run_has_the_fields_of_its_cell_whatever_fields_have_left_si
 
 
 def test_own_runs_of_the_published_cells_count_first(store: Store) -> None:
-    (own,) = finish_study(store, seeds=(300,), steps=1_000_448, conditions=("tanh",))
-    run_ids, text = show(store, "activation@paper")
-    assert len(run_ids) == 90 and own in run_ids
-    assert text.endswith("90 of 90 runs (1 trained here, 89 published; 89 by an earlier version).")
+    (own,) = finish_study(store, "actor-size", seeds=(300,), steps=1_000_448, conditions=("small",))
+    run_ids, text = show(store, "actor-size@paper", conditions=("small",))
+    assert len(run_ids) == 30 and own in run_ids
+    assert text.endswith("30 of 30 runs (1 trained here, 29 published; 29 by an earlier version).")
 
 
 def test_cells_that_a_published_table_lacks_have_the_command_that_trains_them(store: Store) -> None:
-    text = show(store, "activation@paper", "godot", conditions=("tanh",), seeds=(100, 7000))[1]
-    assert "seeds 100,7000: 1 of 2 runs (published; 1 by an earlier version). The others are" in text
-    assert "`pneuma study run activation --world godot --preset paper --condition tanh " in text
+    text = show(store, "actor-size@paper", "godot", conditions=("small",), seeds=(1100, 7000))[1]
+    assert "seeds 1100,7000: 1 of 2 runs (published; 1 by an earlier version). The others are" in text
+    assert "`pneuma study run actor-size --world godot --preset paper --condition small " in text
 
 
 @pytest.mark.usefixtures("unshipped")
