@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from llvmlite import ir
 
-from pneuma.config import ACTIVATIONS
 from pneuma.engines.products import COLUMNS, multiply
 from pneuma.env.compiling import cached, inlined, typed_codegen, typed_float, typed_intrinsic
 from pneuma.env.compiling import kernel as inner
@@ -185,7 +184,7 @@ def values_of(critic: Network, observations: np.ndarray) -> np.ndarray:
 
 @inner
 def note_dead(activation: int, widths: Any, rows: int, scratch: Any, starts: Any, is_dead: Any) -> None:
-    """Clear the mark of each hidden unit, (layers, units), that one of some rows of outputs shows is alive."""
+    """Clear the mark of each hidden unit, (layers, units), that some row of outputs shows is alive."""
     for layer in range(1, len(widths) - 1):
         for row in range(rows):
             start = starts[layer] + row * row_length(widths[layer])
@@ -237,8 +236,8 @@ def count_dead(widths: Any, is_dead: Any) -> Any:
 
 LEAKY_SLOPE = 0.01
 """Slope of LeakyReLU below zero (thesis section 6.2)."""
-ACTIVATION_CODES = {name: code for code, name in enumerate(ACTIVATIONS)}
-TANH, RELU, LEAKY_RELU = ACTIVATION_CODES.values()
+TANH, RELU, LEAKY_RELU = range(3)
+ACTIVATION_CODES = {"tanh": TANH, "relu": RELU, "leaky-relu": LEAKY_RELU}
 """Codes by which `activate`, `scale_by_slopes` and `is_dead_output` choose their branch."""
 
 

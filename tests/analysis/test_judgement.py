@@ -183,7 +183,8 @@ REASONS: dict[str, tuple[SharesByCondition, Changes, str]] = {
         "trained by different engines: reference by sb3, low by batched",
     ),
     "unlike rewards": (
-        {"paid-for-kills": HIGH, "low": LOW}, [('a = "high"', 'a = "paid-for-kills"'), outcome('"final-return"')],
+        {"paid-for-kills": HIGH, "low": LOW},
+        [('a = "high"', 'a = "paid-for-kills"'), outcome('"final-return"')],
         "returns of unlike rewards",
     ),
     "missing seeds": ({"high": HIGH[:5], "low": LOW}, [], "runs missing: high has 5 of the 8 fixed ones"),
