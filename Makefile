@@ -16,7 +16,7 @@ HASHED = --no-deps --require-hashes --requirement
 OWN = --no-build-isolation --constraint constraints.txt --editable
 BACKEND = $(filter-out --torch-backend=default,--torch-backend=$(TORCH))
 
-.PHONY: help install constraints study figures docs test storm test-all release-check slow-0 slow-1 slow-2 lint clean
+.PHONY: help install constraints study figures docs test storm mutants test-all release-check slow-0 slow-1 slow-2 lint clean
 .PHONY: reproduction reproduction-rest reproduction-causes reproduction-winners reproduction-slow
 .PHONY: tuning tuning-optimizers tuning-algorithms aarch64
 
@@ -102,6 +102,9 @@ test: lint  ## Check style and types, and run the fast tests
 
 storm: $(TESTED)  ## Kill and damage studies at random, and compare every bit
 	$(BIN)/python -m tests.training.storm
+
+mutants: $(TESTED)  ## Break the code in some seventy ways, one by one, in a copy; a test must notice each
+	$(BIN)/python -m tests.mutants
 
 AARCH64 = build/aarch64
 

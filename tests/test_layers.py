@@ -185,6 +185,15 @@ def _texts(path: Path) -> Iterator[tuple[int, str]]:
             yield node.lineno, node.value
 
 
+def test_names_that_optuna_keeps_private_are_in_one_module() -> None:
+    """Another version may drop any of them."""
+    private = re.compile(r"(?<!self)\._[a-z]\w*")
+    files = [path for path in PACKAGE.rglob("*.py") if "optuna" in path.read_text(encoding="utf-8")]
+    assert len(files) > 5
+    with_private = {path.name for path in files if private.search(path.read_text(encoding="utf-8"))}
+    assert with_private == {"optuna_private.py"}
+
+
 def test_messages_below_the_command_line_name_no_option() -> None:
     """They name arguments by `Hint`, which is written as in Python, or as an option by the command line."""
     breaches = []

@@ -18,6 +18,8 @@ from pneuma.study.plan import Query, make_plan
 from pneuma.study.shipped import list_studies
 from pneuma.study.spec import Study, load_study
 
+from . import mutants
+
 ROOT = Path(__file__).parents[1]
 REPRODUCE = runpy.run_path(str(ROOT / "studies/scripts/reproduce.py"))
 
@@ -57,6 +59,35 @@ def test_slow_tests_run_only_where_they_are_asked_for(pytestconfig: pytest.Confi
     """A single file, run while one works, took networks of 1.2 GB."""
     assert pytestconfig.getini("addopts")[-2:] == ["-m", "not slow"]
     assert "pytest -m slow $(SLOW_$*)" in (ROOT / "Makefile").read_text()
+
+
+MUTANT = """
+[[mutant]]
+fault = "two is three"
+file = "mine.py"
+old = "{old}"
+new = "3"
+tests = ["test_mine.py"]
+"""
+
+
+def test_a_mutant_is_noticed_or_survives_and_one_whose_text_is_gone_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is applied to a copy, and what it changed there is taken back."""
+    (tmp_path / "mine.py").write_text("TWO = 2\n")
+    (tmp_path / "mutants.toml").write_text(MUTANT.format(old="2"))
+    monkeypatch.setattr(mutants, "ROOT", tmp_path)
+    monkeypatch.setattr(mutants, "LIST", tmp_path / "mutants.toml")
+    (mutant,) = mutants.read_mutants()
+    for test, noticed in (("TWO == 2", True), ("TWO", False)):
+        test_text = f"from mine import TWO\ndef test_two() -> None:\n    assert {test}\n"
+        (tmp_path / "test_mine.py").write_text(test_text)
+        assert mutants.is_noticed(tmp_path, mutant) is noticed
+    assert (tmp_path / "mine.py").read_text() == "TWO = 2\n"
+    (tmp_path / "mutants.toml").write_text(MUTANT.format(old="4"))
+    with pytest.raises(SystemExit, match="two is three: its old text is 0 times in mine.py, not once"):
+        mutants.read_mutants()
 
 
 def test_makefile_names_every_part() -> None:

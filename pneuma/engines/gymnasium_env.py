@@ -83,7 +83,7 @@ def _action_problem(run: Run, space: spaces.Space[Any]) -> str:
 
 
 class GymnasiumSlots:
-    """Environments in parallel; each is reset as soon as its episode ends.
+    """Environments in parallel, as `LearnerSlots`; each is reset as soon as its episode ends.
 
     Attributes:
         raw_observations: (S, features) float32, the current ones.
@@ -94,6 +94,10 @@ class GymnasiumSlots:
         steps: number of steps taken in each slot.
         finished: episodes that ended since the list was last emptied.
     """
+
+    rewards: np.ndarray
+    terminated: np.ndarray
+    truncated: np.ndarray
 
     def __init__(self, run: Run, seeds: Sequence[int], training: bool = False) -> None:
         self.run = run
@@ -107,6 +111,7 @@ class GymnasiumSlots:
         self.returns = np.zeros(len(seeds))
         self.lengths, self.episodes = np.zeros((2, len(seeds)), np.int64)
         self.steps = 0
+        self._begin_step()
         self.finished: list[dict[str, Any]] = []
         self._log_type = np.float32 if isinstance(self.action_space, spaces.Box) else np.int32
         self._action_log = bytearray()
@@ -133,28 +138,31 @@ class GymnasiumSlots:
         """How a policy has to normalise observations now."""
         return self._normalization.scaling if self._normalization else None
 
-    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Apply (S,) or (S, dimensions) actions; return rewards, float64, and ended episodes: (S,) each.
+    def step(self, actions: np.ndarray) -> np.ndarray:
+        """Apply (S,) or (S, dimensions) actions; return which episodes ended, (S,).
 
-        `terminated` and `truncated` are never both set. Rewards are normalised if the run asks for it, but
-        not in `finished`.
+        `rewards` are normalised if the run asks for it, but not in `finished`.
         """
         self._actions_shape = actions.shape
         self._action_log += actions.astype(self._log_type).tobytes()
-        rewards = np.zeros(len(self.envs))
-        terminated, truncated = np.zeros((2, len(self.envs)), np.bool_)
+        self._begin_step()
         self.steps += 1
         for slot, action in enumerate(actions_in_space(self.action_space, actions)):
             reward, is_terminated, is_truncated, _ = self.step_one(slot, action)
-            rewards[slot] = reward
+            self.rewards[slot] = reward
             self.returns[slot] += reward
             if is_terminated or is_truncated:
-                terminated[slot], truncated[slot] = is_terminated, not is_terminated
+                self.terminated[slot], self.truncated[slot] = is_terminated, not is_terminated
                 self._end(slot, "terminated" if is_terminated else "truncated")
+        ended = self.terminated | self.truncated
         if self._normalization:
-            has_ended = terminated | truncated
-            rewards = self._normalization.step(self.raw_observations, rewards, has_ended, self.terminal)
-        return rewards, terminated, truncated
+            observations, rewards = self.raw_observations, self.rewards
+            self.rewards = self._normalization.step(observations, rewards, ended, self.terminal)
+        return ended
+
+    def _begin_step(self) -> None:
+        self.rewards = np.zeros(len(self.envs))
+        self.terminated, self.truncated = np.zeros((2, len(self.envs)), np.bool_)
 
     def random_action(self) -> Any:
         """Sample an action by the space's own generator; discrete ones count from 0."""

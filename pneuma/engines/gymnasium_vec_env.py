@@ -16,6 +16,7 @@ from pneuma.env.sb3 import SlotsVecEnv
 class GymnasiumVecEnv(SlotsVecEnv):
     """A run's slots, with flat observations and actions; choices count from 0."""
 
+    slots: GymnasiumSlots
     render_mode = None
 
     def __init__(self, run: Run) -> None:
@@ -29,17 +30,17 @@ class GymnasiumVecEnv(SlotsVecEnv):
 
     def step_wait(self) -> VecEnvStepReturn:
         slots = self.slots
-        rewards, terminated, truncated = slots.step(self._actions)
-        infos: list[dict[str, Any]] = [{} for _ in terminated]
+        ended = slots.step(self._actions)
+        infos: list[dict[str, Any]] = [{} for _ in ended]
         for episode in slots.finished:
             slot_index = episode["slot"]
             infos[slot_index] = {
                 "terminal_observation": slots.terminal[slot_index].copy(),
-                "TimeLimit.truncated": bool(truncated[slot_index]),
+                "TimeLimit.truncated": bool(slots.truncated[slot_index]),
                 "episode": {"r": episode["return"], "l": episode["length"]},
             }
         slots.finished.clear()
-        return slots.observations.copy(), rewards.astype(np.float32), terminated | truncated, infos
+        return slots.observations.copy(), slots.rewards.astype(np.float32), ended, infos
 
 
 def _learners_space(space: spaces.Space[Any]) -> spaces.Space[Any]:

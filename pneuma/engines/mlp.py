@@ -18,12 +18,6 @@ from pneuma.engines.products import COLUMNS, multiply
 from pneuma.env.compiling import cached, inlined, typed_codegen, typed_float, typed_intrinsic
 from pneuma.env.compiling import kernel as inner
 
-LEAKY_SLOPE = 0.01
-"""Slope of LeakyReLU below zero (thesis section 6.2)."""
-TANH, RELU, LEAKY_RELU = range(3)
-ACTIVATION_CODES = {"tanh": TANH, "relu": RELU, "leaky-relu": LEAKY_RELU}
-"""Codes by which `activate`, `scale_by_slopes` and `note_dead` choose their branch."""
-
 ROWS_TOGETHER = 64
 """Observations that pass through a network together, so that they stay in the cache; never part of a bit."""
 
@@ -190,17 +184,12 @@ def values_of(critic: Network, observations: np.ndarray) -> np.ndarray:
 
 @inner
 def note_dead(activation: int, widths: Any, rows: int, scratch: Any, starts: Any, is_dead: Any) -> None:
-    """Clear the mark of each hidden unit, (layers, units), that one of some rows of outputs shows is alive.
-
-    A unit is dead over a rollout if all its outputs are: never above zero (ReLU and LeakyReLU), or always
-    beyond 0.99 in size (tanh: it is saturated, though its sign may change).
-    """
+    """Clear the mark of each hidden unit, (layers, units), that some row of outputs shows is alive."""
     for layer in range(1, len(widths) - 1):
         for row in range(rows):
             start = starts[layer] + row * row_length(widths[layer])
             for unit in range(widths[layer]):
-                output = scratch[start + unit]
-                is_dead[layer, unit] &= abs(output) > _SATURATED if activation == TANH else output <= _ZERO
+                is_dead[layer, unit] &= is_dead_output(activation, scratch[start + unit])
 
 
 @kernel
@@ -244,6 +233,12 @@ def count_dead(widths: Any, is_dead: Any) -> Any:
 
 
 # --- Activations ---------------------------------------------------------------------------------
+
+LEAKY_SLOPE = 0.01
+"""Slope of LeakyReLU below zero (thesis section 6.2)."""
+TANH, RELU, LEAKY_RELU = range(3)
+ACTIVATION_CODES = {"tanh": TANH, "relu": RELU, "leaky-relu": LEAKY_RELU}
+"""Codes by which `activate`, `scale_by_slopes` and `is_dead_output` choose their branch."""
 
 
 def _numbers(*numbers: float) -> tuple[np.float32, ...]:
@@ -292,6 +287,18 @@ def scale_by_slopes(activation: int, outputs: Any, gradient: Any) -> None:
     else:
         for j in range(len(outputs)):
             gradient[j] = gradient[j] if outputs[j] > _ZERO else gradient[j] * _LEAK
+
+
+@inlined
+def is_dead_output(activation: int, output: Any) -> Any:
+    """Return whether a unit with such outputs alone is dead over a rollout.
+
+    They are never above zero (ReLU and LeakyReLU), or beyond 0.99 in size (tanh: it is saturated, though its
+    sign may change).
+    """
+    if activation == TANH:
+        return abs(output) > _SATURATED
+    return output <= _ZERO
 
 
 @typed_intrinsic

@@ -334,7 +334,7 @@ def _players(layers: Layers) -> int:
 
 
 def dead_share(policy: Policy, observations: np.ndarray) -> float:
-    """Return the share of hidden units, of actor and critic, that are dead: see `mlp.note_dead`."""
+    """Return the share of hidden units, of actor and critic, that are dead: see `mlp.is_dead_output`."""
     rows = np.ascontiguousarray(observations, np.float32)
     dead_count = unit_count = 0
     for layers in (policy.actor, policy.critic):

@@ -11,6 +11,7 @@ import numpy as np
 
 from pneuma.env.fields import ENVIRONMENTS
 from pneuma.env.interface import Interface, read_options, world_seeds
+from pneuma.env.slots import LearnerSlots, Slots
 from pneuma.errors import require
 
 try:
@@ -23,7 +24,7 @@ except ModuleNotFoundError:
 class SlotsVecEnv(VecEnv):
     """A vector environment over `slots`, whose attributes and methods apply to all of them at once."""
 
-    slots: Any
+    slots: LearnerSlots
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         return [getattr(self, attr_name) for _ in self._get_indices(indices)]
@@ -68,6 +69,8 @@ class PneumaVecEnv(Interface, SlotsVecEnv):
     Raises:
         UserError: for settings that cannot be played.
     """
+
+    slots: Slots
 
     def __init__(
         self,

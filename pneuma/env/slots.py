@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from gymnasium.error import ResetNeeded
@@ -13,6 +13,44 @@ from pneuma.env.fields import EnvConfig
 from pneuma.env.state import LAYOUT_DIGEST, as_bytes, saved_bytes
 from pneuma.env.worlds import ENDINGS, Worlds
 from pneuma.errors import UserError
+
+
+class LearnerSlots(Protocol):
+    """What learners need of slots, of any environments: the contract of `Slots` and `GymnasiumSlots`.
+
+    Attributes:
+        action_space: of each slot.
+        terminated, truncated: (slots,) what the last step ended; never both.
+    """
+
+    action_space: Any
+    terminated: np.ndarray
+    truncated: np.ndarray
+
+    @property
+    def observations(self) -> np.ndarray:
+        """The current observations, (slots, features)."""
+
+    @property
+    def begins(self) -> np.ndarray:
+        """Whether each slot's next step begins an episode, (slots,)."""
+
+    @property
+    def rewards(self) -> np.ndarray:
+        """Rewards of the last step, (slots,) float64."""
+
+    @property
+    def scaling(self) -> Any:
+        """How policies normalise observations now; None for not at all."""
+
+    def step(self, actions: np.ndarray) -> np.ndarray:
+        """Apply an action in each slot; return which slots' episodes ended, (slots,)."""
+
+    def saved_state(self) -> dict[str, np.ndarray]:
+        """Return everything that the next step depends on: arrays by name."""
+
+    def restore_state(self, saved: Mapping[str, np.ndarray]) -> None:
+        """Return to a saved state; ValueError or KeyError for one of other slots."""
 
 
 class Slots:
@@ -25,11 +63,9 @@ class Slots:
 
     Attributes:
         has_begun: whether all worlds were ever reset.
-        terminated, truncated: (slots,) what the last step ended.
-        scaling: how policies normalise observations: not at all, as worlds scale what they show.
     """
 
-    scaling = None
+    scaling = None  # worlds scale what they show
 
     def __init__(self, worlds: Worlds) -> None:
         self.worlds = worlds
@@ -71,7 +107,6 @@ class Slots:
 
     @property
     def rewards(self) -> np.ndarray:
-        """Rewards of the last step, (slots,) float64."""
         return self.worlds.events["reward"].ravel()
 
     @property

@@ -20,6 +20,7 @@ from optuna.trial import FrozenTrial, TrialState, create_trial
 from pneuma.config import stream_seed
 from pneuma.errors import UserError
 from pneuma.search.log import Record
+from pneuma.search.optuna_private import draw_value, storage_of, study_id, trial_id
 from pneuma.study.identity import config_id
 from pneuma.study.plan import Cell
 from pneuma.values import format_json
@@ -51,16 +52,16 @@ def suggest(record: Record, trial_number: int) -> None:
     if not params and trial_number < len(record.search.start):
         params = record.search.params_of(record.search.start[trial_number])
     trial = _sample(record, trial_number, params or {})
-    storage = record.study._storage
+    storage, waiting_id = storage_of(record.study), trial_id(waiting)
     with suppress(UpdateFinishedTrialError):  # another process was faster
         for parameter_name, distribution in trial.distributions.items():
             value = distribution.to_internal_repr(trial.params[parameter_name])
-            storage.set_trial_param(waiting._trial_id, parameter_name, value, distribution)
+            storage.set_trial_param(waiting_id, parameter_name, value, distribution)
         for attribute, value in trial.user_attrs.items():
-            storage.set_trial_user_attr(waiting._trial_id, attribute, value)
+            storage.set_trial_user_attr(waiting_id, attribute, value)
         for attribute, value in trial.system_attrs.items():
-            storage.set_trial_system_attr(waiting._trial_id, attribute, value)
-        storage.set_trial_state_values(waiting._trial_id, TrialState.RUNNING)
+            storage.set_trial_system_attr(waiting_id, attribute, value)
+        storage.set_trial_state_values(waiting_id, TrialState.RUNNING)
 
 
 def _sample(record: Record, trial_number: int, enqueued: dict[str, Any]) -> FrozenTrial:
@@ -81,7 +82,7 @@ def _sample(record: Record, trial_number: int, enqueued: dict[str, Any]) -> Froz
     with _explained(record, f"sampler {search.sampler.name}"):
         study.sampler = search.sampler.create(seed=stream_seed(stream, "sampler", trial_number) % 2**32)
         trial = study.ask()
-        params = search.suggest(lambda parameter: trial._suggest(parameter.name, parameter.distribution))
+        params = search.suggest(lambda parameter: draw_value(trial, parameter.name, parameter.distribution))
     try:
         cells = make_cells(record, trial_number, params)
         attributes["run_ids"] = [cell.run_id for cell in cells]
@@ -90,10 +91,11 @@ def _sample(record: Record, trial_number: int, enqueued: dict[str, Any]) -> Froz
         attributes["note"] = str(error)
     for attribute, value in attributes.items():
         trial.set_user_attr(attribute, value)
-    study_attributes = study._storage.get_study_system_attrs(study._study_id)
+    storage = storage_of(study)
+    study_attributes = storage.get_study_system_attrs(study_id(study))
     if study_attributes:
-        study._storage.set_trial_system_attr(trial._trial_id, STUDY_ATTRIBUTES, study_attributes)
-    return study._storage.get_trial(trial._trial_id)
+        storage.set_trial_system_attr(trial_id(trial), STUDY_ATTRIBUTES, study_attributes)
+    return storage.get_trial(trial_id(trial))
 
 
 def prune(record: Record, trial: FrozenTrial, reports: Mapping[int, float]) -> tuple[bool, dict[str, Any]]:
@@ -110,11 +112,11 @@ def prune(record: Record, trial: FrozenTrial, reports: Mapping[int, float]) -> t
         optuna_pruner = pruner.create()
         study = _copy_study(record, trial.number)
         study.add_trial(_as_suggested(trial, {}))
-        trial_id = study.get_trials(deepcopy=False)[-1]._trial_id
+        storage, copied_id = storage_of(study), trial_id(study.get_trials(deepcopy=False)[-1])
         for evaluation, value in sorted(reports.items()):
-            study._storage.set_trial_intermediate_value(trial_id, evaluation, value)
-            is_stopped = is_stopped or optuna_pruner.prune(study, study._storage.get_trial(trial_id))
-        return is_stopped, study._storage.get_trial(trial_id).system_attrs
+            storage.set_trial_intermediate_value(copied_id, evaluation, value)
+            is_stopped = is_stopped or optuna_pruner.prune(study, storage.get_trial(copied_id))
+        return is_stopped, storage.get_trial(copied_id).system_attrs
 
 
 def _copy_study(record: Record, trial_number: int) -> optuna.Study:
@@ -129,7 +131,7 @@ def _copy_study(record: Record, trial_number: int) -> optuna.Study:
             trial = _as_suggested(trial, trial.system_attrs)
         study.add_trial(trial)
     for attribute, value in study_attributes.items():
-        study._storage.set_study_system_attr(study._study_id, attribute, value)
+        storage_of(study).set_study_system_attr(study_id(study), attribute, value)
     return study
 
 

@@ -22,13 +22,13 @@ from typing import Any, BinaryIO
 import optuna
 from optuna.storages import JournalStorage
 from optuna.storages.journal import BaseJournalBackend, JournalFileBackend
-from optuna.storages.journal._file import BaseJournalFileLock
 from optuna.trial import FrozenTrial, TrialState
 
 from pneuma.config import ENGINE_VERSIONS, RULES_VERSION
 from pneuma.errors import UserError, print_aside
 from pneuma.files import checksum, names_in, open_stored, read_stored, stored_file
 from pneuma.schema import read_toml
+from pneuma.search.optuna_private import BaseJournalFileLock
 from pneuma.search.spec import Budget, Search, load_search
 from pneuma.store.locks import take_lock
 from pneuma.store.store import PUBLISHED, Store

@@ -20,6 +20,7 @@ from pneuma.config import Run
 from pneuma.env.fields import read_field
 from pneuma.errors import unknown_name
 from pneuma.schema import normalize, wrong
+from pneuma.search.optuna_private import contains
 from pneuma.study.spec import MISPLACED
 from pneuma.values import format_json
 
@@ -59,7 +60,7 @@ class Parameter:
 
     def contains(self, parameter: Any) -> bool:
         try:
-            return self.distribution._contains(self.distribution.to_internal_repr(parameter))
+            return contains(self.distribution, parameter)
         except ValueError:
             return False
 

@@ -21,6 +21,7 @@ from pneuma.errors import Say, UserError
 from pneuma.files import write_error
 from pneuma.search.decisions import make_cells, prune, suggest
 from pneuma.search.log import Record, open_record
+from pneuma.search.optuna_private import steps_of_median, storage_of, trial_id
 from pneuma.search.spec import DEVIATION, Budget, Search
 from pneuma.search.values import read_rows, trial_value
 from pneuma.store.store import Store
@@ -123,8 +124,8 @@ def _pauses(search: Search) -> list[int]:
         return []
     if search.pruner.name != "median":
         return list(range(1, EVALUATIONS))
-    pruner = search.pruner.create()
-    return list(range(max(pruner._n_warmup_steps, 1), EVALUATIONS, pruner._interval_steps))
+    warmup_steps, steps_between = steps_of_median(search.pruner.create())
+    return list(range(max(warmup_steps, 1), EVALUATIONS, steps_between))
 
 
 def _evaluations(run: Run, pause: int) -> dict[int, int]:
@@ -150,6 +151,7 @@ def _make_plan(record: Record, cells: Sequence[Cell]) -> Plan:
 def _tell(record: Record, store: Store, trial_number: int, cells: Sequence[Cell], pause: int) -> None:
     """Report a trial's values at its evaluations up to a pause; end it at the last, or if its pruner does."""
     trial, study = record.trials[trial_number], record.study
+    storage = storage_of(study)
     evaluations = _evaluations(cells[0].run, pause)
     reports = dict(trial.intermediate_values)
     if len(record.search.objectives) == 1:  # Optuna reports single values alone
@@ -162,10 +164,10 @@ def _tell(record: Record, store: Store, trial_number: int, cells: Sequence[Cell]
     has_ended = EVALUATIONS in evaluations
     is_pruned, attributes = (False, {}) if has_ended else prune(record, trial, reports)
     for evaluation in sorted(reports.keys() - trial.intermediate_values.keys()):
-        study._storage.set_trial_intermediate_value(trial._trial_id, evaluation, reports[evaluation])
+        storage.set_trial_intermediate_value(trial_id(trial), evaluation, reports[evaluation])
     for attribute, value in attributes.items():
         if trial.system_attrs.get(attribute) != value:
-            study._storage.set_trial_system_attr(trial._trial_id, attribute, value)
+            storage.set_trial_system_attr(trial_id(trial), attribute, value)
     if is_pruned:  # its value is the last that was reported
         study.tell(trial_number, state=TrialState.PRUNED, skip_if_finished=True)
     if has_ended:
@@ -187,8 +189,8 @@ def _end(record: Record, store: Store, trial_number: int, cells: Sequence[Cell])
     if diverged:
         notes.append(f"{diverged} of {len(rows)} runs diverged")
     if notes:
-        trial_id = record.trials[trial_number]._trial_id
-        record.study._storage.set_trial_user_attr(trial_id, "note", "; ".join(notes))
+        trial = record.trials[trial_number]
+        storage_of(record.study).set_trial_user_attr(trial_id(trial), "note", "; ".join(notes))
     record.study.tell(
         trial_number,
         trial_values if state == TrialState.COMPLETE else None,

@@ -42,6 +42,10 @@ epochs = 8
 epochs = 6
 engine = "sb3"
 
+[conditions.paid-for-kills]
+epochs = 6
+reward = "kills"
+
 [presets.quick]
 seeds = 3
 steps = 1024

@@ -182,6 +182,11 @@ REASONS: dict[str, tuple[SharesByCondition, Changes, str]] = {
         {"reference": HIGH, "low": LOW}, [('a = "high"', 'a = "reference"')],
         "trained by different engines: reference by sb3, low by batched",
     ),
+    "unlike rewards": (
+        {"paid-for-kills": HIGH, "low": LOW},
+        [('a = "high"', 'a = "paid-for-kills"'), outcome('"final-return"')],
+        "returns of unlike rewards",
+    ),
     "missing seeds": ({"high": HIGH[:5], "low": LOW}, [], "runs missing: high has 5 of the 8 fixed ones"),
     "nothing to cure": (
         {"high": NEAR, "low": LOW}, [INCIDENCE, ("margin = 0.04", "margin = 0.4"), direction("less")],

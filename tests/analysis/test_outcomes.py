@@ -169,6 +169,16 @@ def test_time_in_one_action_and_when_it_lasts(
     assert outcome(run, "shuffled-fall") == pytest.approx(0.8 - 0.55)
 
 
+def test_late_outcomes_are_of_five_evaluations(store: Store) -> None:
+    """The best five of ten are 0.6, 0.5, 0.5, 0.4 and 0.4, mean 0.48; the last ones fall from 0.6 to 0.2."""
+    shares = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.5, 0.4, 0.3, 0.2)
+    rows = [{"step": 100 * k, "share_killed": share} for k, share in enumerate(shares, start=1)]
+    hand_made.save_run(store, "a0" * 8, [], [], rows, BUDGET)
+    (run,) = study_of(store, {("a", 0): "a0" * 8}).rows
+    names = ("late-share-killed", "late-fall", "shuffled-fall", "late-slope")
+    assert [outcome(run, name) for name in names] == pytest.approx([0.4, 0.08, 0.13, -0.4])
+
+
 @pytest.mark.parametrize(
     ("name", "expected"),
     [

@@ -108,6 +108,15 @@ def test_untrusted_an_export_to_the_terminal_drives_nothing(tmp_path: Path) -> N
             assert text.replace("\n", "").isprintable()
 
 
+def test_a_table_for_people_has_no_control_characters_and_a_dash_for_a_missing_value(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    rows: list[list[object]] = [["\x1b]0;owned\x07", float("nan")], [None, 0.25]]
+    print_result(Result({}, [Table(["\u202ename", "value"], rows)]), "table")
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert lines == [["\\u202ename", "value"], ["\\u001b]0;owned\\u0007", "–"], ["–", "0.25"]]
+
+
 def test_a_comparison_in_every_form(mine: list[str]) -> None:
     name, *rest = mine
     words = ["study", "compare", name, "high", "middle", *rest, "--outcome", "final-share-killed"]

@@ -12,9 +12,10 @@ import pytest
 
 from pneuma.algorithms import ALGORITHMS
 from pneuma.analysis.outcomes import ONLY_ELSEWHERE, ONLY_IN_PNEUMA
-from pneuma.config import Run, make_run
+from pneuma.config import Run, env_config, make_run, slot_seeds
 from pneuma.engines import evaluation, gymnasium_evaluation
 from pneuma.engines.batched.training import BatchedTrainer
+from pneuma.engines.gymnasium_env import GymnasiumSlots
 from pneuma.engines.loop import Progress, Result, ResumableTrainer, train_run
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import (
@@ -25,6 +26,7 @@ from pneuma.engines.records import (
     has_finite_losses,
 )
 from pneuma.engines.sb3 import Sb3Trainer
+from pneuma.env.slots import LearnerSlots, make_slots
 
 from ..env.arena import EMPTY
 from .trained import constant, run_of, train
@@ -115,6 +117,38 @@ def test_a_budget_within_an_update_is_trained_to_its_end_and_each_policy_is_eval
     assert [evaluated[step] for step in steps] == [policy.checksum for policy in policies]
     # At the end of the last update the learning rate is 0.
     assert isinstance(result.policy, Policy) and result.policy.checksum == policies[-1].checksum
+
+
+def slots_of(run: Run) -> LearnerSlots:
+    if run.env == "Corridor-v0":
+        return GymnasiumSlots(run, slot_seeds(run), training=True)
+    slots = make_slots(run.slots, env_config(run))
+    slots.worlds.seed(slot_seeds(run))
+    slots.worlds.reset()
+    slots.has_begun = True
+    return slots
+
+
+@pytest.mark.parametrize("case", ["slots", "corridor"])
+def test_slots_of_both_kinds_are_what_learners_take(case: str) -> None:
+    """A step ends what it says, and a state that was saved goes on as if nothing had happened."""
+    run, generator = run_of(case), np.random.default_rng(0)
+    slots = slots_of(run)
+
+    def play(slots: LearnerSlots, actions: np.ndarray) -> list[Any]:
+        begins, ended = slots.begins.copy(), slots.step(actions)
+        assert (slots.terminated | slots.truncated == ended).all()
+        assert not (slots.terminated & slots.truncated).any()
+        assert slots.rewards.dtype == np.float64 and slots.observations.dtype == np.float32
+        return [slots.observations.tolist(), slots.rewards.tolist(), ended.tolist(), begins.tolist()]
+
+    actions = generator.integers(2, size=(40, run.slots))
+    for step_actions in actions[:20]:
+        play(slots, step_actions)
+    saved, resumed = slots.saved_state(), slots_of(run)
+    resumed.restore_state(saved)
+    for step_actions in actions[20:]:
+        assert play(resumed, step_actions) == play(slots, step_actions)
 
 
 OF_TWO_PLAYERS: dict[str, float] = {

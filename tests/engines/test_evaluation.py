@@ -21,6 +21,7 @@ from pneuma.env.players import Hunter
 from pneuma.env.state import PLAYER
 from pneuma.presets import BASES
 
+from .test_backends import DEFINITIONS
 from .trained import constant, train
 from .trained import run_of as small_run
 
@@ -246,8 +247,7 @@ def numpy_logits(policy: Policy, observations: np.ndarray) -> np.ndarray:
     """Return the logits of a policy of one hidden layer, in double precision."""
     (weight, bias), (last_weight, last_bias) = policy.actor
     hidden = observations.astype(float) @ weight + bias
-    slope = 0.01 if policy.activation == "leaky-relu" else 0
-    outputs = np.tanh(hidden) if policy.activation == "tanh" else np.where(hidden > 0, hidden, slope * hidden)
+    outputs = np.vectorize(DEFINITIONS[policy.activation])(hidden)
     return np.asarray(outputs @ last_weight + last_bias)
 
 

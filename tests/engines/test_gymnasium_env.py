@@ -40,10 +40,10 @@ def test_slots_are_what_gymnasiums_vector_of_environments_is(env: str) -> None:
     for _ in range(450):
         np.testing.assert_array_equal(slots.observations, observations.astype(np.float32))
         actions = generator.integers(2, size=3)
-        rewards, terminated, truncated = slots.step(actions)
+        ended = slots.step(actions)
         observations, *expected, infos = vector.step(actions)
-        np.testing.assert_array_equal([rewards, terminated, truncated], expected)
-        for slot in np.flatnonzero(terminated | truncated):
+        np.testing.assert_array_equal([slots.rewards, slots.terminated, slots.truncated], expected)
+        for slot in np.flatnonzero(ended):
             np.testing.assert_array_equal(slots.terminal[slot], infos["final_obs"][slot].astype(np.float32))
             ends += 1
     assert ends == len(slots.finished) > 2

@@ -146,6 +146,7 @@ def test_without_columns_they_are_listed_with_options_to_copy() -> None:
         ("1,024,5", "", "Expected 2 fields in line 2, saw 3"),
         (",5", "", "'' in column step must be a whole number"),
         ("8,5\n16,6\n8,5", "", "row 4: step 8 of runs with seed 0 is not after the one before"),
+        ("8,5\n8,6", "", "row 3: step 8 of runs with seed 0 is not after the one before"),
         ("8,", "", "has no values at agent steps"),
         ("", "", "has no rows below its header"),
         ("8,5", "--step steps", "unknown column in --step 'steps' (did you mean step?)"),

@@ -13,7 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from optuna import Study
+from optuna.pruners import MedianPruner
 from optuna.storages.journal import JournalFileBackend
+from optuna.trial import FrozenTrial, TrialState
 
 from pneuma.config import ENGINE_VERSIONS
 from pneuma.engines import loop
@@ -203,6 +206,24 @@ def test_each_evaluation_is_reported_once_and_no_trial_is_stopped_at_its_end(
     assert {trial["state"] for trial in found_trials} == ({"complete", "pruned"} if paused else {"complete"})
     for trial in found_trials:
         assert [*trial["reports"]] == ([5, 10, 15, 20] if trial["state"] == "complete" else reports)
+
+
+def test_a_pruner_sees_of_its_own_generation_that_it_is_running(
+    make_task: MakeTask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise a decision would depend on which process was faster; generations are of 4 trials."""
+    prune, looks = MedianPruner.prune, 0
+
+    def watch(pruner: MedianPruner, study: Study, trial: FrozenTrial) -> bool:
+        nonlocal looks
+        for other in study.trials[trial.number // 4 * 4 : trial.number]:
+            looks += 1
+            assert other.state == TrialState.RUNNING and not other.intermediate_values
+        return prune(pruner, study, trial)
+
+    monkeypatch.setattr(MedianPruner, "prune", watch)
+    make_task(8, RANGE + '[pruner]\nname = "median"\nn_startup_trials = 2').solve()
+    assert looks > 20
 
 
 # --- Several processes -----------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from pneuma.config import Run, make_run
 from pneuma.engines.loop import OnUpdate, Progress, Result
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import METRIC_COLUMNS, Checkpoint, Records, Row
-from pneuma.errors import UserError
+from pneuma.errors import OwnCodeError, UserError
 from pneuma.store.row_builder import row_until, stored_row
 from pneuma.store.rows import decode_row
 from pneuma.store.store import Status, Store, run_identity
@@ -160,6 +160,30 @@ def test_a_full_disk_stops_the_run_and_those_after_it_and_makes_none_a_crash(
     assert ends[0]["storage"] and "(No space left on device)" in ends[0]["reason"]
     assert str(store.run_folder(FIRST)) in ends[0]["reason"]
     assert [store.status(name).name for name in (FIRST, SECOND)] == ["planned", "planned"]
+
+
+@pytest.mark.parametrize(
+    ("error", "statuses", "final"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), ["stopped", "planned"], None),
+        (OwnCodeError("by the corridor"), ["crashed", "crashed"], True),
+        (RuntimeError("the engine broke"), ["crashed", "planned"], False),
+    ],
+)
+def test_what_is_tried_again(
+    error: Exception, statuses: list[str], final: bool | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All but what a user's own code raised; a full disk is no crash, though that could be stored."""
+
+    def fail(*_: object) -> NoReturn:
+        raise error
+
+    monkeypatch.setattr(worker, "train_run", fail)
+    store, events = Store(tmp_path), io.StringIO()
+    worker.Worker(events, threading.Event()).train(Job({FIRST: RUNS[0]}, store, HERE))
+    *_, end = map(json.loads, events.getvalue().splitlines())
+    assert [end["status"], store.status(FIRST).name] == statuses
+    assert end.get("final") is final
 
 
 def test_a_machine_without_tensorboard_trains_all_the_same(

@@ -131,9 +131,10 @@ class GymnasiumCollector(Collector):
             rollout.observations[:, step], rollout.starts[:, step] = slots.observations, slots.begins
             choose(actor, slots.observations, step_draws, is_playing, actions)
             rollout.actions[:, step] = actions
-            rollout.rewards[:, step], terminated, truncated = slots.step(actions)
-            for slot in np.flatnonzero(terminated | truncated):
-                ending = rules.TIME_LIMIT if truncated[slot] else rules.RUNNING
+            ended = slots.step(actions)
+            rollout.rewards[:, step] = slots.rewards
+            for slot in np.flatnonzero(ended):
+                ending = rules.TIME_LIMIT if slots.truncated[slot] else rules.RUNNING
                 rollout.ended[endings] = (slot, 0, step + 1, 0.0, 0, 0, 0.0, ending)
                 rollout.terminal_observations[endings] = slots.terminal[slot]
                 endings += 1
@@ -149,7 +150,7 @@ class GymnasiumCollector(Collector):
 def _play(handle: Any, actor: Any, draws: Any, default_starts: Any, rollout: Any) -> int:
     state = open_state(handle)
     actions = np.zeros((state.players.shape[0], state.players.shape[1]), np.int64)
-    endings = np.int64(0)  # `_keep_step` would be compiled twice, for a literal 0 and for other numbers
+    endings: Any = np.int64(0)  # `_keep_step` would be compiled twice, for a literal 0 and for other numbers
     for step in range(draws.shape[0]):
         _choose(handle, actor, draws[step], rollout, step, actions)
         run_worlds(handle.ctypes.data, actions.ctypes, STEP | RECORD)
