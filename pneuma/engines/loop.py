@@ -18,15 +18,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pneuma.config import Run, is_gymnasium_id, is_resumable
-from pneuma.engines.policy import SavedPolicy
 from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
 from pneuma.engines.shared_generators import evaluation_generators, seed_shared_generators
 from pneuma.engines.stopping import IsStopping, Stopped, never
+
+if TYPE_CHECKING:
+    from pneuma.engines.policy import SavedPolicy  # commands that read runs compile no networks
 
 TRAINERS = {
     "batched": "pneuma.engines.batched.training:BatchedTrainer",
