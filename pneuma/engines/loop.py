@@ -248,10 +248,17 @@ def _most_evaluations(run: Run) -> int:
 
 
 def _most_steps(run: Run) -> float:
-    """Return how many steps one evaluation may take where the length of episodes is not known."""
-    if not _is_short(run):
+    """Return how many steps one evaluation may take where the length of episodes is not known.
+
+    All of them take at most a fifth of a run's steps, unless a study sets their episodes.
+    """
+    if not has_limited_evaluations(run):
         return math.inf
     return run.steps / 4 / (1 + _most_evaluations(run))  # one more for the random player
+
+
+def has_limited_evaluations(run: Run) -> bool:
+    return is_gymnasium_id(run.env) and run.evaluation_episodes == EPISODES
 
 
 def _is_short(run: Run) -> bool:
