@@ -421,7 +421,8 @@ def load_policy(
 
 def stored_policy(store: Store, run_id: str, settings: Mapping[str, Any]) -> Policy | LearnedPolicy:
     """Read the final policy of a run with these settings, which may be untrusted; nothing is unpickled."""
-    from pneuma.engines.policy import LEARNER_FILE, POLICY_FILE, read_sound_policy
+    from pneuma.engines.policy import LEARNER_FILE, read_sound_policy
+    from pneuma.engines.records import POLICY_FILE
 
     checksums = store.checksums(run_id)
     if POLICY_FILE in checksums:

@@ -129,12 +129,12 @@ def read_arguments_text(arguments_text: str) -> Any:
 
 
 def _evaluate(node: ast.expr) -> Any:
-    """Evaluate dict(…), {…}, […], numbers and dotted names of an expression; nothing is called."""
+    """Evaluate dict(…), {…}, […], numbers and names, also dotted, of an expression; nothing is called."""
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "dict":
         return {str(keyword.arg): _evaluate(keyword.value) for keyword in node.keywords}
     if isinstance(node, ast.List):
         return [_evaluate(element) for element in node.elts]
-    if isinstance(node, ast.Attribute):
+    if isinstance(node, ast.Attribute | ast.Name):
         return ast.unparse(node)
     return ast.literal_eval(node)
 

@@ -112,7 +112,7 @@ def open_study(index: RunIndex, query: Query, say: Say = silent) -> StudyData:
 def finished_rows(index: RunIndex, study_data: StudyData) -> StudyData:
     """Return a study with its finished runs alone, and their rows; there may be none."""
     runs = study_data.finished
-    rows = pd.Series([index.row(run_id) for run_id in runs["run_id"]], runs.index, dtype=object)
+    rows = pd.Series(index.rows(runs["run_id"].tolist()), runs.index, dtype=object)
     return replace(study_data, runs=runs.assign(row=rows).dropna(subset="row").reset_index(drop=True))
 
 

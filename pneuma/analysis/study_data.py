@@ -331,7 +331,7 @@ class StudyData:
 
     # --- Curves ---------------------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def budget(self) -> int:
         """Agent steps at which curves end: the most of any run."""
         return int(self.runs["steps"].max())

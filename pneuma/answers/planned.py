@@ -13,6 +13,7 @@ from pneuma.analysis.power import ENOUGH_RUNS, POWER, seeds_for_means, seeds_tab
 from pneuma.analysis.study_data import StudyData
 from pneuma.answers.answer import Answer
 from pneuma.config import Run
+from pneuma.engines.loop import EPISODES, has_limited_evaluations
 from pneuma.errors import Hint, UserError, tallied
 from pneuma.store.index import RunIndex
 from pneuma.store.store import Status
@@ -61,6 +62,11 @@ def plan_answer(index: RunIndex, plan: Plan, workers: int) -> Answer:
             f"Time to train: {_expected_time(index, missing_runs, statuses, seconds_by_run, workers)}."
         )
     notes = [f"Note: {note}." for note in plan.notes]
+    if any(has_limited_evaluations(run) for run in plan.configurations.values()):
+        limit = "fewer where all evaluations would take more than a fifth of a run's steps"
+        notes.append(
+            f"Note: an evaluation plays up to {EPISODES} episodes, and {limit}; see evaluation_episodes."
+        )
     cells = pd.DataFrame(condition_rows, columns=["condition", "runs", "state"])
     return Answer("", {"study": plan.study.name}, {"runs": state_table}, [cells], notes, legend)
 

@@ -182,7 +182,8 @@ def export(
 
 def _exported(store: Store, run_id: str, run_fields: Mapping[str, Any]) -> bytes:
     from pneuma.engines import export as exports
-    from pneuma.engines.policy import LEARNER_FILE, POLICY_FILE, read_sound_policy
+    from pneuma.engines.policy import LEARNER_FILE, read_sound_policy
+    from pneuma.engines.records import POLICY_FILE
 
     if LEARNER_FILE in store.checksums(run_id):
         return store.read_file(run_id, LEARNER_FILE)

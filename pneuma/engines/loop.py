@@ -18,15 +18,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pneuma.config import Run, is_gymnasium_id, is_resumable
-from pneuma.engines.policy import SavedPolicy
 from pneuma.engines.records import Checkpoint, CheckpointError, Records, Row
 from pneuma.engines.shared_generators import evaluation_generators, seed_shared_generators
 from pneuma.engines.stopping import IsStopping, Stopped, never
+
+if TYPE_CHECKING:
+    from pneuma.engines.policy import SavedPolicy  # commands that read runs compile no networks
 
 TRAINERS = {
     "batched": "pneuma.engines.batched.training:BatchedTrainer",
@@ -246,10 +248,17 @@ def _most_evaluations(run: Run) -> int:
 
 
 def _most_steps(run: Run) -> float:
-    """Return how many steps one evaluation may take where the length of episodes is not known."""
-    if not _is_short(run):
+    """Return how many steps one evaluation may take where the length of episodes is not known.
+
+    All of them take at most a fifth of a run's steps, unless a study sets their episodes.
+    """
+    if not has_limited_evaluations(run):
         return math.inf
     return run.steps / 4 / (1 + _most_evaluations(run))  # one more for the random player
+
+
+def has_limited_evaluations(run: Run) -> bool:
+    return is_gymnasium_id(run.env) and run.evaluation_episodes == EPISODES
 
 
 def _is_short(run: Run) -> bool:

@@ -24,12 +24,12 @@ from pneuma.engines.mlp import (
     sample_rows,
 )
 from pneuma.engines.normalization import Scaling
+from pneuma.engines.records import POLICY_FILE
 from pneuma.errors import UserError
 
 if TYPE_CHECKING:
     from pneuma.env.worlds import Worlds
 
-POLICY_FILE = "policy.safetensors"
 LEARNER_FILE = "policy.zip"
 """The policy of a learner of `sb3_open`, as Stable-Baselines3 saves it."""
 

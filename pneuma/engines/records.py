@@ -12,6 +12,8 @@ import numpy as np
 from pneuma.config import Run, is_gymnasium_id
 from pneuma.env.fields import ACTION_NAMES
 
+POLICY_FILE = "policy.safetensors"
+"""The file of a `Policy` in its run's folder."""
 EPISODE_COLUMNS = ("slot", "episode", "step", "return", "length", "kills", "hp", "ending")
 METRIC_COLUMNS = (
     "step", "policy_loss", "value_loss", "entropy", "approx_kl", "clip_fraction", "grad_norm",

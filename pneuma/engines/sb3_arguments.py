@@ -2,7 +2,7 @@
 
 Numbers, texts and lists are passed on as they are. What TOML cannot contain is written as in
 rl-baselines3-zoo: "lin_7e-4" is a schedule, "nn.ELU" a class, "dict(net_arch=[64])" a dictionary. Action
-noise is a table with the name of its class.
+noise is a table with the name of its class, or the zoo's noise_type and noise_std.
 """
 
 from __future__ import annotations
@@ -27,11 +27,25 @@ CLASSES_OF = (torch.nn, torch.optim, torch_layers, buffers, rmsprop_tf_like, sta
 """Modules in which a class is looked up by its name, which may be untrusted: so a user's own are not among
 them."""
 NOISE = ("NormalActionNoise", "OrnsteinUhlenbeckActionNoise")
+ZOO_NOISE = dict(zip(("normal", "ornstein-uhlenbeck"), NOISE, strict=True))
 
 
 def read_arguments(argument_table: Mapping[str, Any], action_space: spaces.Space[Any]) -> dict[str, Any]:
     """Return a learner's arguments, from a table of `algorithm_kwargs`."""
+    if "noise_type" in argument_table or "noise_std" in argument_table:
+        argument_table = _with_action_noise(argument_table)
     return {name: _read(name, argument, action_space) for name, argument in argument_table.items()}
+
+
+def _with_action_noise(argument_table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a table with action noise in place of the zoo's two keys."""
+    arguments = dict(argument_table)
+    noise_type, deviation = arguments.pop("noise_type", None), arguments.pop("noise_std", None)
+    if noise_type not in ZOO_NOISE or deviation is None or "action_noise" in arguments:
+        problem = f"noise_type = {noise_type!r} and noise_std = {deviation!r} are not allowed"
+        kinds = " or ".join(ZOO_NOISE)
+        raise UserError(f"algorithm_kwargs: {problem}: {kinds}, a number, and no action_noise beside them")
+    return {**arguments, "action_noise": {"name": ZOO_NOISE[noise_type], "sigma": deviation}}
 
 
 def _read(argument_name: str, argument: Any, action_space: spaces.Space[Any]) -> Any:

@@ -56,10 +56,10 @@ def run_search(search: Search, budget: Budget, store: Store, train: Train, say: 
     yield record
     try:
         for first_number in range(0, budget.trials, search.generation):
-            generation = range(first_number, first_number + search.generation)
-            for trial_number in generation:  # all of them, so that a longer search has the same trials
+            generation = range(first_number, min(first_number + search.generation, budget.trials))
+            for trial_number in generation:  # a longer search later adds what the others have not seen
                 suggest(record, trial_number)
-            _run_generation(record, store, generation[: budget.trials - first_number], train, say)
+            _run_generation(record, store, generation, train, say)
             yield record
     except OSError as error:
         raise write_error(record.path, error) from None

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from pneuma.errors import UserError
 from pneuma.files import stored_file
 from pneuma.store.published import Published
 from pneuma.store.row_builder import UNKNOWN, stored_row
-from pneuma.store.rows import Row
+from pneuma.store.rows import Row, in_one_table
 from pneuma.store.store import FINISHED, Identity, Store, checked_listing
 from pneuma.store.stored_runs import stored_settings
 from pneuma.study.identity import config_id
@@ -25,6 +25,8 @@ from pneuma.study.shipped import list_studies, read_published_file
 
 COLUMNS = ["run_id", "config_id", "seed", "steps", "status", "end", "where"]
 """Columns of `RunIndex.frame`; `where` is a run's published table, or empty if it is stored in the folder."""
+
+TABLE_ROWS = 100
 
 
 class RunIndex:
@@ -35,7 +37,6 @@ class RunIndex:
 
     Attributes:
         problems: messages about files that cannot be read, and rows that differ from published ones.
-        row: returns the row of a run by its id; None if it cannot be read.
     """
 
     def __init__(self, store: Store, stored: bool = True, shipped: bool = True) -> None:
@@ -43,7 +44,7 @@ class RunIndex:
         self._stored = stored
         self._shipped = shipped
         self.problems: list[str] = []
-        self.row = cache(self._read_row)
+        self._rows: dict[str, Row | None] = {}
 
     @cached_property
     def frame(self) -> pd.DataFrame:
@@ -121,6 +122,21 @@ class RunIndex:
             identity_cells = (run_id, identity.config_id, identity.seed, identity.steps)
             run_rows.append(identity_cells + (status.name, status.step, ""))
         return run_rows
+
+    def row(self, run_id: str) -> Row | None:
+        """Return the row of a run; None if it cannot be read."""
+        if run_id not in self._rows:
+            self._rows[run_id] = self._read_row(run_id)
+        return self._rows[run_id]
+
+    def rows(self, run_ids: Sequence[str]) -> list[Row | None]:
+        """Return the rows of runs, those of the results folder in tables of `TABLE_ROWS`."""
+        for first in range(0, len(run_ids), TABLE_ROWS):
+            rows = filter(None, map(self.row, run_ids[first : first + TABLE_ROWS]))
+            stored_rows = [run_row for run_row in rows if len(run_row.shared_table) == 1]
+            if stored_rows:
+                self._rows |= {run_row.run_id: run_row for run_row in in_one_table(stored_rows)}
+        return [self.row(run_id) for run_id in run_ids]
 
     def _read_row(self, run_id: str) -> Row | None:
         location, run_row = self._where[run_id], None

@@ -21,7 +21,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pneuma.config import Run
-from pneuma.engines.policy import POLICY_FILE, checksum_of_file
+from pneuma.engines.records import POLICY_FILE
 from pneuma.errors import UserError
 from pneuma.files import parse_json, stored_file
 from pneuma.store import rows, series
@@ -120,6 +120,8 @@ def cells_of_files(
         recorded = recorded_from_tables(fields, tables_by_file)
     cells = row_cells(run_id, status, fields, recorded, provenance)
     if POLICY_FILE in files:
+        from pneuma.engines.policy import checksum_of_file  # its networks are compiled: rows are read without
+
         cells[rows.POLICY] = checksum_of_file(files[POLICY_FILE])
     return cells
 

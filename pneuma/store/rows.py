@@ -13,8 +13,8 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any
 
@@ -182,10 +182,10 @@ def _read_fields(fields_text: str) -> dict[str, Any]:
 
 def read_row(table: pa.Table, row_index: int = 0, published: bool = False) -> Row:
     """Return a row of a table of `sound_rows`; for an invalid one any error may be raised."""
-    row_table = table.slice(row_index, 1).replace_schema_metadata(None)
-    cells = {column_name: row_table[column_name][0].as_py() for column_name in TEXT_CELLS + INTEGER_CELLS}
+    cells = {column_name: table[column_name][row_index].as_py() for column_name in TEXT_CELLS + INTEGER_CELLS}
     return Row(
-        row_table,
+        table.replace_schema_metadata(None),
+        row_index,
         published,
         run_id=cells["run_id"],
         config_id=cells["config_id"],
@@ -199,12 +199,19 @@ def read_row(table: pa.Table, row_index: int = 0, published: bool = False) -> Ro
     )
 
 
+def in_one_table(rows: Sequence[Row]) -> list[Row]:
+    """Return rows, each in a table of its own, in one table, which takes a third of their memory."""
+    tables = [row.shared_table for row in rows]
+    table = pa.concat_tables(tables, promote_options="permissive").combine_chunks()
+    return [replace(row, shared_table=table, row_index=row_index) for row_index, row in enumerate(rows)]
+
+
 @dataclass(frozen=True, eq=False)
 class Row:
     """One finished run, done or diverged.
 
     Attributes:
-        table: all its cells, as a table of one row.
+        shared_table: a table that has its cells in the row `row_index`.
         published: whether it is in a published table.
         config_id: the id of its configuration, without seed and steps.
         budget: agent steps that were planned.
@@ -215,7 +222,8 @@ class Row:
         signs: where each recorded sign of collapse holds.
     """
 
-    table: pa.Table = field(repr=False)
+    shared_table: pa.Table = field(repr=False)
+    row_index: int = field(repr=False)
     published: bool
     run_id: str
     config_id: str
@@ -227,8 +235,16 @@ class Row:
     provenance: Mapping[str, Any] = field(repr=False)
     signs: Mapping[str, list[Stretch]] = field(repr=False)
 
+    @property
+    def table(self) -> pa.Table:
+        """All its cells, as a table of one row."""
+        return self.shared_table.slice(self.row_index, 1)
+
+    def _scalar(self, column: str) -> pa.Scalar:
+        return self.shared_table[column][self.row_index]
+
     def cell(self, column: str) -> Any:
-        return self.table[column][0].as_py() if column in self._columns else None
+        return self._scalar(column).as_py() if column in self._columns else None
 
     @property
     def averaged_over(self) -> int | None:
@@ -266,7 +282,7 @@ class Row:
     @cached_property
     def _columns(self) -> frozenset[str]:
         """The names of its cells that have a value."""
-        return frozenset(column for column in self.table.column_names if self.table[column][0].is_valid)
+        return frozenset(name for name in self.shared_table.column_names if self._scalar(name).is_valid)
 
     # --- Curves and their statistics ---------------------------------------------------------------
 
@@ -294,7 +310,7 @@ class Row:
 
     def _points(self, column: str) -> np.ndarray:
         if column in self._columns:
-            points = self.table[column][0].values
+            points = self._scalar(column).values
             if len(points) == GRID_POINTS:
                 return points.to_numpy(zero_copy_only=False).astype(float)
         return np.full(GRID_POINTS, np.nan)
@@ -321,7 +337,7 @@ class Row:
     @cached_property
     def evaluations_table(self) -> pa.Table:
         """The columns of its evaluations that have a value."""
-        evaluations = self.table[EVALUATIONS][0].values
+        evaluations = self._scalar(EVALUATIONS).values
         if not pa.types.is_struct(evaluations.type):
             return pa.table({})
         table = pa.Table.from_struct_array(evaluations)

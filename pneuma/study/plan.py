@@ -317,6 +317,12 @@ def _notes(study: Study, steps: int | None, runs: Mapping[str, Run]) -> list[str
         if steps and steps != run.trained_steps:
             update = run.steps_per_update
             notes.append(f"{run.trained_steps:,} steps are trained, because an update has {update:,}")
+    names_by_amount: dict[int, list[str]] = {}
+    for name, run in runs.items():
+        names_by_amount.setdefault(run.trained_steps, []).append(name)
+    if len(names_by_amount) > 1 and len({run.steps for run in runs.values()}) == 1:
+        amounts = [f"{names[0]} {trained_steps:,}" for trained_steps, names in names_by_amount.items()]
+        notes.append(f"whole updates are trained, so that steps differ: {', '.join(amounts)}")
     for conditions in names_by_configuration.values():
         if len(conditions) > 1:
             notes.append(f"{', '.join(conditions)} have identical settings: a comparison shows noise")

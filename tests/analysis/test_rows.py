@@ -247,3 +247,23 @@ def test_a_table_lends_its_runs_to_other_studies_and_their_longer_grid(store: St
         curve = published.curve(published.rows[0], quantity)
         longer_curve = longer.curve(published.rows[0], quantity)
         np.testing.assert_array_equal(longer_curve, [*curve[1::2], *[np.nan] * 100])
+
+
+def test_rows_of_a_folder_share_tables_and_keep_all_their_numbers(store: Store) -> None:
+    """A table each would take three times the memory. A row that cannot be read is none."""
+    save_run(store, "b0" * 8, 0, valued=True, played=50.5)
+    index = RunIndex(store, shipped=False)
+    run_ids = sorted(index.frame.index)
+    alone = [stored_row(store, run_id) for run_id in run_ids]
+    (store.run_folder(run_ids[0]) / "run.json").write_text("{}")
+    (store.run_folder(run_ids[0]) / ROW_FILE).write_bytes(b"")
+    rows = index.rows(run_ids)
+    assert rows[0] is None and len(index.problems) == 1
+    assert len({id(row.shared_table) for row in rows[1:] if row}) == 1
+    for row, same in zip(rows[1:], alone[1:], strict=True):
+        assert row and row.run_id == same.run_id and row.same_numbers(same)
+        assert row.quantities == same.quantities and row.policy == same.policy
+        assert row.table.to_pylist()[0].keys() >= {column for column in same.table.column_names}
+        for quantity in row.quantities:
+            np.testing.assert_array_equal(row.curve(quantity), same.curve(quantity))
+        assert row.evaluations_table.to_pydict() == same.evaluations_table.to_pydict()

@@ -54,6 +54,7 @@ MAIN = "from pneuma.cli import main; assert main({}) == 0"
         (MAIN.format(["--help"]), [*HEAVY, "pydantic", "numpy", "gymnasium"]),
         (MAIN.format(["study", "run", "--help"]), [*HEAVY, "gymnasium"]),
         (MAIN.format(["study", "list"]), [*HEAVY, "gymnasium"]),
+        (MAIN.format(["study", "summary", "cartpole@paper"]), ["torch", "numba", "matplotlib", "gymnasium"]),
         ("import gymnasium, pneuma; gymnasium.spec('pneuma/Pneuma-v0')", [*HEAVY, "pydantic"]),
         ("import pneuma, gymnasium; gymnasium.spec('pneuma/Pneuma-v0')", [*HEAVY, "pydantic"]),
     ],

@@ -80,7 +80,7 @@ def edit(table: Path, change: Callable[[Row], dict[str, Any]], only: str = "") -
         for column, cell in (change(row) if only in ("", row.run_id) else {}).items():
             array = pa.array([cell], COLUMN_TYPES.get(column, row.table[column].type))
             cells = cells.set_column(cells.column_names.index(column), column, array)
-        rows.append(replace(row, table=cells))
+        rows.append(replace(row, shared_table=cells, row_index=0))
     table.write_bytes(encode_published(rows, {"study": "activation"}))
 
 

@@ -16,6 +16,7 @@ from pneuma.config import Run, make_run, slot_seeds
 from pneuma.engines.environment import check_environment, first_capable_engine
 from pneuma.engines.gymnasium_env import GymnasiumSlots, make_env
 from pneuma.engines.gymnasium_evaluation import Evaluation
+from pneuma.engines.loop import _most_steps
 from pneuma.engines.policy import Policy, read_sound_policy
 from pneuma.engines.records import CheckpointError
 from pneuma.errors import UserError
@@ -205,3 +206,12 @@ def test_observations_that_a_library_refuses_are_refused_in_one_line(algorithm: 
     run = make_run({**CORRIDOR, "env_kwargs": {"kind": "nested"}, "algorithm": algorithm})
     with pytest.raises(UserError, match="^Corridor-v0: NotImplementedError: Nested observation spaces"):
         check_environment(run)
+
+
+def test_evaluations_take_a_fifth_of_a_run_however_long_it_is() -> None:
+    """20 evaluations and the random player's take a quarter of its steps. At random, episodes have 500."""
+    million = run_of(env="Acrobot-v1", steps=10**6, evaluation_episodes=50)
+    assert _most_steps(million) == 10**6 / 4 / 21
+    assert Evaluation(million, _most_steps(million)).episodes == int(10**6 / 4 / 21 / 2 / 500)
+    assert _most_steps(replace(million, evaluation_episodes=49)) == np.inf  # a user's own number
+    assert _most_steps(run_of(steps=10**6, evaluation_episodes=50)) == np.inf  # in Pneuma's worlds

@@ -17,6 +17,8 @@ import pytest
 from gymnasium import spaces
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common import save_util
+from stable_baselines3.common.noise import NormalActionNoise, OrnsteinUhlenbeckActionNoise
+from stable_baselines3.common.sb2_compat.rmsprop_tf_like import RMSpropTFLike
 from stable_baselines3.common.type_aliases import TrainFreq, TrainFrequencyUnit
 from torch import nn
 
@@ -26,7 +28,15 @@ from pneuma.engines.environment import check_environment
 from pneuma.engines.gymnasium_env import make_env, refuse_flat_pictures
 from pneuma.engines.loop import train_run
 from pneuma.engines.sb3_arguments import read_arguments
-from pneuma.engines.sb3_open import STATISTICS, LearnedPolicy, OpenTrainer, learner_class, load_learner
+from pneuma.engines.sb3_open import (
+    STATISTICS,
+    LearnedPolicy,
+    OpenTrainer,
+    _environments,
+    _make_learner,
+    learner_class,
+    load_learner,
+)
 from pneuma.engines.shared_generators import seed_shared_generators
 from pneuma.errors import UserError
 from pneuma.sb3_names import own_fields
@@ -117,6 +127,26 @@ def test_what_toml_cannot_contain_is_written_as_text_or_table() -> None:
         "replay_buffer_class": HerReplayBuffer,
         "policy_kwargs": {"activation_fn": nn.ELU, "optimizer_kwargs": {"betas": (0.5, 0.9)}},
     }
+
+
+@pytest.mark.parametrize(
+    ("noise_type", "noise_class"),
+    [("normal", NormalActionNoise), ("ornstein-uhlenbeck", OrnsteinUhlenbeckActionNoise)],
+)
+def test_the_zoos_action_noise_has_its_two_keys(noise_type: str, noise_class: type) -> None:
+    arguments = {"noise_type": noise_type, "noise_std": 0.3, "gamma": 0.9}
+    read = read_arguments(arguments, spaces.Box(-1, 1, (2,)))
+    noise = read.pop("action_noise")
+    assert type(noise) is noise_class and read == {"gamma": 0.9}
+    assert (noise._mu.tolist(), noise._sigma.tolist()) == ([0.0, 0.0], [0.3, 0.3])
+
+
+def test_the_zoos_optimizer_is_found_by_its_name() -> None:
+    """As in its entries for A2C; the text is parsed, and nothing in it is called."""
+    text = "dict(optimizer_class=RMSpropTFLike, optimizer_kwargs=dict(eps=1e-5))"
+    run = make_run({"env": "CartPole-v1", "algorithm": "a2c", "algorithm_kwargs": {"policy_kwargs": text}})
+    optimizer = _make_learner(run, _environments(run, 1)).policy.optimizer
+    assert type(optimizer) is RMSpropTFLike and optimizer.defaults["eps"] == 1e-5
 
 
 def test_arguments_of_ppo_that_are_no_fields_are_passed_on() -> None:
@@ -436,6 +466,10 @@ def test_what_is_not_used_does_not_move_an_id() -> None:
         (
             {"algorithm": "td3", **NUMBERS, "algorithm_kwargs": {"action_noise": {"sigma": 1.0}}},
             "action_noise = .*: a table with the name NormalActionNoise or Ornstein",
+        ),
+        (
+            {"algorithm": "td3", **NUMBERS, "algorithm_kwargs": {"noise_type": "adaptive-param_0.1"}},
+            "noise_type = 'adaptive-param_0.1' and noise_std = None .*: normal or ornstein-uhlenbeck",
         ),
     ],
 )

@@ -46,6 +46,16 @@ def test_what_has_ended_is_trained_no_more_and_a_longer_search_goes_on(
     assert (len(record.ended), record.budget.trials) == (12, 12)
 
 
+def test_no_trial_is_left_running_of_an_unfinished_generation(make_task: MakeTask, store: Store) -> None:
+    """Ten trials in generations of four; a longer search then has the trials of one that was not stopped."""
+    first = make_task(10).solve(store)
+    study = open_log(make_task(10).record(store).path)
+    assert [trial.state.name for trial in study.trials] == ["COMPLETE"] * 10
+    longer = make_task(16).solve(store)
+    assert longer[:10] == first
+    assert longer == make_task(16).solve(Store(store.root / "at-once"))
+
+
 def test_another_budget_has_a_log_of_its_own_and_the_latest_is_read(
     make_task: MakeTask, store: Store
 ) -> None:

@@ -207,6 +207,20 @@ def test_cells_go_seed_by_seed_in_the_studys_order_and_equal_conditions_are_name
     assert first.run_id == third.run_id
 
 
+def test_conditions_whose_updates_round_a_budget_differently_are_named(tmp_path: Path) -> None:
+    """8 rollouts of 2,048 steps, 3,200 of 5, and 63 records of 256 are the first with 16,000."""
+    path = tmp_path / "learners.toml"
+    conditions = "".join(f'[conditions.{name}]\nalgorithm = "{name}"\n' for name in ("ppo", "a2c", "dqn"))
+    path.write_text(
+        f'title = "L"\n[run]\nenv = "CartPole-v1"\n{conditions}[presets.quick]\nseeds = 1\nsteps = 16_000\n'
+    )
+    study = load_study(str(path))
+    amounts = "whole updates are trained, so that steps differ: ppo 16,384, a2c 16,000, dqn 16,128"
+    assert amounts in make_plan(study, Query()).notes
+    alone = make_plan(study, Query(conditions=("ppo",)))
+    assert not any("whole updates" in note for note in alone.notes)
+
+
 def test_fields_in_which_conditions_differ_are_found(study: Study) -> None:
     plan = make_plan(study, Query(conditions=("adam", "sgd")))
     differing = differing_fields({cell.condition: as_fields(cell.run) for cell in plan.cells})
