@@ -56,8 +56,8 @@ def fields_and_keys(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[s
 def _translate(key: str, setting: Any) -> dict[str, Any]:
     if key in NAMES:
         return {NAMES[key]: setting}
-    if key in _READERS:
-        return _READERS[key](key, setting)
+    if key in READERS:
+        return READERS[key](key, setting)
     return {key: setting}
 
 
@@ -129,17 +129,17 @@ def read_arguments_text(arguments_text: str) -> Any:
 
 
 def _evaluate(node: ast.expr) -> Any:
-    """Evaluate dict(…), {…}, […], numbers and dotted names of an expression; nothing is called."""
+    """Evaluate dict(…), {…}, […], numbers and names of an expression; nothing is called."""
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "dict":
         return {str(keyword.arg): _evaluate(keyword.value) for keyword in node.keywords}
     if isinstance(node, ast.List):
         return [_evaluate(element) for element in node.elts]
-    if isinstance(node, ast.Attribute):
+    if isinstance(node, ast.Attribute | ast.Name):  # of a class, which is looked up by its name
         return ast.unparse(node)
     return ast.literal_eval(node)
 
 
-_READERS: dict[str, Callable[[str, Any], dict[str, Any]]] = {
+READERS: dict[str, Callable[[str, Any], dict[str, Any]]] = {
     "learning_rate": _read_schedule,
     "clip_range": _read_schedule,
     "normalize": _read_normalize,
