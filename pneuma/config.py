@@ -53,6 +53,8 @@ CPU, CUDA = "cpu", "cuda"
 
 ACTIVATIONS = {"tanh": "Tanh", "relu": "ReLU", "leaky-relu": "LeakyReLU"}
 """Activation functions of hidden layers, and torch's classes of them; torch's slope of LeakyReLU is 0.01."""
+STREAMS, LIBRARY = "streams", "library"
+"""What a run's seed gives: see `Run.seed_as`."""
 Schedule = Literal["constant", "linear"]
 
 
@@ -178,6 +180,8 @@ class Run(EnvConfig):
         "", read_by=OPEN_LEARNER
     )
     seed: Annotated[int, Interval(ge=0, le=2**32 - 1)] = 0
+    seed_as: Annotated[str, OneOf((STREAMS, LIBRARY))] = STREAMS
+    """Whether the seed keys streams of random numbers, or is the argument of Stable-Baselines3's learner."""
     steps: Steps = declare(50_000, arguments="n_timesteps", paces=True)
     """Budget in agent steps, summed over slots. The last update may end after it: see `trained_steps`."""
     slots: Annotated[int, Interval(ge=1, le=1024)] = declare(1, arguments="n_envs", paces=True)
@@ -356,6 +360,7 @@ def effective_fields(run: Run) -> set[str]:
         "policy": not run.policy,
         "algorithm_kwargs": not run.algorithm_kwargs,
         "device": run.engine == ENGINES[0] and run.device == CPU,
+        "seed_as": run.engine == ENGINES[0] and run.seed_as == STREAMS,
     }
     return _readable_fields(run) - {field_name for field_name, is_idle in idle_fields.items() if is_idle}
 
@@ -396,6 +401,8 @@ def batched_limitation(run: Run) -> str:
         return "a run with policy or algorithm_kwargs"
     if run.device != CPU:
         return f"a run with device = {run.device}"
+    if run.seed_as != STREAMS:
+        return f"a run with seed_as = {run.seed_as}"
     if not run.value_baseline:
         return "advantages without a baseline"
     return ""
@@ -465,4 +472,6 @@ def stream_seed(key: int | str, purpose: str, slot: int = 0) -> int:
 
 def slot_seeds(run: Run) -> list[int]:
     """Return the seed of each slot's worlds in training."""
+    if run.seed_as == LIBRARY:  # which gives its first environment its own seed, and the next ones the next
+        return [run.seed + slot for slot in range(run.slots)]
     return [stream_seed(run.seed, "world", slot) for slot in range(run.slots)]

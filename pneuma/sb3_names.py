@@ -56,8 +56,8 @@ def fields_and_keys(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[s
 def _translate(key: str, setting: Any) -> dict[str, Any]:
     if key in NAMES:
         return {NAMES[key]: setting}
-    if key in _READERS:
-        return _READERS[key](key, setting)
+    if key in READERS:
+        return READERS[key](key, setting)
     return {key: setting}
 
 
@@ -139,7 +139,7 @@ def _evaluate(node: ast.expr) -> Any:
     return ast.literal_eval(node)
 
 
-_READERS: dict[str, Callable[[str, Any], dict[str, Any]]] = {
+READERS: dict[str, Callable[[str, Any], dict[str, Any]]] = {
     "learning_rate": _read_schedule,
     "clip_range": _read_schedule,
     "normalize": _read_normalize,

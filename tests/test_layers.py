@@ -91,7 +91,7 @@ PACKAGES = {
     "pneuma.engines": {"gymnasium", "llvmlite", "numba"} | _LEARNERS,
     "pneuma.store": {"gymnasium", "pandas", "pyarrow", "safetensors", "torch"},
     "pneuma.training": {"ray", "rich", "torch"},
-    "pneuma.imports": {"pandas", "tensorboard"},
+    "pneuma.imports": {"pandas", "tensorboard", "yaml"},
     "pneuma.analysis": _TABLES,
     "pneuma.search": {"optuna"},
     "pneuma.answers": {"optuna", "pandas"},

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pneuma.cli import options as opt
 from pneuma.cli.hints import command, write_hint
-from pneuma.cli.output import Result, say
-from pneuma.errors import counted, write_hints
+from pneuma.cli.output import Result, check_file, say, write_file
+from pneuma.errors import UserError, counted, write_hints
 from pneuma.store.store import Store
 from pneuma.study.command_words import results_words
 
@@ -65,6 +65,24 @@ def csv(
 
     columns = Columns(step, tuple(value or ()), condition, seed, averaged_over)
     return _imported(import_csv(files, columns, Store(results), name), results)
+
+
+@app.command(short_help="Write an entry of rl-baselines3-zoo as a study.")
+def zoo(
+    file: Annotated[Path, opt.argument("FILE", "A file of the zoo's hyperparameters, as ppo.yml.")],
+    env: Annotated[str, opt.option("ID", "The environment, whose entry is taken.")],
+    out: Annotated[Path, opt.option("FILE", "The study's file to write, ending in .toml.")],
+) -> Result:
+    """Write an entry of rl-baselines3-zoo as a study, with a note on each key that cannot be kept."""
+    from pneuma.imports.zoo import zoo_study
+
+    check_file(out, (".toml",))
+    if out.exists():
+        raise UserError(f"--out {out}: already exists; choose another name")
+    study_text, notes = zoo_study(file, env)
+    write_file(out, study_text.encode())
+    lines = [f"wrote {out}: {command('study', 'plan', str(out))} shows its runs"]
+    return Result({"file": out, "notes": notes}, lines, notes=[f"Note: {note}." for note in notes])
 
 
 def _imported(imported: Import, results: Path) -> Result:

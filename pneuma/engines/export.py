@@ -19,7 +19,7 @@ from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from pneuma.algorithms import OPTIMIZERS
-from pneuma.config import CPU, Run, as_fields, env_config, is_gymnasium_id, make_run
+from pneuma.config import CPU, STREAMS, Run, as_fields, env_config, is_gymnasium_id, make_run
 from pneuma.engines.gymnasium_env import closed_after, make_env
 from pneuma.engines.mlp import layer_widths
 from pneuma.engines.normalization import CLIP, EPSILON, Scaling
@@ -47,6 +47,7 @@ def to_sb3(policy: Policy, run: Run, space: spaces.Box) -> bytes:
         "critic": layer_widths(policy.critic)[1:-1].tolist(),
         "clip": "joint",
         "device": CPU,
+        "seed_as": STREAMS,
         "value_baseline": True,
     }
     if not OPTIMIZERS[run.optimizer].torch_class:

@@ -27,7 +27,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from pneuma.algorithms import OPTIMIZERS
-from pneuma.config import ACTIVATIONS, ANNEALED, CUDA, FIELDS, Run, is_gymnasium_id, stream_seed
+from pneuma.config import ACTIVATIONS, ANNEALED, CUDA, FIELDS, LIBRARY, Run, is_gymnasium_id, stream_seed
 from pneuma.engines.records import Checkpoint, Records, Row, episode_row
 from pneuma.engines.stopping import IsStopping, check_stop, never
 
@@ -46,14 +46,19 @@ def make_model(run: Run, env: VecEnv, extractor: Mapping[str, Any] | None = None
         env: its environments.
         extractor: additional `policy_kwargs`.
     """
+    is_library_seed = run.seed_as == LIBRARY
     torch.manual_seed(stream_seed(run.seed, "weights"))
     arguments = learner_arguments(run, env.num_envs)
     arguments["policy_kwargs"] |= extractor or {}
+    if is_library_seed:  # the learner seeds all generators, and its environments
+        arguments["seed"] = run.seed
     model = LEARNERS[run.algorithm](policy="MlpPolicy", env=env, device=run.device, **arguments)
     if run.first_layer_scale != 1:
         with torch.no_grad():
             for layers in linear_layers(model).values():
                 layers[0].weight.mul_(run.first_layer_scale)
+    if is_library_seed:
+        return model
     torch.manual_seed(stream_seed(run.seed, "actions"))
     np.random.seed(stream_seed(run.seed, "minibatches") % 2**32)
     if isinstance(model, DQN):
@@ -185,7 +190,8 @@ def prepare(model: Any, run: Run) -> None:
 
     model._setup_learn = set_up_once
     update_progress = model._update_current_progress_remaining
-    model._update_current_progress_remaining = lambda steps, _: update_progress(steps, run.trained_steps)
+    last_step = run.steps if run.seed_as == LIBRARY else run.trained_steps
+    model._update_current_progress_remaining = lambda steps, _: update_progress(steps, last_step)
 
 
 def learn(model: Any, steps: int, callback: BaseCallback) -> None:

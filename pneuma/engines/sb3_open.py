@@ -32,7 +32,7 @@ from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
 from pneuma.algorithms import find_algorithm, has_rollouts
-from pneuma.config import CPU, Run, slot_seeds, stream_seed
+from pneuma.config import CPU, LIBRARY, Run, slot_seeds, stream_seed
 from pneuma.engines.environment import check_device
 from pneuma.engines.gymnasium_env import (
     check_observations,
@@ -175,10 +175,12 @@ def _make_learner(run: Run, env: VecEnv, to_play: bool = False) -> Any:
             arguments.setdefault("n_steps", run.horizon)
         if to_play and "buffer_size" in signature(learner_type).parameters:
             arguments["buffer_size"] = 1
-        seed = None if to_play else stream_seed(run.seed, "weights") % 2**31
+        seed = run.seed if run.seed_as == LIBRARY else stream_seed(run.seed, "weights") % 2**31
         device = CPU if to_play else run.device
         try:
-            learner = learner_type(policy_name, env, seed=seed, device=device, **arguments)
+            learner = learner_type(
+                policy_name, env, seed=None if to_play else seed, device=device, **arguments
+            )
         except AssertionError as error:
             _refuse_actions(run, env, str(error))
             raise

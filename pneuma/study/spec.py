@@ -55,6 +55,7 @@ CLAIMS = "claims"
 MOST_CONDITIONS = 1000
 CONDITION = "condition"
 """In a crossed study, the factor whose values are the file's conditions."""
+ZOO_HINT = "`pneuma import zoo` writes keys of Stable-Baselines3's learners where they belong"
 MISPLACED = {
     "seed": "use a preset (seeds)",
     "steps": "use a preset (steps)",
@@ -99,8 +100,7 @@ def _read_fields(run_table: dict[str, Any]) -> dict[str, Any]:
             if field_name in MISPLACED:
                 raise UserError(f"{field_name} is not allowed here: {MISPLACED[field_name]}")
             if field_name not in Run.__dataclass_fields__:
-                hint = "put a learner's arguments in algorithm_kwargs"
-                raise UserError(f"{unknown_name('key', field_name, Run.__dataclass_fields__)}; {hint}")
+                raise UserError(f"{unknown_name('key', field_name, Run.__dataclass_fields__)}; {ZOO_HINT}")
             read_values[field_name] = read_field(Run, field_name, field_value)
         except UserError as error:
             key = keys_by_field[field_name]
@@ -460,8 +460,7 @@ def refuse_n_steps(runs: Iterable[Run]) -> None:
     """Refuse the key n_steps for a learner of which it does not set the field `horizon`."""
     for run in runs:
         if not has_rollouts(run.algorithm):
-            remedy = "write horizon, the steps of a rollout or between two records, or put it into"
-            raise UserError(f"n_steps is not allowed for {run.algorithm}: {remedy} algorithm_kwargs")
+            raise UserError(f"n_steps is not allowed for {run.algorithm}: {ZOO_HINT}")
 
 
 def _mistake_in(study_file: TomlFile, study: Study, condition: str, message: str) -> UserError:
@@ -493,5 +492,5 @@ def no_effect_message(field_name: str, runs: Iterable[Run]) -> str:
             reader_names[run.optimizer] = None
     message = f"{field_name} has no effect: none of {', '.join(reader_names)} uses it with these settings"
     if "ppo" not in reader_names:
-        message += f". Put arguments of {run.algorithm} in algorithm_kwargs"
+        message += f"; {ZOO_HINT}"
     return message
