@@ -7,14 +7,16 @@ do not repeat it; the command line prints it as one line and leaves with exit co
 from __future__ import annotations
 
 import difflib
+import shutil
 import sys
+import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, TextIO
 
 NEAR = 0.6
 """Least similarity of a name that is suggested."""
@@ -153,7 +155,18 @@ def shortened(text: str) -> str:
 def print_aside(message: str) -> None:
     """Print a line on standard error, which stops nothing if its reader has gone."""
     with suppress(OSError):
-        print(printable(shortened(message)), file=sys.stderr, flush=True)
+        print(folded(printable(shortened(message)), sys.stderr), file=sys.stderr, flush=True)
+
+
+def folded(line: str, stream: TextIO) -> str:
+    """Return a line folded between words at a terminal's width; it goes on below its first word."""
+    if not (stream and stream.isatty()):
+        return line
+    width = shutil.get_terminal_size().columns
+    indent = " " * (len(line) - len(line.lstrip(" ")))
+    return textwrap.fill(
+        line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def counted(count: int, noun: str) -> str:

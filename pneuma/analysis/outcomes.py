@@ -149,7 +149,8 @@ def with_unit(outcome_name: str) -> str:
     if outcome_name == "diverged":  # a run's status
         return outcome_name
     unit = find_outcome(outcome_name).unit
-    return f"{outcome_name} ({unit})" if unit else outcome_name
+    is_in_name = unit in outcome_name.split("-")  # as in late-share-killed
+    return f"{outcome_name} ({unit})" if unit and not is_in_name else outcome_name
 
 
 # --- Values ---------------------------------------------------------------------------------------

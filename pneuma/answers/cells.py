@@ -49,6 +49,14 @@ def pivot_cells(
     return cell_table.reindex(index=row_labels, columns=column_labels).astype(object).fillna(NO_CELL)
 
 
+def with_labels(study_data: StudyData, cells: pd.DataFrame) -> pd.DataFrame:
+    """Return a table for people whose conditions are called by the study's labels for them."""
+    if "condition" not in cells:
+        return cells
+    labels = study_data.study.labels
+    return cells.assign(condition=[labels.get(name, name) for name in cells["condition"]])
+
+
 def condition_cells(
     study_data: StudyData, summary: pd.DataFrame, statistics: Sequence[tuple[str, str]]
 ) -> pd.DataFrame:

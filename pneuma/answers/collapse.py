@@ -7,7 +7,7 @@ import pandas as pd
 from pneuma.analysis.collapse import diagnoses, incidence
 from pneuma.analysis.study_data import StudyData
 from pneuma.answers.answer import Answer
-from pneuma.answers.cells import NO_CELL
+from pneuma.answers.cells import NO_CELL, with_labels
 from pneuma.values import per_cent
 
 
@@ -35,5 +35,6 @@ def find_collapses(study_data: StudyData) -> Answer:
         count_rows, columns=["condition", "collapsed", "95 % interval", "without a sign recorded"]
     )
     cells = [sign_table, count_table] if len(sign_table) else [count_table]
+    cells = [with_labels(study_data, table) for table in cells]
     title = f"{study_data.full_title}: collapse"
     return Answer(title, study_data.about, {"runs": diagnosed_runs, "incidence": incidence_table}, cells)

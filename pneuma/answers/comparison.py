@@ -101,7 +101,8 @@ def compare(
             f"Claims about these conditions: {claim_names}. Their outcomes come first (see study verify)."
         )
     pairs = {"": (_group(study_data, a), _group(study_data, b))}
-    answer = _compare_pairs(study_data, pairs, [a, b], outcomes, claimed_outcomes)
+    headings = [study_data.study.labels.get(condition, condition) for condition in (a, b)]
+    answer = _compare_pairs(study_data, pairs, headings, outcomes, claimed_outcomes)
     return replace(answer, notes=list(answer.notes) + claim_notes)
 
 

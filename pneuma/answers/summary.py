@@ -12,7 +12,7 @@ from pneuma.analysis.outcomes import reason, with_unit
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.answers.answer import Answer
-from pneuma.answers.cells import NO_CELL, condition_cells, pivot_cells, with_cells
+from pneuma.answers.cells import NO_CELL, condition_cells, pivot_cells, with_cells, with_labels
 from pneuma.answers.notes import notes_on_ends, notes_on_few_episodes, notes_on_few_runs
 from pneuma.errors import Hint, UserError
 
@@ -69,7 +69,8 @@ def summarize(
         + _missing_values(study_data, summary, outcomes)
         + notes_on_few_episodes(study_data, outcomes)
     )
-    return Answer(study_data.full_title, study_data.about, {"summary": summary}, [cells], notes, legend)
+    shown_cells = [with_labels(study_data, cells)]
+    return Answer(study_data.full_title, study_data.about, {"summary": summary}, shown_cells, notes, legend)
 
 
 def _summarize_environments(
@@ -97,7 +98,8 @@ def _summarize_environments(
     legend = [f"{with_unit(outcome)} in each environment, then scores over all."] + list(SCALE)
     tables = {"summary": summary.drop(columns="cell"), "scores": scores}
     notes = notes_on_ends(study_data) + notes_on_few_runs(data_by_env)
-    return Answer(study_data.full_title, study_data.about, tables, [cells.reset_index()], notes, legend)
+    shown_cells = [with_labels(study_data, cells.reset_index())]
+    return Answer(study_data.full_title, study_data.about, tables, shown_cells, notes, legend)
 
 
 # --- Cells ----------------------------------------------------------------------------------------

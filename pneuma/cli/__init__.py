@@ -42,6 +42,17 @@ COMMANDS = {
 """Of each command the module that has it, and what it does."""
 
 
+BEGINNING = """\
+Pneuma repeats and tests the experiments of the PneumaRL thesis, and studies of your own.
+
+  pneuma study run activation                Train a small study: 15 runs, in about a minute.
+  pneuma study plot activation               Draw its learning curves.
+  pneuma study compare activation tanh relu  Compare two of its conditions, with intervals.
+
+`pneuma --help` lists all commands. Each has --help, with an example."""
+"""What `pneuma` alone prints."""
+
+
 class _Commands(Mapping[str, Any]):
     """The commands by name, each imported when it is needed."""
 
@@ -85,7 +96,7 @@ app = typer.Typer(
     cls=_Root,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
-    no_args_is_help=True,
+    invoke_without_command=True,
     rich_markup_mode=None,
 )
 
@@ -100,11 +111,14 @@ def _print_version(is_requested: bool) -> None:
 
 @app.callback()
 def _root(
+    context: typer.Context,
     version: bool = typer.Option(
         False, "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
     ),
 ) -> None:
-    """Options before any command."""
+    """Options before any command; without one, what to begin with."""
+    if context.invoked_subcommand is None:
+        print(BEGINNING)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

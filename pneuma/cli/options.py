@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 
 from pneuma.answers.answer import Answer
+from pneuma.cli.examples import EXAMPLES
 from pneuma.cli.output import OUTPUT_FORMATS, Result, answer_result, kept_for_the_result, print_result, say
 from pneuma.errors import UserError, nearest_name
 from pneuma.figures import FIGURE_FORMATS
@@ -230,8 +231,15 @@ class Commands(typer.Typer):
         )
 
     def command(self, name: str | None = None, **options: Any) -> Any:
-        add_command = super().command(name, **options)
-        return lambda function: add_command(_printing(function))
+        """Return what adds a function as a command, whose help ends with its example."""
+        add_with = super().command
+
+        def add(function: Callable[..., Result | Answer]) -> Any:
+            words = f"{self.info.name} {name or function.__name__}".strip()
+            example = f"Example: pneuma {words} {EXAMPLES[words]}".rstrip()
+            return add_with(name, epilog=example, **options)(_printing(function))
+
+        return add
 
 
 def _printing(function: Callable[..., Result | Answer]) -> Callable[..., int]:

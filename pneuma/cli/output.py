@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from rich.cells import cell_len
 
 from pneuma.cli.hints import write_hint
-from pneuma.errors import UserError, nearest_name, print_aside, printable, write_hints
+from pneuma.errors import UserError, folded, nearest_name, print_aside, printable, write_hints
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.files import MADE_BY, write_whole
 from pneuma.store.store import Store
@@ -140,7 +140,14 @@ def listed_result(singular: str, plural: str, folder: Path) -> Result:
         for key in ("title", "section", "figure"):
             file_row[key] = file_head.get(key, "")
         file_rows.append(file_row)
-    return rows_result(plural, file_rows)
+    return rows_result(plural, sorted(file_rows, key=_place_in_thesis))
+
+
+def _place_in_thesis(file_row: Mapping[str, str]) -> tuple[bool, list[int], str]:
+    """Return where a study stands in a list: the thesis's figures, then its sections, then what it lacks."""
+    is_figure = file_row["figure"].startswith("fig-")
+    section_numbers = list(map(int, re.findall(r"\d+", file_row["figure" if is_figure else "section"])))
+    return not is_figure, section_numbers or [99], file_row["title"]
 
 
 def print_result(result: Result, output_format: str) -> None:
@@ -149,15 +156,12 @@ def print_result(result: Result, output_format: str) -> None:
         sys.stdout.buffer.write(result.file)
         return
     if output_format == "table":
-        if result.title:
-            print(printable(result.title))
-        for note in result.notes:
-            print(printable(write_hints(note, write_hint)))
-        for line in result.lines:
+        notes = [write_hints(note, write_hint) for note in result.notes]
+        for line in [result.title] * bool(result.title) + notes + [*result.lines]:
             if isinstance(line, Table):
                 _print_table(line)
             else:
-                print(printable(line))
+                print(folded(printable(line), sys.stdout))
         return
     for note in result.notes:
         say(note)

@@ -13,7 +13,8 @@ from pneuma.env.interface import Interface, read_options
 from pneuma.errors import require
 
 try:
-    from pettingzoo import ParallelEnv
+    from pettingzoo import AECEnv, ParallelEnv, register
+    from pettingzoo.utils import parallel_to_aec
 except ModuleNotFoundError:
     require("pettingzoo", command="pip install pettingzoo")
     raise
@@ -107,3 +108,16 @@ class PneumaParallelEnv(Interface, ParallelEnv[str, np.ndarray, np.int64]):
 
 parallel_env = PneumaParallelEnv
 """The environment under PettingZoo's usual name."""
+
+
+def env(**settings: Any) -> AECEnv:
+    """Return the environment in which players act one after another; see `PneumaParallelEnv`.
+
+    All actions of a step take effect when the last player has acted.
+    """
+    return parallel_to_aec(PneumaParallelEnv(**settings))
+
+
+for _env_id in ENVIRONMENTS:  # for `pettingzoo.make("aec", "pneuma/PneumaArena-v0")`
+    register("aec", _env_id, f"{__name__}:env", kwargs={"env_id": _env_id})
+    register("parallel", _env_id, f"{__name__}:parallel_env", kwargs={"env_id": _env_id})

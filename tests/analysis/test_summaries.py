@@ -184,11 +184,11 @@ def test_the_overview_has_five_columns_and_what_never_happens_is_a_line(tmp_path
         save_collapse(store, run_id, healthy(), learning(), end=BUDGET // 2 if seed < 2 else BUDGET)
     answer = summarize(study_of(store, cells))
     assert all(answer.notes)
-    heads = ["condition", "runs", "final-share-killed (share)", "auc-share-killed (share)"]
+    heads = ["condition", "runs", "final-share-killed", "auc-share-killed"]
     assert [*answer.cells[0]] == [*heads, "diverged"]
     assert answer.legend[0] == "No run collapsed."
     for seed in range(2):
         save_collapse(store, cells["a", seed], healthy(), learning())
     sound = summarize(study_of(store, cells))
-    assert [*sound.cells[0]] == [*heads, "greedy-share-killed (share)"]
+    assert [*sound.cells[0]] == [*heads, "greedy-share-killed"]
     assert sound.legend[0] == "No run collapsed or diverged."

@@ -39,7 +39,7 @@ def test_all_views_have_every_claim_in_its_worlds(tmp_path: Path) -> None:
     assert missing["reason"] == f"{lacking}; {trains}"
     (alone,) = described(*command, "better", "--json")["claims"]  # whose correction is for the whole list
     assert alone == first
-    assert "high against low, 8 and 8 runs: kills 74" in printed(*command, "better")
+    assert "high against low, 8 and 8 runs\n" in printed(*command, "better")
     lines = printed(*command).splitlines()
     (shown,) = [line.split() for line in lines if "holds   " in line]
     assert " ".join(shown) == "text holds kills 74 against 24 % (47 to 53; ±4.0)"

@@ -133,7 +133,7 @@ def test_a_learners_policy_is_loaded_and_exported(here: Path) -> None:
 def test_a_picture_that_needs_pygame_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pygame", None)
     message = refused("env", "render", "CartPole-v1", "--out", "a.png")
-    assert message.startswith("CartPole-v1 is drawn by pygame: pip install") and "[play]'" in message
+    assert message == "CartPole-v1 is drawn by pygame: pip install 'pneuma-rl[play]'"
 
 
 def test_each_shipped_agent_plays_and_is_that_of_its_row(here: Path) -> None:

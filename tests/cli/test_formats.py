@@ -6,6 +6,7 @@ import contextlib
 import csv
 import io
 import os
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -15,7 +16,7 @@ import pytest
 
 from pneuma.analysis.export import encode_frame
 from pneuma.api import open_data
-from pneuma.cli.output import Result, Table, print_result
+from pneuma.cli.output import Result, Table, print_result, say
 from pneuma.store.store import Store
 
 from ..analysis.claim_files import save_runs
@@ -23,7 +24,7 @@ from ..hand_made import healthy, learning, save_collapse, study_of
 from .calls import call, described, printed, refused
 
 SUMMARY = """\
-| condition | runs | final-share-killed (share) | final-return |
+| condition | runs | final-share-killed | final-return |
 | --- | ---: | --- | --- |
 | high | 3 | 0.40 ± 0.20 | 0.40 ± 0.20 |
 | middle | 3 | 0.200 ± 0.000 | 0.200 ± 0.000 |
@@ -44,7 +45,7 @@ def test_a_summary_as_a_thesis_prints_it(mine: list[str]) -> None:
     paper = printed("study", "summary", *mine, *outcomes, "--format", "latex")
     assert r"high & 3 & 0.40 $\pm$ 0.20 & 0.40 $\pm$ 0.20 \\" in paper
     reached = printed("study", "summary", *mine, "--outcome", "steps-to:0.1", "--format", "markdown")
-    assert reached.splitlines()[0] == "| condition | runs | steps-to:0.1 (steps), median |"
+    assert reached.splitlines()[0] == "| condition | runs | steps-to:0.1, median |"
     wide = printed("study", "summary", *mine, *outcomes, "--format", "markdown", "--cells", "interval")
     assert "| high | 3 | 0.400 |" in wide  # of three runs there is no interval
     assert "--cells requires" in refused("study", "summary", *mine, "--cells", "sd")
@@ -122,7 +123,7 @@ def test_a_comparison_in_every_form(mine: list[str]) -> None:
     words = ["study", "compare", name, "high", "middle", *rest, "--outcome", "final-share-killed"]
     lines = printed(*words, "--format", "markdown").splitlines()
     assert lines[0] == "| outcome | high | middle | difference | P(better) | runs | no value |"
-    assert lines[2] == "| final-share-killed (share) | 0.400 | 0.200 | 0.200 | – | 3 and 3 | 0 |"
+    assert lines[2] == "| final-share-killed | 0.400 | 0.200 | 0.200 | – | 3 and 3 | 0 |"
     (row,) = csv.DictReader(io.StringIO(printed(*words, "--format", "csv")))
     assert (row["a"], row["b"]) == ("high", "middle") and float(row["difference"]) == pytest.approx(0.2)
     assert described(*words, "--json") == described(*words, "--format", "json")
@@ -225,3 +226,48 @@ def test_a_style_is_a_regular_file_of_at_most_a_megabyte(mine: list[str], tmp_pa
         path = tmp_path / f"{name}.mplstyle"
         called = call(*words[:-1], path)
         assert (called.code, called.err.splitlines()[-1]) == (2, f"pneuma: --style {path}{reason}")
+
+
+def test_words_are_folded_at_the_terminals_width(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each line goes on below its first word; nothing is folded elsewhere."""
+    monkeypatch.setenv("COLUMNS", "30")
+    result = Result({}, ["  indented words of a long line here"], "t", ["a note of some words that is long"])
+    with contextlib.redirect_stdout(Terminal()) as terminal:
+        print_result(result, "table")
+    assert terminal.getvalue().splitlines() == [
+        "t", "a note of some words that is", "long", "  indented words of a long", "  line here",
+    ]  # fmt: skip
+    with contextlib.redirect_stdout(io.StringIO()) as file:
+        print_result(result, "table")
+    assert len(file.getvalue().splitlines()) == 3
+    with contextlib.redirect_stderr(Terminal()) as terminal:
+        say("a note of some words that is long")
+    assert terminal.getvalue() == "a note of some words that is\nlong\n"
+
+
+def test_people_read_labels_and_programs_identifiers(tmp_path: Path) -> None:
+    results = ["--results", str(tmp_path)]
+    compared = ("study", "compare", "optimizer@paper", "non-stationary", "stationary", "--world", "text")
+    assert "  betas 0.9, 0.9  betas 0.9, 0.999  " in printed(*compared, *results)
+    document = described(*compared, *results, "--json")
+    assert "non-stationary" in str(document) and "betas 0.9, 0.9 " not in str(document["comparisons"])
+    summary = ("study", "summary", "optimizer@paper", "--world", "text")
+    lines = printed(*summary, *results).splitlines()
+    assert any(line.startswith("betas 0.9, 0.9  ") for line in lines)
+    assert printed(*summary, *results, "--format", "csv").count("\nnon-stationary,") > 1
+
+
+def test_studies_are_listed_as_the_thesis_has_them() -> None:
+    """Its figures, then its sections, then what it lacks."""
+    studies = [study["study"] for study in described("study", "list", "--json")["studies"]]
+    assert studies[:4] == ["architecture", "actor-size", "optimizer", "activation"]  # Figs. 6.2 to 6.5
+    assert studies[4] in ("algorithms", "tuned-algorithms") and studies[-1] == "simplifications"
+    later = [studies.index(name) for name in ("magic", "clip-range", "vision")]  # 5.2, 6.3, 7
+    assert later == sorted(later)
+
+
+def test_a_judged_claim_says_each_number_once(tmp_path: Path) -> None:
+    text = printed("study", "verify", "tanh-better-own", "--results", str(tmp_path))
+    numbers = re.findall(r"return [\d,]+ against \S+ \(.*\)", text)
+    assert len(numbers) == 1 and text.count(numbers[0]) == 1
+    assert "betas 0.9, 0.9 against ReLU, 30 and 30 runs\n" in text and "non-stationary" not in text

@@ -12,6 +12,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+import pettingzoo
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env as gymnasiums_check
@@ -365,6 +366,32 @@ def test_the_checkers_of_three_libraries_find_nothing(env_id: str, monkeypatch: 
     for settings in choices:
         parallel_api_test(PneumaParallelEnv(env_id, players=3, **settings), num_cycles=100)
     parallel_seed_test(lambda: PneumaParallelEnv(env_id, players=3), num_cycles=100)
+
+
+@pytest.mark.parametrize("env_id", ENVIRONMENTS)
+def test_players_who_act_in_turn_play_the_same_game(env_id: str) -> None:
+    """A seed and the same actions give the rewards of the parallel environment, in both made by their id."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from pettingzoo.test import api_test
+    settings: dict[str, Any] = {"players": 3, "episode_steps": 60, "reward": "thesis"}
+    api_test(pettingzoo.make("aec", env_id, **settings), num_cycles=100)
+    in_turn = pettingzoo.make("aec", env_id, **settings)
+    together = pettingzoo.make("parallel", env_id, **settings)
+    assert in_turn.unwrapped.worlds.config == together.worlds.config == make_env_config(settings, env_id)
+    in_turn.reset(seed=5)
+    together.reset(seed=5)
+    generator = np.random.default_rng(0)
+    while together.agents:
+        actions = {agent: generator.integers(5) for agent in together.agents}
+        _, rewards, terminations, truncations, _ = together.step(actions)
+        for agent in actions:
+            assert in_turn.agent_selection == agent
+            in_turn.step(actions[agent])
+        assert {agent: in_turn.rewards[agent] for agent in rewards} == rewards
+        while in_turn.agents and in_turn.agent_selection not in together.agents:  # who died
+            in_turn.step(None)
+    assert not in_turn.agents
 
 
 # --- What their docstring contains --------------------------------------------------------------------

@@ -115,6 +115,7 @@ class Verdict:
         label: whether it tests: `PREREGISTERED`, `AMENDED`, `DESCRIPTIVE`, `UNVERIFIED`, or on which list's
             runs it was stated.
         changed: what has changed of the claim since its runs were trained; None if that is unknown.
+        condition_labels: what its study calls conditions for people.
     """
 
     claim: Claim
@@ -125,6 +126,7 @@ class Verdict:
     registered_verdict: str = ""
     label: str = ""
     changed: tuple[str, ...] | None = None
+    condition_labels: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def deciding(self) -> tuple[ClaimContrast, ...]:
@@ -197,6 +199,7 @@ def _judge_claim(claim_list: ClaimList, claim_runs: ClaimRuns) -> Verdict:
         contrasts=tuple(claim_contrasts),
         registered_verdict=_of_claim(claim, claim_contrasts, "registered_verdict"),
         changed=changes.changed,
+        condition_labels=claim_list.studies[claim.study].labels,
     )
     if (
         verdict.registered_verdict != word

@@ -258,19 +258,27 @@ def remedy(verdict: Verdict) -> list[str]:
 
 
 def details(verdict: Verdict) -> list[str]:
-    """Return the sentence, its context, and for each contrast conditions, numbers of runs and effect."""
+    """Return the sentence, its context, and for each contrast conditions and numbers of runs.
+
+    Its effect follows if `lines` has it not, as it does not decide.
+    """
     detail_lines = [sentence(verdict.claim), erratum(verdict.claim), verdict.claim.context]
     if verdict.lacks_runs:
         return detail_lines + [verdict.reason]
+    labels = verdict.condition_labels
     for claim_contrast in verdict.contrasts:
+        names = []
+        for listed_names in claim_contrast.names:
+            names.append(", ".join(labels.get(name, name) for name in listed_names.split(", ")))
         run_counts = " and ".join(map(str, filter(None, claim_contrast.contrast.seeds)))
-        phrases = [f"{' against '.join(claim_contrast.names)}, {run_counts} runs:"]
-        if claim_contrast.has_effect:
-            phrases.append(effect(claim_contrast))
+        detail_line = f"{' against '.join(names)}, {run_counts} runs"
+        is_deciding = any(claim_contrast is deciding for deciding in verdict.deciding)
+        if claim_contrast.has_effect and not is_deciding:
+            detail_line += f": {effect(claim_contrast)}"
         if claim_contrast.contrast.reason:
-            phrases.append(f"({claim_contrast.contrast.reason})")
-        detail_lines.append(" ".join(phrases))
-    return detail_lines
+            detail_line += f" ({claim_contrast.contrast.reason})"
+        detail_lines.append(detail_line)
+    return list(dict.fromkeys(detail_lines))
 
 
 # --- One effect ------------------------------------------------------------------------------------
