@@ -223,7 +223,7 @@ def _draw_mean(axes: Axes, curve: Curve, look: Mapping[str, Any]) -> None:
 
 
 def _draw_beside(axes: Axes, curves: Sequence[Curve], column: Column, looks: Looks) -> None:
-    """Draw the means of another study: in the colours of conditions that have their names, or else in grey."""
+    """Draw the means of another study: in the colours of conditions with their names, or else in grey."""
     assert column.beside
     beside_data = column.beside
     title = beside_data.full_title
