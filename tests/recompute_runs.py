@@ -222,15 +222,30 @@ def log_max_kl(run: Row) -> float:
     return float(np.log(max(most, 1e-8)))
 
 
-def low_entropy(run: Row) -> float:
-    """Return the share of training in stretches of updates without entropy; gaps and lengths alternate."""
+def stretches(run: Row, sign: str) -> tuple[int, list[list[int]]]:
+    """Return the steps of an update, and from where to where a sign holds; gaps and lengths alternate."""
     packed, fields = json.loads(run["signs"]), run["fields"]
-    update = fields["horizon"] * fields["slots"] * fields["players"]
-    at, steps = 0, 0
-    for place, gap in enumerate(packed["signs"]["no entropy"]):
-        at += gap * packed["unit"]
-        steps += min(at, run["end"]) + update if place % 2 else -at
-    return steps / run["end"]
+    ends = (packed["unit"] * np.cumsum([0, *packed["signs"][sign]])[1:]).reshape(-1, 2).tolist()
+    return fields["horizon"] * fields["slots"] * fields["players"], ends
+
+
+def low_entropy(run: Row) -> float:
+    """Return the share of training in stretches of updates without entropy."""
+    update, ends = stretches(run, "no entropy")
+    return sum(min(last, run["end"]) + update - first for first, last in ends) / run["end"]
+
+
+def late_updates(run: Row) -> float:
+    """Return the share of the updates in one action that end in the last quarter of the budget."""
+    update, ends = stretches(run, "one action")
+    late = [step for step in range(update, run["end"] + 1, update) if step > run["end"] - run["steps"] / 4]
+    return float(np.mean([any(first <= step <= last for first, last in ends) for step in late]))
+
+
+def lasting_spell(run: Row) -> float:
+    """Return the step of the first stretch in one action of a twentieth of the budget, or infinity."""
+    update, ends = stretches(run, "one action")
+    return min((first for first, last in ends if last - first + update >= run["steps"] / 20), default=np.inf)
 
 
 def one_action(run: Row) -> float:
@@ -265,17 +280,20 @@ OUTCOMES: dict[str, Callable[[Row], float]] = {
     "shuffled-fall": shuffled_fall,
     "late-one-action-time": one_action_time,
     "lasting-one-action-step": lasting_one_action,
+    "late-one-action-updates": late_updates,
+    "lasting-one-action-spell": lasting_spell,
+    "final-kills": lambda run: float(points(run, "kills budget-5%")[-1]),
     "curve-roughness": roughness,
     "grad-norm-growth": growth,
     "log-max-kl": log_max_kl,
     "low-entropy-share": low_entropy,
     "one-action": one_action,
 }
-HIGHER = {"final-return", "final-hp", "early-explained-variance", "late-share-killed"}
+HIGHER = {"final-return", "final-hp", "final-kills", "early-explained-variance", "late-share-killed"}
 """Outcomes of play: those of which more is better."""
 LOWER = {
     "final-died", "late-fall", "late-one-action-time", "curve-roughness", "grad-norm-growth",
-    "low-entropy-share",
+    "late-one-action-updates", "low-entropy-share",
 }  # fmt: skip
 OF_LEARNERS = {"curve-roughness", "late-fall"}
 """Outcomes that mean nothing where nothing was learned; before version 6 of the rules the first alone."""

@@ -34,7 +34,9 @@ from .recompute_runs import (
     value_of,
 )
 
-LISTS = ("claims.toml", "claims-5.toml")
+LISTS = ("claims.toml", "claims-5.toml", "claims-6.toml")
+LISTS_BEFORE = LISTS[:2]
+"""Those stated before version 6 of the rules."""
 CLOSE = 1e-6
 TOGETHER = ("range", "main-effect", "interaction")
 
@@ -95,7 +97,7 @@ def compared(
             verdict = "untestable"
             if is_complete and "not_tested" not in claim:
                 margin = margin_of(claim, outcome, world, key)
-                is_before = key == "registered_margin"
+                is_before = key == "registered_margin" and claim["list"] in LISTS_BEFORE
                 effect, alone, together, verdict = judged(
                     claim, outcome, world, (a, b), groups, alpha, margin, is_before
                 )

@@ -8,6 +8,7 @@ import re
 import runpy
 import signal
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -180,3 +181,12 @@ def test_the_random_players_returns_are_printed_as_they_are_published() -> None:
     (own,) = [line.split() for line in lines if line.startswith("godot")]
     curve, sd = measured["godot"]["mean"], measured["godot"]["sd"]
     assert own[1] == "20.4" and own[-3:] == [f"{curve[199]:,.1f}", "±", f"{sd[199]:,.1f}"]
+
+
+def test_the_random_player_plays_a_whole_run() -> None:
+    """The last point of a curve is the mean of the episodes that ended in the last twentieth."""
+    run = replace(RANDOM_RETURNS["random_run"]("godot", 0), steps=40_960)
+    episodes = RANDOM_RETURNS["play"](run)
+    late_kills = [episode["kills"] for episode in episodes if episode["step"] > 0.95 * run.steps]
+    assert 0 < len(late_kills) < len(episodes)
+    assert RANDOM_RETURNS["curve"](run, episodes, "kills")[-1] == pytest.approx(np.mean(late_kills))

@@ -38,7 +38,7 @@ from pneuma.figures.grid import Page, save_page
 from pneuma.figures.origin import KEYS
 from pneuma.figures.search import draw_search
 from pneuma.figures.shares import one_action_page
-from pneuma.figures.style import MOST_IN_A_PANEL
+from pneuma.figures.style import MOST_IN_A_PANEL, PANEL_INCHES
 from pneuma.figures.summary import summary_page
 from pneuma.figures.words import capital
 from pneuma.presets import BASES, WORLDS
@@ -46,6 +46,7 @@ from pneuma.search.log import read_published
 from pneuma.search.spec import load_search
 from pneuma.store.index import RunIndex
 from pneuma.store.provenance import available_cores
+from pneuma.store.series import MOST_OF_ONE
 from pneuma.store.store import PUBLISHED, Store
 from pneuma.study.plan import Query
 from pneuma.values import format_value
@@ -87,8 +88,13 @@ OWN_QUANTITIES = ("return", "entropy")
 THESIS_QUANTITIES = ("return", "share_killed")
 SEARCHES = {("ppo", "arena"): (), ("ppo", "text"): ("values",), ("godot", None): ("values",)}
 """The published searches that a page shows, each with its world if it has several; () is all its pictures."""
-ELSEWHERE = {"CartPole": "cartpole", "Acrobot": "acrobot", "MinAtar's Breakout": "breakout"}
-"""Studies of the same question in other environments, by the titles of their panels."""
+ELSEWHERE: Mapping[str, tuple[str, Mapping[str, Any]]] = {
+    "CartPole": ("cartpole", {}),
+    "Acrobot": ("acrobot", {}),
+    "Acrobot, rewards normalised": ("acrobot", {"normalize_rewards": True}),
+    "MinAtar's Breakout": ("breakout", {}),
+}
+"""Studies of the same question in other environments, with changed fields, by the titles of their panels."""
 WHOLE = (
     "architecture", "activation", "actor-size", "author-logs", "breakout", "cartpole", "collapse",
     "late-collapse", "published-logs", "robustness", "team", "three-updates",
@@ -98,8 +104,8 @@ EARLIER: Mapping[str, tuple[str, dict[str, Any]]] = {"fig-6-2": ("one-environmen
 """Figures that show earlier runs too: the preset and the changed fields that these have."""
 SEEN_SEEDS = range(100, 150)
 """Of runs that were known when their claims were stated. They are not drawn beside fresh ones."""
-IN_ONE_ACTION = ("betas-by-clip", "betas-longer")
-"""Studies whose figure shows when runs come to stay in one action."""
+IN_ONE_ACTION = ("betas-by-clip", "betas-longer", "xp-scope", "xp-scope-longer")
+"""Studies whose figure shows training's returns, and its updates in one action."""
 
 SETTINGS = (
     "gamma", "gae_lambda", "learning_rate", "clip_range", "horizon", "minibatch", "epochs",
@@ -209,18 +215,28 @@ def _draw_one(folder: Path, results: Path, study: str) -> list[Path]:
         pages.append(_elsewhere(index))
     elif study in IN_ONE_ACTION:
         runs_there = study_runs(index, study, "godot")
-        pages += [replace(one_action_page(find_one_action(runs_there)), basename=study)] if runs_there else []
+        pages += [_in_training(runs_there)] if runs_there else []
     elif study not in WHOLE:
         pages += _study_pages(index, study)
     return _save(folder, pages)
 
 
+def _in_training(study_data: StudyData) -> Page:
+    """Return the figure of returns in training, and of training's updates in one action."""
+    returns = curves_page(find_curves({"": study_data}, OWN_QUANTITIES[:1]), basename=study_data.study.name)
+    ((_, updates_panel),) = one_action_page(find_one_action(study_data)).grid
+    one_action = f"at least {100 * MOST_OF_ONE:g} % one action"
+    note = f"Right: updates whose rollout is {one_action}, means in 95 % intervals."
+    panels, notes = [*returns.grid[0], updates_panel], [note, *returns.caption]
+    return replace(returns, grid=[panels], inches=PANEL_INCHES, caption=notes)
+
+
 def _elsewhere(index: RunIndex) -> Page:
     columns: dict[str, StudyData] = {}
-    for title, study in ELSEWHERE.items():
-        data = study_runs(index, study, None)
+    for title, (study, settings) in ELSEWHERE.items():
+        data = study_runs(index, study, None, settings=settings)
         if data:
-            headline = {"title": "tanh or ReLU, and Adam's betas, in other environments"}
+            headline = {"title": "tanh or ReLU, and Adam's betas, in other environments", "settings": {}}
             columns[title] = replace(data, study=data.study.model_copy(update=headline))
     return curves_page(find_curves(columns), basename="elsewhere")
 

@@ -29,6 +29,8 @@ ONE_ACTION = 0.9
 """A run is in one action if that takes more than this share of an evaluation's steps."""
 LATE_SHARE = 0.25
 """The last part of the budget from which late outcomes of updates are taken."""
+LASTING_SHARE = 0.05
+"""A spell of updates in one action lasts from this share of the budget on."""
 LEAST_NORM = 1e-8
 """Smaller gradient norms count as this, in logarithms."""
 
@@ -211,6 +213,20 @@ def one_action_updates(run: Row, after_step: float, last_step: float) -> float:
     for first_step, last_of_stretch in stretches:
         in_one_action |= (update_ends >= first_step) & (update_ends <= last_of_stretch)
     return float(in_one_action.mean())
+
+
+def lasting_one_action_spell(run: Row) -> float:
+    """Return the step of the first unbroken spell of updates in one action of `LASTING_SHARE` of the budget.
+
+    Infinite if there is none; NaN if not recorded.
+    """
+    spells, update_steps = run.signs.get(ONE_ACTION_SIGN), run.update_steps
+    if spells is None or update_steps is None:
+        return NAN
+    for first_step, last_step in spells:
+        if last_step - first_step + update_steps >= LASTING_SHARE * run.budget:
+            return first_step
+    return np.inf
 
 
 def stuck_share(run: Row) -> float:

@@ -42,9 +42,9 @@ LARGEST = 1e70
 """Greater numbers count as none: their fourth powers could not be summed."""
 ONLY_IN_PNEUMA = (
     *WORLD_COLUMNS, "steps_to_clear", "hp_lost", "commonest_action", "kill_evenness", "q_estimate", "q_true",
-    "hp",
+    "hp", "kills",
 )  # fmt: skip
-"""What only runs in Pneuma's worlds record: of evaluations, and `hp` of training's episodes."""
+"""What only runs in Pneuma's worlds record: of evaluations, and `hp` and `kills` of training's episodes."""
 ONLY_ELSEWHERE = ("success", "random_return", "random_spread")
 
 

@@ -324,9 +324,10 @@ def _notes(column: Column, options: CurveOptions) -> list[str]:
     for average, averaged_words in averaged.items():
         averaged_text = " and ".join(dict.fromkeys(averaged_words))
         notes.append(f"{averaged_text[0].upper()}{averaged_text[1:]}: {average}.")
+    is_logged_beside = beside is not None and beside.averaged_over is not None
     if BUDGET_AVERAGE in averaged:
-        notes += notes_on_windows(study_data, beside)
-    if beside and beside.averaged_over is not None:
+        notes += notes_on_windows(study_data, None if is_logged_beside else beside)
+    if beside and is_logged_beside:
         beside_name = beside.study.name
         average = averaging(beside, options.window)
         notes.append(f"{beside_name}: {average}. The environment of {beside_name} is not recorded.")

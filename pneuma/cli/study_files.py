@@ -125,7 +125,7 @@ def plot(
     if drawing.beside:
         if len(drawing.beside) > 1:
             raise UserError("--beside takes one study: import the logs of several under one --name")
-        beside_data = opt.RunFilter(results=selection.results, world=selection.world).open(drawing.beside[0])
+        beside_data = _open_beside(selection, drawing.beside[0])
     if names:
         pages = [_draw(selection.open(name), drawing, beside_data) for name in names]
     else:
@@ -138,6 +138,16 @@ def plot(
     figure_files = keep_files(selection.store, out, save)
     answers = [page.answer.document for page in pages if page.answer]
     return Result({"figures": figure_files, "answers": answers}, wrote(figure_files))
+
+
+def _open_beside(selection: opt.RunFilter, name: str) -> StudyData:
+    """Open the study that is drawn beside others: its conditions of the selected names, if it has some."""
+    from pneuma.analysis.runs import configurations_of
+
+    beside = opt.RunFilter(results=selection.results, world=selection.world)
+    _, conditions, _ = configurations_of(selection.index, beside.query(name).study, selection.world)
+    same_names = [condition for condition in selection.condition or () if condition in conditions]
+    return replace(beside, condition=same_names or None).open(name)
 
 
 def _draw_all(selection: opt.RunFilter, drawing: Drawing, beside_data: StudyData | None) -> list[Page]:

@@ -46,7 +46,7 @@ MANY_RUNS = 30
 """With this many runs in a panel, their lines are fainter, so that means stay in front."""
 MOST_IN_A_NAME = 3
 """With more quantities, the name of a figure's files has their number."""
-BESIDE_COLOUR = "#404040"
+BESIDE_LOOK = {"color": "#404040"}
 RETURN_BOUNDS = {"CartPole-v1": (0.0, 500.0), "Acrobot-v1": (-500.0, 0.0), "MountainCar-v0": (-200.0, 0.0)}
 X_LABELS = {STEPS: "Environment steps", EPISODES: "Episodes", WALL_CLOCK: "Seconds of training"}
 Looks = Mapping[str, Mapping[str, Any]]
@@ -156,26 +156,17 @@ def _draw(answer: CurvesAnswer, column: Column, quantity_name: str, looks: Looks
     axis_kind, bounds = QUANTITIES[quantity_name].kind, QUANTITIES[quantity_name].bounds
     if quantity_name in ("return", EVALUATED):
         bounds = RETURN_BOUNDS.get(" ".join(study_data.environments), bounds)
-    run_count = sum(curve.run_count for curve in curves)
+    run_count = sum(curve.run_count for curve in (*curves, *beside_curves))
+    draw_spread = partial(_draw_spread, axes, options=options, bounds=bounds, run_count=run_count)
     for curve in curves:
-        look = looks[curve.condition]
-        for band in options.drawn_bands(curve.run_count):
-            frame, opacity = curve.frame(band), PALE
-            if band == INTERVAL:  # where some runs have no value, the remaining ones are no fair sample
-                edges = frame[["low", "high"]].where(frame["runs"] == curve.run_count)
-                frame, opacity = edges.assign(x=frame["x"]), DARK
-            grid.draw_band(axes, frame, bounds, color=look["color"], alpha=opacity)
-        if _shows_runs(curve, options.bands[0]):
-            line_width, opacity = 0.3 * mpl.rcParams["lines.linewidth"], 0.4 * min(1.0, MANY_RUNS / run_count)
-            axes.plot(
-                curve.runs, color=look["color"], linewidth=line_width, alpha=opacity, zorder=1.4,
-                marker=_single_marker(curve), markersize=3 * line_width,
-            )  # fmt: skip
-        _draw_mean(axes, curve, look)
+        draw_spread(curve, looks[curve.condition]["color"])
+        _draw_mean(axes, curve, looks[curve.condition])
     if column.beside:
         # Logs do not contain their environment, and may be of another panel's.
         is_foreign_there = len(answer.columns) > 1 and column.beside.averaged_over is not None
         limits = axes.get_ylim()
+        for curve in beside_curves:
+            draw_spread(curve, looks.get(curve.condition, BESIDE_LOOK)["color"])
         _draw_beside(axes, beside_curves, column, looks)
         if is_foreign_there:
             axes.set_ylim(limits)
@@ -198,6 +189,24 @@ def _draw(answer: CurvesAnswer, column: Column, quantity_name: str, looks: Looks
         axes.set_ylim(-grid.BELOW_ZERO * upper_limit, upper_limit)
 
 
+def _draw_spread(
+    axes: Axes, curve: Curve, colour: str, options: CurveOptions, bounds: tuple[float, float], run_count: int
+) -> None:
+    """Draw the bands of a curve, and its single runs where they are shown, fainter among many in a panel."""
+    for band in options.drawn_bands(curve.run_count):
+        frame, opacity = curve.frame(band), PALE
+        if band == INTERVAL:  # where some runs have no value, the remaining ones are no fair sample
+            edges = frame[["low", "high"]].where(frame["runs"] == curve.run_count)
+            frame, opacity = edges.assign(x=frame["x"]), DARK
+        grid.draw_band(axes, frame, bounds, color=colour, alpha=opacity)
+    if _shows_runs(curve, options.bands[0]):
+        line_width, opacity = 0.3 * mpl.rcParams["lines.linewidth"], 0.4 * min(1.0, MANY_RUNS / run_count)
+        axes.plot(
+            curve.runs, color=colour, linewidth=line_width, alpha=opacity, zorder=1.4,
+            marker=_single_marker(curve), markersize=3 * line_width,
+        )  # fmt: skip
+
+
 def _draw_mean(axes: Axes, curve: Curve, look: Mapping[str, Any]) -> None:
     """Draw the mean of runs, faint where some have no value, and a cross where a run diverged."""
     frame, line_width = curve.frame(), mpl.rcParams["lines.linewidth"]
@@ -214,23 +223,23 @@ def _draw_mean(axes: Axes, curve: Curve, look: Mapping[str, Any]) -> None:
 
 
 def _draw_beside(axes: Axes, curves: Sequence[Curve], column: Column, looks: Looks) -> None:
-    """Draw the runs of another study: in the colours of conditions that have their names, or else in grey."""
+    """Draw the means of another study: in the colours of conditions with their names, or else in grey."""
     assert column.beside
     beside_data = column.beside
     title = beside_data.full_title
     if beside_data.study.name == column.data.study.name and beside_data.plan:
         title = f"preset {beside_data.plan.preset}"  # the difference between runs of one study
     grey_count = sum(curve.run_count for curve in curves if curve.condition not in looks)
-    opacity = min(1.0, MANY_RUNS / len(beside_data.runs))
     for curve in curves:
-        colour, label, fading = BESIDE_COLOUR, f"{title} ({grey_count})", 1.0
+        label = f"{title} ({grey_count})"
         if curve.condition in looks:
             label_text = beside_data.study.labels.get(curve.condition, curve.condition)
-            colour, fading = looks[curve.condition]["color"], 0.6
             label = f"{label_text}, {title} ({curve.run_count})"
+        frame = curve.frame()
         axes.plot(
-            curve.runs, label=label, color=colour, alpha=fading * opacity, linewidth=0.7,
-            linestyle=(0, (3, 1)), zorder=1.3, marker=_single_marker(curve), markersize=4,
+            frame["x"], frame["mean"], label=label, color=looks.get(curve.condition, BESIDE_LOOK)["color"],
+            linewidth=0.8 * mpl.rcParams["lines.linewidth"], linestyle=(0, (3, 1)), zorder=2.1,
+            marker=_single_marker(curve), markersize=4,
         )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from pneuma.errors import UserError, unknown_name
 from pneuma.files import read_regular, read_stored, shipped_folder
 
-CLAIMS_FILES = ("claims.toml", "claims-5.toml")
+CLAIMS_FILES = ("claims.toml", "claims-5.toml", "claims-6.toml")
 """The lists of claims on the thesis, in the order in which they were stated."""
 
 

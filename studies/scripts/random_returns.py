@@ -5,8 +5,9 @@
 A policy whose weights are all zero draws each action with the same probability. It plays in four environments
 for a million steps, with the streams of twenty seeds. Returns are averaged over the twentieth of the budget
 before each of 200 points, as training curves are. In the published code's world XP is never reset, and its
-return rises by itself. The share of monsters killed is that of 20,000 episodes, played as evaluations are. It
-writes the file, says on standard error how far it is, and prints the returns after some of the steps.
+return rises by itself. `late_kills` are those of an episode in the last twentieth, as agents' `final-kills`
+are. The share of monsters killed is that of 20,000 episodes, played as evaluations are. It writes the file,
+says on standard error how far it is, and prints the returns after some of the steps.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import numpy as np
 from pneuma.config import WORLD_FIELDS, Run, as_fields, make_run
 from pneuma.engines.batched.rollout import Collector
 from pneuma.engines.evaluation import Evaluation
+from pneuma.engines.mlp import network
 from pneuma.presets import BASES, WORLDS
 from pneuma.store.series import WINDOW_POINTS, episode_curve, make_grid
 
@@ -43,45 +45,49 @@ def random_run(world: str, seed: int) -> Run:
     return make_run({**fields, "seed": seed, "steps": STEPS})
 
 
-def play(run: Run) -> np.ndarray:
-    """Return the curve of a random player's returns over a run, (200,)."""
+def play(run: Run) -> list[dict[str, Any]]:
+    """Return the episodes of a random player over a run."""
     collector = Collector(run)
     features = collector.slots.observations.shape[1]
-    uniform = (
-        (np.zeros((features, collector.actions), np.float32), np.zeros(collector.actions, np.float32)),
-    )
-    steps: list[int] = []
-    returns: list[float] = []
+    layer = np.zeros((features, collector.actions), np.float32), np.zeros(collector.actions, np.float32)
+    uniform = network((layer,), "tanh")
+    episodes = []
     for first_step in range(0, run.steps, run.steps_per_update):
-        rollout = collector.collect(uniform)
-        for episode in collector.episode_rows(rollout, first_step):
-            steps.append(episode["step"])
-            returns.append(episode["return"])
+        episodes += collector.episode_rows(collector.collect(uniform), first_step)
+    return episodes
+
+
+def curve(run: Run, episodes: list[dict[str, Any]], quantity: str) -> np.ndarray:
+    """Return the curve of a quantity of a run's episodes, (200,)."""
+    steps = np.array([episode["step"] for episode in episodes])
+    values = np.array([episode[quantity] for episode in episodes])
     grid = make_grid(run.steps)
-    return episode_curve(
-        np.array(steps), np.array(returns), grid, trailing=False, from_step=grid[WINDOW_POINTS], end=run.steps
-    )
+    return episode_curve(steps, values, grid, trailing=False, from_step=grid[WINDOW_POINTS], end=run.steps)
 
 
 def measure(world: str) -> dict[str, Any]:
     """Return a random player's kills and returns in a world, and the settings on which they depend."""
-    played = []
+    returns, late_kills = [], []
     for seed in range(SEEDS):
         print(f"\r{world}: run {seed + 1} of {SEEDS}", end="", file=sys.stderr, flush=True)
-        played.append(play(random_run(world, seed)))
+        run = random_run(world, seed)
+        episodes = play(run)
+        returns.append(curve(run, episodes, "return"))
+        late_kills.append(curve(run, episodes, "kills")[-1])
     print(file=sys.stderr)
-    curves = np.array(played)
+    curves = np.array(returns)
     evaluated = replace(random_run(world, 0), evaluation_episodes=EPISODES)
-    run = as_fields(evaluated)
-    settings = {name: run[name] for name in WORLD_FIELDS if name not in OBSERVATION_FIELDS}
+    fields = as_fields(evaluated)
+    settings = {name: fields[name] for name in WORLD_FIELDS if name not in OBSERVATION_FIELDS}
     kill_settings = {name: value for name, value in settings.items() if name not in EARNING_FIELDS}
-    settings["env"] = run["env"]
-    if run["xp_scope"] != "episode":
+    settings["env"] = fields["env"]
+    if fields["xp_scope"] != "episode":
         settings["slots"] = SLOTS
     return {
         "settings": settings,
         "kill_settings": kill_settings,
         "random_share_killed": round(Evaluation(evaluated).random_share, 4),
+        "late_kills": round(float(np.mean(late_kills)), 3),
         "steps": STEPS,
         "seeds": SEEDS,
         "mean": _numbers(curves.mean(axis=0)),

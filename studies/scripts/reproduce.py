@@ -31,7 +31,7 @@ PARTS = {
         "simplifications", "published-logs",
     ),
     "causes": (
-        "betas-by-clip", "betas-longer", "betas-learned", "sizes",
+        "betas-by-clip", "betas-longer", "betas-learned", "xp-scope", "xp-scope-longer", "sizes",
         "collapse", "late-collapse", "robustness", "noise-scale", "betas-and-units", "three-updates",
         "greedy-gap",
     ),

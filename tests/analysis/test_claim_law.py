@@ -1,8 +1,9 @@
 """A law over every shipped claim: some possible runs make it hold, and others make it fail.
 
 The runs that a is compared with are as published, of b or of a, repeated or left out to make as many as are
-asked for; those of a are possible: far better, far worse, alike, or as near together as can be. What no runs
-could show, or what only few runs could, is no test.
+asked for; those of a are possible: far better, far worse, alike, or as near together as can be. For claims
+whose runs are not published yet they are made up. What no runs could show, or what only few runs could, is no
+test.
 """
 
 from __future__ import annotations
@@ -104,7 +105,7 @@ class Planned:
             return np.full(len(published), float(kind_of_runs % 2))
         first = next(iter(self.published.values()))
         low, high = self.bounds
-        if self.claim.kind != "range":
+        if self.claim.kind not in ("range", "interaction"):
             place = 0  # all of a are higher, or all lower
         if not np.isfinite(low):
             low, high = first.mean() - 20 * np.ptp(first), first.mean() + 20 * np.ptp(first)
@@ -125,7 +126,13 @@ def of_size(runs: np.ndarray, run_count: int) -> np.ndarray:
 
 
 def values_of(claim_runs: ClaimRuns, outcome: str, condition: str) -> np.ndarray:
-    """Return an outcome of each published run, less the other outcome that it is compared with."""
+    """Return an outcome of each published run, less the other outcome that it is compared with.
+
+    Where no run is published, they are from one to two and a half margins.
+    """
+    if not claim_runs.data.of_condition(condition):
+        margin = claim_runs.claim.margin_of(claim_runs.world, outcome) or 1.0
+        return margin * np.linspace(1, 2.5, len(claim_runs.claim.seeds_of(condition)))
     values = claim_runs.values(outcome, condition)
     other = claim_runs.claim.value_of(claim_runs.world, outcome)
     return values - claim_runs.values(other, condition) if isinstance(other, str) else values

@@ -122,6 +122,7 @@ BY_HAND: dict[str, float] = {
     "shuffled-fall": 0.0,
     "late-one-action-time": 0.0,
     "lasting-one-action-step": np.inf,
+    "final-kills": 20,  # of the last episode alone
     "curve-roughness": (0.4 + 0.2 + 0.1 - 0.3) / 3,
     "late-share-killed": 0.425,  # of all four evaluations, as there are no five
     "late-greedy-share-killed": 0.2125,
@@ -136,7 +137,8 @@ BY_HAND: dict[str, float] = {
     "wall-seconds": 8,
     "steps-per-second": 125,
 }
-IN_TESTS_OF_THEIR_OWN = {"collapse-step", "low-entropy-share", "late-one-action-updates"}
+OF_UPDATES = {"low-entropy-share", "late-one-action-updates", "lasting-one-action-spell"}
+IN_TESTS_OF_THEIR_OWN = {"collapse-step", *OF_UPDATES}
 """Of runs that collapse: in `test_collapse.py`, and below."""
 
 
@@ -231,6 +233,25 @@ def test_late_updates_in_one_action_are_of_the_last_quarter_of_the_budget(tmp_pa
     assert shares == pytest.approx([0, 20 / 25, 10 / 25, 0])
 
 
+@pytest.mark.parametrize(
+    ("spells", "step"),
+    [
+        ([], np.inf),
+        ([(11, 14), (16, 19)], np.inf),  # of 100 updates, four in a row each time
+        ([(11, 14), (16, 20), (41, 100)], 1_600),  # five: a twentieth
+    ],
+)
+def test_a_spell_of_updates_in_one_action_lasts_a_twentieth_of_the_budget_unbroken(
+    tmp_path: Path, spells: list[tuple[int, int]], step: float
+) -> None:
+    store, updates = Store(tmp_path / "results"), healthy()
+    for first, last in spells:
+        updates[first - 1 : last] = one_action(first, last)[first - 1 : last]
+    save_collapse(store, "a0" * 8, updates, learning())
+    (run,) = study_of(store, {("a", 0): "a0" * 8}).rows
+    assert outcome(run, "lasting-one-action-spell") == step
+
+
 # --- What there is not ----------------------------------------------------------------------------
 
 
@@ -257,7 +278,7 @@ def test_every_outcome_has_a_value_by_hand() -> None:
 def test_outcomes_lie_within_their_bounds(data: StudyData) -> None:
     none_has = {"collapse-step"}  # of healthy runs
     # of runs whose fields do not contain the steps of an update
-    none_has |= {"low-entropy-share", "late-one-action-updates"}
+    none_has |= OF_UPDATES
     for name in (*OUTCOMES, "steps-to:0.5"):
         low, high = find_outcome(name).bounds
         values = [outcome(run, name) for run in data.rows]

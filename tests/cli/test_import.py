@@ -71,7 +71,8 @@ def test_logs_are_compared_and_drawn_with_a_study_in_what_both_have(
     assert f"{own} (activation) and mean of the last 100 episodes (old)." in called.err
     assert "leaky-relu alone, seeds 0..1, " in refused(*words, "--condition", "leaky-relu")
     plot = ("study", "plot", "activation", *SETTINGS, "--condition", "tanh", "--beside", "old")
-    printed(*plot, "--out", tmp_path / "beside.png", *at)
+    lines_of_counts = call(*plot, "--out", tmp_path / "beside.png", *at).err
+    assert "old, tanh alone: 2 of 2 runs." in lines_of_counts  # of 3, as those of relu are not drawn
     with Image.open(tmp_path / "beside.png") as image:
         _, *lines = image.info["Description"].splitlines()
     assert [line.partition(", seeds")[0] for line in lines] == ["activation, tanh", "old, tanh"]

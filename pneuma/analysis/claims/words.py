@@ -170,10 +170,19 @@ def verdict_table(by_claim: ByClaim) -> pd.DataFrame:
 
 
 def _cells(verdicts: list[Verdict]) -> list[str]:
-    """Return the cell of each verdict; with the claim's list and name if there are several."""
+    """Return the cell of each verdict; with the claim's list and name if there are several.
+
+    Claims of one list that are not trained yet stand together.
+    """
     if len(verdicts) == 1:
         return [cell(verdicts[0])]
-    return [f"{list_and_name(verdict.claim)}: {cell(verdict)}" for verdict in verdicts]
+    cells: dict[str, None] = {}
+    for verdict in verdicts:
+        name = list_and_name(verdict.claim)
+        if verdict.lacks_runs and not verdict.run_ids:
+            name = verdict.claim.list_name
+        cells[f"{name}: {cell(verdict)}"] = None
+    return list(cells)
 
 
 def list_and_name(claim: Claim) -> str:
