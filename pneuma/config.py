@@ -135,7 +135,8 @@ def _read_wrapper(wrapper: Any) -> str:
 
 _ENV = matching(
     "|".join((*ENVIRONMENTS, _FOREIGN)),
-    f"one of {', '.join(ENVIRONMENTS)}, or the id of a Gymnasium environment, as CartPole-v1",
+    f"one of {', '.join(ENVIRONMENTS)}, or the id of a Gymnasium environment with its version, as "
+    'CartPole-v1; for module:ID write env_module = "module" and env = "ID"',
     ENVIRONMENTS,
 )
 _ALGORITHM = matching(

@@ -186,7 +186,21 @@ def read_toml(path: Path) -> TomlFile:
             raise UserError(f"{MOST_JOINED_KEYS} names or more are joined by dots")
         return TomlFile(path, toml_text, normalize(tomllib.loads(toml_text)))
     except (UserError, ValueError, RecursionError) as error:  # such as endless brackets
-        raise UserError(f"{path}: not TOML: {error}") from None
+        raise UserError(f"{path}: not TOML: {error}{_open_quote(toml_text, str(error))}") from None
+
+
+def _open_quote(toml_text: str, problem: str) -> str:
+    """Return which line opens a text that is never closed; empty for another mistake of TOML."""
+    if "Illegal character '\\n'" in problem:
+        return "; the text that this line opens is not closed"
+    if not re.match(r"Unterminated string|Expected \"['\"]+\"", problem):
+        return ""
+    lines = toml_text.splitlines()
+    for quotes in ('"""', "'''", '"', "'"):
+        opened = [number for number, line in enumerate(lines, start=1) if line.count(quotes) % 2]
+        if opened:
+            return f"; the text that line {opened[-1]} opens is not closed"
+    return ""
 
 
 def read_model(

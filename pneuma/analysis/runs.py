@@ -106,6 +106,9 @@ def open_study(index: RunIndex, query: Query, say: Say = silent) -> StudyData:
         raise UserError(f"study {study_data.study.name} has no finished run in {index.store.root}")
     hint = study_data.call("run_study", index.store.root)
     where = f" None is in {index.store.root.resolve()}. Train them with `"
+    seeds = query.seeds or ()
+    if len(seeds) > 1 and seeds == tuple(range(len(seeds))):
+        problems.insert(0, f" {len(seeds)} is a count of seeds; the seed alone is '{len(seeds)},'.")
     raise UserError(*study_data.coverage.parts, where, hint, "`.", *problems)
 
 

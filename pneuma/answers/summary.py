@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 
 import pandas as pd
 
@@ -13,7 +13,7 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.answers.answer import Answer
 from pneuma.answers.cells import NO_CELL, condition_cells, pivot_cells, with_cells, with_labels
-from pneuma.answers.notes import notes_on_ends, notes_on_few_episodes, notes_on_few_runs
+from pneuma.answers.notes import MOST_NAMED, notes_on_ends, notes_on_few_episodes, notes_on_few_runs
 from pneuma.errors import Hint, UserError
 
 SHOWN = 3
@@ -185,4 +185,22 @@ def _missing_values(study_data: StudyData, summary: pd.DataFrame, outcomes: Sequ
             if condition not in untrained and (outcome, condition) not in pairs_with_values:
                 cause = reason(study_data.of_condition(condition)[0], outcome)
                 notes.append(f"{outcome}, {condition}: {cause}")
-    return notes
+    means = summary["outcome"][summary["statistic"] == "mean"]
+    return notes + _runs_without_value(study_data, pairs_with_values, outcomes or means[:1])
+
+
+def _runs_without_value(
+    study_data: StudyData, pairs_with_values: Container[tuple[str, str]], outcomes: Iterable[str]
+) -> list[str]:
+    """Return which single runs lack a value that others of their condition have, and why."""
+    left_out = []
+    for outcome in outcomes:
+        for condition, seed, run in study_data.runs[["condition", "seed", "row"]].itertuples(index=False):
+            cause = (outcome, condition) in pairs_with_values and reason(run, outcome)
+            if cause:
+                left_out.append(
+                    f"{outcome}: {condition} seed {seed}, to step {run.end:,}, is left out: {cause}"
+                )
+    if len(left_out) > MOST_NAMED:
+        left_out[MOST_NAMED:] = [f"{len(left_out) - MOST_NAMED} more runs are left out"]
+    return left_out

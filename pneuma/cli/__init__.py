@@ -135,7 +135,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         return _refuse(write_hints(Message(*error.args), write_hint))
     except typer.TyperException as error:
-        return _refuse(error.format_message() + _in_its_place(typed_words or sys.argv[1:]))
+        typed_words = typed_words or sys.argv[1:]
+        message = error.format_message()
+        return _refuse(message + _with_point(message, typed_words) + _in_its_place(typed_words))
     except (KeyboardInterrupt, typer.Abort):
         print("pneuma: stopped", file=sys.stderr)
         return STOPPED
@@ -151,6 +153,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:  # a folder that may not be read, a name too long, a full disk
         return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error) or repr(error))
     return exit_code if isinstance(exit_code, int) else 0
+
+
+def _with_point(message: str, typed_words: Sequence[str]) -> str:
+    """Return how a number with a comma is written; empty if a message is not of numbers."""
+    for word in typed_words:
+        parts = re.fullmatch(r"(?:--[\w-]+=)?(\d+),(\d+)", word)
+        if parts and "valid number" in message:
+            return f". Write {parts[1]}.{parts[2]}"
+    return ""
 
 
 def _in_its_place(typed_words: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ import functools
 import inspect
 import os
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
@@ -20,12 +21,14 @@ import typer
 from pneuma.answers.answer import Answer
 from pneuma.cli.examples import EXAMPLES
 from pneuma.cli.output import OUTPUT_FORMATS, Result, answer_result, kept_for_the_result, print_result, say
+from pneuma.config import is_gymnasium_id
 from pneuma.errors import UserError, nearest_name
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.presets import WORLDS
 from pneuma.seeds import SEEDS_ALLOWED, read_seeds
 from pneuma.store.store import Store
 from pneuma.study.plan import Query
+from pneuma.study.spec import load_study
 from pneuma.training.executors.base import EXECUTORS, LOCAL, RAY, ExecutorConfig, load_executor
 from pneuma.values import read_value
 
@@ -74,8 +77,8 @@ def choice(allowed: Iterable[str], help_text: str, metavar: str = "", name: str 
 LARGEST_COUNT = 1e15
 
 
-def count(help_text: str) -> Any:
-    """Return an option for a whole number of at least 1: 100000, 100_000 or 1e5."""
+def count(help_text: str, form: str = "of at least 1") -> Any:
+    """Return an option for a whole number of at least 1; a message on another one has its `form`."""
 
     def read(typed: str) -> int:
         try:
@@ -83,7 +86,7 @@ def count(help_text: str) -> Any:
         except ValueError:
             number = 0.0
         if not (1 <= number <= LARGEST_COUNT and number.is_integer()):
-            raise WrongText(f"{typed}: must be a whole number from 1 to 1e15, as 100_000 or 1e5")
+            raise WrongText(f"{typed}: must be a whole number {form}")
         return int(number)
 
     return option("N", help_text, read)
@@ -99,6 +102,12 @@ def seeds(help_text: str, first_seed: int = 0) -> Any:
             raise WrongText(f"{typed}: must be {SEEDS_ALLOWED}") from None
 
     return option("N|LIST", help_text, read)
+
+
+def _read_folder(typed: str) -> Path:
+    if os.path.isfile(os.path.expanduser(typed)):
+        raise WrongText(f"{typed}: is not a folder")
+    return Path(typed)
 
 
 def _read_setting(typed: str) -> tuple[str, Any]:
@@ -118,7 +127,7 @@ SeveralRead = list[Any] | None
 Study = Annotated[str, argument("NAME[@PRESET]", "A study's name, or the path of its file (….toml).")]
 RunId = Annotated[str, argument("RUN_ID", "A stored run's id, or its first digits.")]
 HERE = Path("results")
-Results = Annotated[Path, option("DIR", "Results folder.", envvar="PNEUMA_RESULTS")]
+Results = Annotated[Path, option("DIR", "Results folder.", _read_folder, envvar="PNEUMA_RESULTS")]
 Format = Annotated[str, choice(OUTPUT_FORMATS, "Output format; --json is the same as --format json.")]
 TABLE = OUTPUT_FORMATS[0]
 """The default of `Format`."""
@@ -128,7 +137,9 @@ Force = Annotated[bool, flag("--force", "Replace the file even if Pneuma did not
 Trust = Annotated[bool, flag("--trust", "Load the files, code and environment arguments that the run names.")]
 RetryFailed = Annotated[bool, flag("--retry-failed", "Retry runs that crashed before.")]
 Seeds = Annotated[Any, seeds("A count N (seeds 0 to N-1), or a list: 3,5,8 or 1..5 ('7,' is only seed 7).")]
-Steps = Annotated[Any, count("Steps of each run; the last update is completed.")]
+Steps = Annotated[
+    Any, count("Steps of each run; the last update is completed.", "from 1 to 1e15, as 100_000 or 1e5")
+]
 Conditions = Annotated[Several, option("NAME", "Include only this condition (repeatable).")]
 _CHANGE = "Change a setting of the run or the world (repeatable)."
 Settings = Annotated[SeveralRead, option("KEY=VALUE", _CHANGE, _read_setting, "--set")]
@@ -175,7 +186,16 @@ class RunFilter:
             conditions=tuple(self.condition or ()),
             settings=dict(self.set_ or ()),
         )
-        return query.named(study_name)
+        query = query.named(study_name)
+        if self.world:
+            with suppress(UserError):  # a mistake in its file is told where it is read
+                study = load_study(query.study)
+                envs = {str(study.fields(condition).get("env", "")) for condition in study.conditions}
+                if all(is_gymnasium_id(env) for env in envs):
+                    raise typer.BadParameter(
+                        f"--world {self.world}: has no effect in {', '.join(sorted(envs))}"
+                    )
+        return query
 
     @property
     def store(self) -> Store:

@@ -203,7 +203,9 @@ def promote(
 ) -> Result:
     """Compare a search's best trial with its base on fresh seeds: write that study and run it."""
     from pneuma import api
+    from pneuma.answers.planned import plan_answer
     from pneuma.search.promote import BASE, TUNED, find_trial, promotion_study, write_study
+    from pneuma.store.index import RunIndex
     from pneuma.study.plan import Query
 
     store, search_record = location.store, location.read(name)
@@ -220,8 +222,9 @@ def promote(
         return Result({"study": out, **document}, notes=[f"wrote {out}", train_with])
     study_path = write_study(store, search_record, study_text)
     say(f"wrote {study_path}", quiet=quiet)
-    planned = api.plan_study(Query(str(study_path)), store, say)
-    trained = train_study(planned, store, opt.Resources(workers).config(), retry_failed=True, quiet=quiet)
+    planned, config = api.plan_study(Query(str(study_path)), store, say), opt.Resources(workers).config()
+    say("\n".join(plan_answer(RunIndex(store), planned, config.workers).legend), quiet=quiet)
+    trained = train_study(planned, store, config, retry_failed=True, quiet=quiet)
     notes = list(trained.notes)
     if not trained.code:
         notes.append(f"Compare them with: {command('study', 'compare', study_path, TUNED, BASE, *results)}")

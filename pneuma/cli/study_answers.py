@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pneuma.answers.answer import Answer
 from pneuma.cli import options as opt
-from pneuma.errors import UserError
+from pneuma.errors import MOST_LISTED, UserError
 
 PAPER_FORMATS = ("markdown", "latex")
 """Forms of a table for pages and papers."""
@@ -63,7 +63,10 @@ def compare(
     if a and b and not with_:
         study_data = selection.open(comparison.narrowed(selection.query(name), a, b))
         return comparison.compare(study_data, a, b, outcome or ())
-    raise UserError("name two conditions, A and B, or no condition and --with STUDY")
+    from pneuma.analysis.runs import find_study
+
+    listed = "; ".join(find_study(selection.index, selection.query(name)).conditions[:MOST_LISTED])
+    raise UserError(f"name two conditions, A and B, or no condition and --with STUDY: {listed}")
 
 
 def collapse(name: opt.Study, selection: opt.RunFilter) -> Answer:

@@ -85,6 +85,7 @@ def import_csv(
     monitors: dict[Path, str] = {}
     for path in sorted(set(paths)):
         text = read_text(path)
+        _refuse_other_kinds(path, text)
         if text.startswith("#"):
             monitors[path] = text
         else:
@@ -181,6 +182,19 @@ def _read_runs(path: Path, shared_folder: Path, file_text: str, columns: Columns
         yield log
 
 
+def _refuse_other_kinds(path: Path, file_text: str) -> None:
+    """Refuse a study's file, JSON, and a table with comments above its header, which is no monitor."""
+    problem = ""
+    if path.suffix == ".toml":
+        problem = "a TOML file; `pneuma study run` trains a study"
+    elif path.suffix in (".json", ".jsonl") or file_text.lstrip()[:1] in ("{", "["):
+        problem = "JSON; write its numbers as a table"
+    elif re.match(r"#(?!\s*\{)", file_text):
+        problem = "a table with comments; remove the lines that begin with #"
+    if problem:
+        raise UserError(f"{path}: is {problem}")
+
+
 def _read_cells(path: Path, file_text: str) -> pd.DataFrame:
     """Return the cells of a table as text, by the number of their row."""
     header_line = file_text.partition("\n")[0]
@@ -194,12 +208,15 @@ def _read_cells(path: Path, file_text: str) -> pd.DataFrame:
         column_count = header_line.count(",") + 1
         raise UserError(f"{path}: has {column_count:,} columns; {MOST_COLUMNS:,} are the most")
     try:
-        cell_rows = pd.read_csv(io.StringIO(file_text), header=None, dtype=str, keep_default_na=False)
+        cell_rows = pd.read_csv(
+            io.StringIO(file_text), header=None, dtype=str, keep_default_na=False, skip_blank_lines=False
+        )
     except ValueError as error:
         raise UserError(f"{path}: cannot be read as CSV ({str(error).strip()})") from None
+    cell_rows.index += 1
+    cell_rows = cell_rows[~cell_rows.isin(["", None]).all(axis="columns")]  # blank lines count as rows
     if len(cell_rows) < 2:
         raise UserError(f"{path}: has no rows below its header")
-    cell_rows.index += 1
     is_named = cell_rows.iloc[0].str.strip() != ""  # a nameless column is an index, as pandas writes it
     cell_rows = cell_rows.loc[:, is_named]
     header = cell_rows.iloc[0].str.strip()

@@ -16,7 +16,7 @@ from typing import Any
 
 import pandas as pd
 
-from pneuma.errors import Hint, Message, UserError, counted
+from pneuma.errors import Hint, Message, UserError, counted, print_aside
 from pneuma.files import checksum, to_json
 from pneuma.store.row_builder import cells_of_files
 from pneuma.store.rows import encode_row
@@ -120,6 +120,7 @@ def store_logs(
         text = f"study {study_name} has other runs; give "
         raise UserError(text, Hint("name", study_name), " to add to them, or another name")
     store.check_writable()
+    print_aside(f"Storing {counted(len(kept_logs), 'run')} as the study {study_name} in {store.root}.")
     for log in kept_logs:
         log.new = not store.status(log.run_id).finished
         if log.new:

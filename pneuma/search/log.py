@@ -206,9 +206,16 @@ def read_published(store: Store, search: Search) -> Record:
         if os.path.lexists(log_path):
             return _read(log_path, search, is_published=True)
     raise UserError(
-        f"search {search.label} was not run in {store.root}: start it with `pneuma search run`, "
+        f"search {search.label} was not run in {store.root}: start it with `{_run_command(search)}`, "
         "or name another results folder"
     )
+
+
+def _run_command(search: Search) -> str:
+    words = ["pneuma search run", search.name]
+    if search.label != search.name:
+        words += ["--world", search.world]
+    return " ".join(words)
 
 
 def _read(log_path: Path, search: Search, is_published: bool = False) -> Record:

@@ -21,6 +21,7 @@ from pneuma.config import (
     Run,
     as_fields,
     batched_limitation,
+    effective_fields,
     is_gymnasium_id,
     make_run,
 )
@@ -304,7 +305,8 @@ def default_preset(study: Study) -> str:
 def find_preset(study: Study, preset_name: str) -> Preset:
     """Return a preset by its name; a UserError that lists the study's presets."""
     if preset_name not in study.presets:
-        raise unknown_name(f"preset of study {study.name}", preset_name, list(study.presets) + [LAST, CLAIMS])
+        others = [LAST] if study.own_path else [LAST, CLAIMS]
+        raise unknown_name(f"preset of study {study.name}", preset_name, [*study.presets, *others])
     return study.presets[preset_name]
 
 
@@ -317,6 +319,17 @@ def _notes(study: Study, steps: int | None, runs: Mapping[str, Run]) -> list[str
         if steps and steps != run.trained_steps:
             update = run.steps_per_update
             notes.append(f"{run.trained_steps:,} steps are trained, because an update has {update:,}")
+    for run in runs.values():
+        rest = run.horizon * run.slots % run.minibatch
+        if (
+            run.minibatch < run.horizon * run.slots
+            and rest
+            and {"minibatch", "epochs"} <= effective_fields(run)
+        ):
+            notes.append(
+                f"minibatch = {run.minibatch} does not divide an update's {run.horizon * run.slots:,} steps: "
+                f"the last one has {rest}"
+            )
     names_by_amount: dict[int, list[str]] = {}
     for name, run in runs.items():
         names_by_amount.setdefault(run.trained_steps, []).append(name)

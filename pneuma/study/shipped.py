@@ -97,6 +97,8 @@ def find_file(
             return folder / f"{study_name}.toml"
         if name in shipped_names(folder / "search"):
             raise UserError(f"{name} is a search, not a study: `pneuma search run {name}`")
+    elif name in shipped_names(folder.parent):
+        raise UserError(f"{name} is a study, not a search: `pneuma study run {name}`")
     listed_names = list(other_names)
     if name in listed_names:
         raise UserError(f"study {name}: the record of its runs is damaged; import it again")

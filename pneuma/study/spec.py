@@ -25,7 +25,7 @@ from annotated_types import MinLen
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from pneuma.algorithms import has_rollouts
-from pneuma.config import Run, Steps, effective_fields, make_run
+from pneuma.config import WORLD_FIELDS, Run, Steps, effective_fields, is_gymnasium_id, make_run
 from pneuma.env.fields import ENVIRONMENT_SLOTS, ENVIRONMENTS, read_field
 from pneuma.errors import MOST_LISTED, UserError, unknown_name
 from pneuma.field_types import OneOf, Reads, matching
@@ -100,7 +100,10 @@ def _read_fields(run_table: dict[str, Any]) -> dict[str, Any]:
             if field_name in MISPLACED:
                 raise UserError(f"{field_name} is not allowed here: {MISPLACED[field_name]}")
             if field_name not in Run.__dataclass_fields__:
-                raise UserError(f"{unknown_name('key', field_name, Run.__dataclass_fields__)}; {ZOO_HINT}")
+                known_names = list(Run.__dataclass_fields__)
+                if is_gymnasium_id(str(fields.get("env", ENVIRONMENTS[0]))):
+                    known_names = [name for name in known_names if name not in WORLD_FIELDS]
+                raise UserError(f"{unknown_name('key', field_name, known_names)}; {ZOO_HINT}")
             read_values[field_name] = read_field(Run, field_name, field_value)
         except UserError as error:
             key = keys_by_field[field_name]

@@ -14,11 +14,14 @@ from scipy import stats
 from pneuma.analysis.export import encode_frame
 from pneuma.analysis.intervals import number_with_interval
 from pneuma.analysis.outcomes import reason
+from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.answers.comparison import compare
 from pneuma.answers.summary import summarize
+from pneuma.store.index import RunIndex
 from pneuma.store.store import Store
+from pneuma.study.plan import Query
 
 from ..hand_made import BUDGET, healthy, learning, save_collapse, study_of
 
@@ -192,3 +195,11 @@ def test_the_overview_has_five_columns_and_what_never_happens_is_a_line(tmp_path
     sound = summarize(study_of(store, cells))
     assert [*sound.cells[0]] == [*heads, "greedy-share-killed"]
     assert sound.legend[0] == "No run collapsed or diverged."
+
+
+def test_a_run_without_the_value_that_others_of_its_condition_have_is_named() -> None:
+    """The author's log of 1,024 steps has no return."""
+    index = RunIndex(Store("none"))
+    notes = summarize(open_study(index, Query(study="author-logs"))).notes
+    cause = "the run has nothing that final-return is taken from (return) in a study of imported logs"
+    assert f"final-return: policy_big_tanh seed 2, to step 1,024, is left out: {cause}" in notes

@@ -57,6 +57,13 @@ MISTAKES = {
     f"{RUN} --seeds 0..{10**20}": "must be a count",
     f"{RUN} --preset claims": "pneuma/engines/ppo.py is not as committed (2 files",
     "study summary activation@last": "activation@last: was not run in",
+    f"{RUN} --workers 0": "--workers 0: must be a whole number of at least 1",
+    "search run activation": "activation is a study, not a search: `pneuma study run activation`",
+    "search plot tune-ppo --world godot": "`pneuma search run tune-ppo --world godot`",
+    "study compare activation": "no condition and --with STUDY: tanh; relu; leaky-relu",
+    "study plot activation --width 3,25": "Write 3.25",
+    "study publish activation --seeds 77": "77 is a count of seeds; the seed alone is '77,'.",
+    "study plan cartpole --world text": "--world text: has no effect in CartPole-v1",
     "study summary activation --world mars": "--world mars: must be one of",
     "study summary own-game --world text": "study own-game cannot run in the world text",
     "study summary activation@quick --preset paper": "names the preset quick; leave out paper",
@@ -155,3 +162,36 @@ def test_only_changes_of_code_and_studies_keep_claims_from_being_trained(tmp_pat
     (tmp_path / "studies" / "new.toml").write_text("")
     (tmp_path / "pneuma" / "code.py").write_text("2")
     assert uncommitted(tmp_path) == ["pneuma/code.py", "studies/"]
+
+
+STUDY = 'title = "Cart"\n[run]\nenv = "{}"\n{}\n[conditions.a]\n[presets.quick]\nseeds = 1\nsteps = 64\n'
+FILES = {
+    'title = "Cart\n[run]\n': "at line 1, column 14); the text that this line opens is not closed",
+    'title = "a"\nabout = """\nit is\n[run]\n': "the text that line 2 opens is not closed",
+    "title = 'it\n": "the text that line 1 opens is not closed",
+    STUDY.format("CartPole", ""): "with its version, as CartPole-v1",
+    STUDY.format("mine:Cart-v1", ""): 'write env_module = "module" and env = "ID"',
+    STUDY.format("CartPole-v1", "foo_bar = 1"): "known are env_kwargs, normalize_rewards, algorithm_kwargs",
+}
+
+
+@pytest.mark.parametrize("text", FILES)
+def test_a_mistake_in_a_file_is_named(text: str, here: Path) -> None:
+    (here / "mine.toml").write_text(text)
+    assert FILES[text] in refused("study", "plan", "mine.toml")
+
+
+def test_presets_and_folders_that_cannot_be_are_not_offered(here: Path) -> None:
+    (here / "mine.toml").write_text(STUDY.format("CartPole-v1", ""))
+    assert refused("study", "plan", "mine.toml@paper").endswith("known are quick, last")
+    for command in ("study summary activation", "study run activation", "run list"):
+        assert "--results mine.toml: is not a folder" in refused(*command.split(), "--results", "mine.toml")
+
+
+@pytest.mark.parametrize(("minibatch", "rest"), [(100, 48), (64, 0), (4096, 0)])
+def test_a_minibatch_that_does_not_divide_an_update_is_noted(minibatch: int, rest: int, here: Path) -> None:
+    """An update has 2,048 steps, of which 20 minibatches of 100 leave 48."""
+    (here / "mine.toml").write_text(STUDY.format("CartPole-v1", f"minibatch = {minibatch}"))
+    called = call("study", "plan", "mine.toml")
+    note = f"minibatch = 100 does not divide an update's 2,048 steps: the last one has {rest}"
+    assert called.code == 0 and (note in called.out + called.err) == bool(rest)

@@ -36,6 +36,7 @@ def test_an_import_is_drawn_and_published_and_drawn_again(
     folders = [logs / name for name in ("relu_1", "tanh_1", "tanh_2")]
     again = call("import", "tensorboard", *folders, "--results", results)
     assert "3 runs, 63 points; 0 imported now, 3 were stored." in again.out
+    assert f"Storing 3 runs as the study old in {results}." in again.err  # before it takes time
     monkeypatch.chdir(results.parent)  # a figure contains the folder that it was drawn from
     assert call("study", "plot", "old", "--results", "results")[0] == 0
     assert call("study", "publish", "old", "--results", results)[0] == 0

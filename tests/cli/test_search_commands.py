@@ -102,6 +102,7 @@ def test_the_best_trial_is_promoted_on_fresh_seeds_by_a_command_and_in_python(
     monkeypatch.chdir(searched[1].parent)
     trained = call("search", "promote", searched[0], "--seeds", "5")
     assert "pneuma study plot results/searches/promoted-small-arena.toml\n" in trained.out
+    assert trained.err.index("Time to train: about") < trained.err.index("Training 10 runs")
     at = ("--results", searched[1])
     document = described("search", "promote", searched[0], *at, "--seeds", "5", "--json")
     study = searched[1] / "searches" / "promoted-small-arena.toml"

@@ -304,7 +304,7 @@ def test_a_monitors_folder_names_its_run() -> None:
     ("text", "options", "message"),
     [
         (HEADER + "1,10,1\n2,1", "", "a row lacks its return r, length l or time t"),
-        ("# mine\nr,l,t\n1,10,1\n", "", "is not a monitor of Stable-Baselines3"),
+        ("# mine\nr,l,t\n1,10,1\n", "", "is a table with comments; remove the lines that begin with #"),
         ('#{"t_start": "x"}\nr,l,t\n1,10,1\n', "", "is not a monitor of Stable-Baselines3"),
         (HEADER + "1,10,1\n2,13,10,2\n", "", "is not a monitor of Stable-Baselines3"),
         (HEADER + "1,10,1\n", "--step l --value r", "leave out --step and --value"),
@@ -319,3 +319,23 @@ def test_a_monitors_folder_names_its_run() -> None:
 )
 def test_a_monitor_that_cannot_be_read_whole_is_refused(text: str, options: str, message: str) -> None:
     assert message in refused("import", "csv", write("a.monitor.csv", text), *options.split())
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "kind"),
+    [
+        ("study.toml", 'title = "x"\n', "is a TOML file"),
+        ("result.json", '{"a": 1}\n', "is JSON"),
+        ("a.csv", '[{"a": 1}]\n', "is JSON"),
+        ("a.csv", "# by hand\nstep,return\n1,2\n", "is a table with comments"),
+    ],
+)
+def test_a_file_of_another_kind_is_named(name: str, text: str, kind: str) -> None:
+    assert f"{name}: {kind}" in refused("import", "csv", write(name, text))
+
+
+def test_blank_lines_count_as_rows_in_messages() -> None:
+    text = "step,return\n\n\n1,2\n\n2,x\n"
+    assert "b.csv, row 6: 'x' in column return" in refused(
+        "import", "csv", write("b.csv", text), "--step", "step", "--value", "return"
+    )
