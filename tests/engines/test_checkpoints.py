@@ -31,8 +31,10 @@ def test_a_run_that_goes_on_ends_as_if_it_had_never_stopped(case: str) -> None:
     for checkpoint in (checkpoints[0], checkpoints[-2]):
         np.random.seed(1)
         torch.manual_seed(1)  # whatever other runs drew meanwhile
-        resumed, _ = train(run, decode(encode(checkpoint, {}, ""))[0])
+        read, _ = decode(encode(checkpoint, {}, ""))
+        resumed, _ = train(run, read)
         assert bits(resumed) == bits(whole), checkpoint.step
+        assert len(read.records.metrics) == len(checkpoint.records.metrics)  # it can be resumed from again
 
 
 @pytest.mark.parametrize("case", ["slots", "dqn", "cartpole", "cartpole sb3"])
