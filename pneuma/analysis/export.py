@@ -81,6 +81,18 @@ _MARKDOWN = {
     "<": "&lt;", "](": r"]\(", "|": r"\|", "\n": "<br>", "://": "&#58;//", "www.": "www&#46;",
 }  # fmt: skip
 """What ends a cell of Markdown, or makes a link, a picture or a program of it."""
+_CELL = re.compile(r"[-−+]?[\d,.]+(e[-+]?\d+)?( ± \S+| \[[^]]*\])?( \(n = \d+\))?( %)?")
+_SIGNS = r"[\w\s^_{}()\[\]+\-*/=<>.,|'\\]*"
+_MATHEMATICS = re.compile(rf"\${_SIGNS}[\\^_]{_SIGNS}\$", re.ASCII)
+_UNFINISHED = re.compile(r"[_^]\s*[_^}$]")
+_COMMAND = re.compile(
+    r"\\(alpha|beta|gamma|delta|epsilon|varepsilon|eta|theta|vartheta|kappa|lambda|mu|nu|pi|rho|sigma|tau|phi"
+    r"|varphi|psi|omega|Delta|Theta|Lambda|Pi|Sigma|Phi|Psi|Omega|ell|infty|nabla|partial|pm|times|cdot|leq|geq"
+    r"|neq|approx|sim|to|rightarrow|log|exp|max|min|sqrt|frac|sum|hat|bar|tilde|mathrm|mathcal|mathbf)"
+)
+"""What a name's formula may have; others, as \\input, would act in the document."""
+FIRST_PRIVATE, MOST_FORMULAS = 0xE000, 6400
+"""Letters without a meaning, of which visible text has none."""
 _FORMULA = re.compile(r"(^|;)(?=\s*[=+\-@＝＋－＠])")
 """Where a spreadsheet takes text for a formula; where commas are decimal, its cells may end at semicolons."""
 _NUMBER = re.compile(r"[+-]?[\d.]+(e[+-]?\d+)?", re.IGNORECASE | re.ASCII)
@@ -103,6 +115,11 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
     is_numeric = [pd.api.types.is_numeric_dtype(column_type) for column_type in frame.dtypes]
     encode = _latex if form == "latex" else _markdown
     return encode(cells, is_numeric).encode()
+
+
+def _is_number(text: str) -> bool:
+    """Return whether a cell is a number, perhaps with its interval or deviation, or has no value."""
+    return text in ("–", "never") or _CELL.fullmatch(text) is not None
 
 
 def _visible(text: str) -> str:
@@ -147,17 +164,34 @@ def _formatted(value: object) -> str:
 
 
 def _latex(cells: pd.DataFrame, is_numeric: Sequence[bool]) -> str:
+    formulas: list[str] = []
+
+    def keep(formula: re.Match[str]) -> str:
+        """Put a letter that no text has in the place of a formula of known commands, which is not escaped."""
+        is_known = all(map(_COMMAND.fullmatch, re.findall(r"\\[a-zA-Z]*", formula[0])))
+        is_whole = formula[0].count("{") == formula[0].count("}") and not _UNFINISHED.search(formula[0])
+        if not (is_known and is_whole) or len(formulas) == MOST_FORMULAS:
+            return formula[0]
+        formulas.append(formula[0])
+        return chr(FIRST_PRIVATE + len(formulas) - 1)
+
+    cells = cells.map(lambda text: _MATHEMATICS.sub(keep, text))
+    cells.columns = cells.columns.map(lambda text: _MATHEMATICS.sub(keep, text))
     column_format = ""
     for position, is_number in enumerate(is_numeric):
         if cells.iloc[:, position].str.len().max() > LONGEST_IN_A_LINE:
             column_format += PARAGRAPH
         else:
+            texts = cells.iloc[:, position]  # which may be numbers with their intervals
+            is_number = is_number or bool(texts.map(_is_number).all() and texts.str.contains(r"\d").any())
             column_format += "r" if is_number else "l"
     is_long = len(cells) > LINES_OF_A_PAGE
     latex = cells.to_latex(index=False, escape=True, column_format=column_format, longtable=is_long)
     with_signs = re.sub(r"(?<![\w-])-(?=\d)", "$-$", latex)  # no hyphens before numbers
     packages = "packages booktabs and longtable" if is_long else "package booktabs"
-    return f"% needs the {packages}\n{with_signs.translate(_LATEX)}"
+    latex = with_signs.translate(_LATEX)
+    latex = re.sub(r"[\ue000-\uf8ff]", lambda letter: formulas[ord(letter[0]) - FIRST_PRIVATE], latex)
+    return f"% needs the {packages}\n{latex}"
 
 
 def _markdown(cells: pd.DataFrame, is_numeric: Sequence[bool]) -> str:

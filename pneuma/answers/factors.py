@@ -98,10 +98,15 @@ def compare_factors(study_data: StudyData, a: str, b: str, outcomes: Sequence[st
 
 def level_label(study_data: StudyData, factor: str, level: str) -> str:
     """Return what a level is called by the study's file, or its factor and value."""
-    study = study_data.study
-    if factor == CONDITION or level in study.factors.get(factor, {}):
-        return study.labels.get(level, level)
-    return study.labels.get(f"{factor}={level}", f"{_words(factor)} {level}")
+    label = labelled(study_data, factor, level)
+    is_named = factor == CONDITION or level in study_data.study.factors.get(factor, {})
+    return label if is_named or label != level else f"{_words(factor)} {level}"
+
+
+def labelled(study_data: StudyData, factor: str, level: str) -> str:
+    """Return the label of a level in the study's file, or else the level itself."""
+    labels = study_data.study.labels
+    return labels.get(level) or labels.get(f"{factor}={level}", level)
 
 
 def _words(factor: str) -> str:

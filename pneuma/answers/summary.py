@@ -13,6 +13,7 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.answers.answer import Answer
 from pneuma.answers.cells import NO_CELL, condition_cells, pivot_cells, with_cells, with_labels
+from pneuma.answers.factors import labelled
 from pneuma.answers.notes import MOST_NAMED, notes_on_ends, notes_on_few_episodes, notes_on_few_runs
 from pneuma.errors import Hint, UserError
 
@@ -142,7 +143,11 @@ def _paper_cells(study_data: StudyData, summary: pd.DataFrame, outcomes: Sequenc
     )
     cell_table = cell_table[(cell_table.drop(columns="runs") != NO_CELL).any(axis=1)]
     if study_data.study.levels:
-        levels = pd.DataFrame([study_data.study.levels[condition] for condition in cell_table.index])
+        rows = []
+        for condition in cell_table.index:
+            condition_levels = study_data.study.levels[condition].items()
+            rows.append({factor: labelled(study_data, factor, level) for factor, level in condition_levels})
+        levels = pd.DataFrame(rows)
         levels.columns = levels.columns.str.replace("_", " ")
         cell_table.index = pd.MultiIndex.from_frame(levels)
     return cell_table.reset_index()

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from matplotlib import style as sheets
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import findfont, get_font
+from matplotlib.mathtext import MathTextParser
 from matplotlib.text import Text
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
@@ -42,6 +44,9 @@ MOST_IN_A_PANEL = len(MARKERS)
 
 INK, GREY = "#222222", "#777777"
 
+FORMULA = re.compile(r"\$[^$]*[\\^_][^$]*\$")
+LONGEST_FORMULA = 300
+"""Most letters of a text that is tried as mathematics."""
 LARGEST_SHEET = 2**20
 """Most bytes of a style sheet."""
 SHEET, FONT = Path(__file__).with_name("pneuma.mplstyle"), "DejaVu Sans"
@@ -147,6 +152,7 @@ def save_figure(
     for label in figure.findobj(Text):  # labels of ticks are cleaned where they are set
         label.set_text(clean(label.get_text()))
     _lay_out(figure)
+    _draw_mathematics(figure)
     paths: list[Path] = []
     for file_format in formats:
         path = folder / f"{basename}.{file_format}"
@@ -181,6 +187,21 @@ def _note_missing_letters(figure: Figure) -> None:
         print_aside(
             f"Figures' font lacks {glyphs}, drawn as boxes; rename conditions in the study's [labels]."
         )
+
+
+def _draw_mathematics(figure: Figure) -> None:
+    """Let texts with formulas, as the label $x_2$, be drawn as such where all their lines parse.
+
+    A formula has a command, an index or a power: the condition $x$ and prices stay as they are.
+    """
+    parser = MathTextParser("path")
+    for label in figure.findobj(Text):
+        lines = label.get_text().split("\n")
+        if len(label.get_text()) <= LONGEST_FORMULA and any(map(FORMULA.search, lines)):
+            with suppress(Exception):  # what is no formula raises different errors
+                for line in lines:
+                    parser.parse(line)
+                label.set_parse_math(True)
 
 
 def clean(text: str) -> str:

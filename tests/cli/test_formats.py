@@ -136,7 +136,7 @@ def test_the_thesis_tables_are_printed_as_they_stand_there() -> None:
     printed_there = "0.99 3e-4 0.95 0.2 2048 64 15 1 0.01"
     assert " ".join(row["Table 6.1"] for row in rows) == printed_there
     latex = printed("study", "table", "table-6-2", "--format", "latex")
-    assert latex.isascii() and "\n\\begin{tabular}{ll}\n\\toprule\n" in latex
+    assert latex.isascii() and "\n\\begin{tabular}{lr}\n\\toprule\n" in latex
     assert r"Clipping parameter $\epsilon$ & 0.1 \\" in latex and "Table 6.1" not in latex
     assert "did you mean table-6-2?" in refused("study", "table", "table-62")
 
