@@ -72,7 +72,7 @@ def alternated(*works: Callable[[], object]) -> list[list[float]]:
 
 
 def rules() -> Iterator[Row]:
-    works = {
+    works: dict[str, Callable[[], object]] = {
         "rules, one world": kernel(1), "rules, 64 worlds": kernel(64),
         "Gymnasium, one world": partial(single, gymnasium.make(ARENA)),
         "Gymnasium, CartPole-v1": partial(single, gymnasium.make("CartPole-v1")),
