@@ -72,8 +72,10 @@ def alternated(*works: Callable[[], object]) -> list[list[float]]:
 
 
 def rules() -> Iterator[Row]:
-    works = {
-        "rules, one world": kernel(1), "rules, 64 worlds": kernel(64), "Gymnasium, one world": single,
+    works: dict[str, Callable[[], object]] = {
+        "rules, one world": kernel(1), "rules, 64 worlds": kernel(64),
+        "Gymnasium, one world": partial(single, gymnasium.make(ARENA)),
+        "Gymnasium, CartPole-v1": partial(single, gymnasium.make("CartPole-v1")),
     }  # fmt: skip
     for name, seconds in zip(works, alternated(*works.values()), strict=True):
         yield name, KERNEL_STEPS / median(seconds), "agent steps a second"
@@ -94,11 +96,10 @@ def kernel(count: int) -> Callable[[], None]:
     return play
 
 
-def single() -> None:
-    """Play the arena at random through Gymnasium."""
-    env = gymnasium.make(ARENA)
+def single(env: Any) -> None:
+    """Play at random through Gymnasium."""
     env.reset(seed=0)
-    for action in np.random.default_rng(0).integers(5, size=KERNEL_STEPS):
+    for action in np.random.default_rng(0).integers(env.action_space.n, size=KERNEL_STEPS):
         *_, terminated, truncated, _ = env.step(action)
         if terminated or truncated:
             env.reset()

@@ -27,6 +27,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     made = {
         "index.md": _page("README.md"),
         "contributing.md": _page("CONTRIBUTING.md"),
+        "security.md": _page("SECURITY.md"),
         "commands.md": _commands(),
         "api.md": _modules(),
     }
@@ -45,7 +46,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 def _page(name: str) -> str:
     """Return a page of the repository's root, with links as they are within docs/."""
     text = (ROOT / name).read_text(encoding="utf-8").replace("](docs/", "](")
-    return text.replace("](CONTRIBUTING.md", "](contributing.md")
+    return text.replace("](CONTRIBUTING.md", "](contributing.md").replace("](SECURITY.md", "](security.md")
 
 
 def _commands() -> str:

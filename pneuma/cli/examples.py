@@ -31,6 +31,7 @@ EXAMPLES = {
     "env render": "pneuma/PneumaArena-v0 --out map.png",
     "report": "cartpole --out report.html",
     "import tensorboard": "logs/PPO_1 logs/PPO_2",
+    "import zoo": "ppo.yml --env CartPole-v1 --out study.toml",
     "import csv": "runs.csv --step step --value return",
 }
 """The words after the command's own."""

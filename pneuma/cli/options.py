@@ -256,7 +256,7 @@ class Commands(typer.Typer):
 
         def add(function: Callable[..., Result | Answer]) -> Any:
             words = f"{self.info.name} {name or function.__name__}".strip()
-            example = f"Example: pneuma {words} {EXAMPLES[words]}".rstrip()
+            example = f"Example: pneuma {words} {EXAMPLES.get(words, '')}".rstrip()
             return add_with(name, epilog=example, **options)(_printing(function))
 
         return add

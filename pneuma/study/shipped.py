@@ -32,12 +32,22 @@ def read_published_file(path: Path) -> bytes:
 
 def random_returns_file() -> Path:
     """Return the output of `studies/scripts/random_returns.py`: a random player's returns in each world."""
-    return shipped_tables() / "random-returns.json"
+    return _file_of_tables("random-returns.json")
 
 
 def claims_history_file() -> Path:
     """Return the output of `python -m tools.claims_history`: changes of claims since their first runs."""
-    return shipped_tables() / "claims-history.json"
+    return _file_of_tables("claims-history.json")
+
+
+def _file_of_tables(file_name: str) -> Path:
+    """Return a file that comes with the published tables."""
+    path = shipped_tables() / file_name
+    if not path.is_file():
+        raise UserError(
+            f"{path.parent} has no published tables: install Pneuma with them, from a whole wheel"
+        )
+    return path
 
 
 def shipped_names(folder: Path) -> list[str]:

@@ -11,6 +11,7 @@ import pytest
 from pneuma.cli import study_run
 from pneuma.cli.options import count, seeds
 from pneuma.store.provenance import uncommitted
+from pneuma.study import shipped
 from pneuma.training.executors import local
 from pneuma.training.executors.base import Job
 
@@ -87,6 +88,12 @@ def test_what_is_compared_with_itself_is_refused(words: str, here: Path) -> None
     code, out, err = call("study", "compare", *words.split(), "--format", "markdown")
     problem = err.splitlines()[-1]
     assert (code, out) == (2, "") and ("compared with itself" in problem or "same condition" in problem)
+
+
+def test_an_installation_without_tables_says_so(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shipped, "shipped_tables", lambda: here / "published")
+    problem = "has no published tables: install Pneuma with them, from a whole wheel"
+    assert refused("study", "verify", "tanh-better") == f"{here / 'published'} {problem}"
 
 
 def test_a_file_here_is_suggested_for_a_mistyped_study(here: Path) -> None:

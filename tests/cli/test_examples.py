@@ -11,6 +11,7 @@ import pytest
 from typer.main import get_command
 
 from pneuma.cli import app
+from pneuma.cli.examples import EXAMPLES
 from pneuma.errors import UserError
 from pneuma.training import execute
 
@@ -28,6 +29,7 @@ ANSWERS = {
     "run export": "no run '3f2a'",
     "import tensorboard": "logs/PPO_1",
     "import csv": "runs.csv",
+    "import zoo": "ppo.yml",
 }
 """What examples answer that train, or need runs or files of one's own."""
 
@@ -49,6 +51,7 @@ def test_every_command_has_an_example_that_does_what_it_says(
 
     monkeypatch.setattr(execute, "execute", refuse)
     monkeypatch.chdir(tmp_path)
+    assert command in EXAMPLES
     example = epilog.removeprefix("Example: ")
     assert example.startswith(f"pneuma {command}") and len(epilog) <= 76, "it is one line of help"
     called = call(*shlex.split(example)[1:])

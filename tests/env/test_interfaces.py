@@ -7,8 +7,8 @@ import inspect
 import pickle
 import re
 import warnings
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import gymnasium
 import numpy as np
@@ -21,14 +21,16 @@ from gymnasium.wrappers import TimeLimit
 from stable_baselines3.common.env_checker import check_env as sb3s_check
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from pneuma.env.fields import ENVIRONMENTS, make_env_config
+from pneuma.env.fields import ENVIRONMENTS, EnvConfig, make_env_config
 from pneuma.env.gym import PneumaEnv
 from pneuma.env.gym_vector import PneumaVectorEnv
 from pneuma.env.pettingzoo import PneumaParallelEnv
 from pneuma.env.sb3 import PneumaVecEnv
+from pneuma.env.settings import EnvSettings
 from pneuma.env.slots import SAVED
 from pneuma.env.state import as_bytes
 from pneuma.errors import UserError
+from pneuma.field_types import OneOf
 from pneuma.values import format_value
 
 from .arena import ARENA, ATTACK, GODOT, RIGHT, THESIS, begin
@@ -392,6 +394,19 @@ def test_players_who_act_in_turn_play_the_same_game(env_id: str) -> None:
         while in_turn.agents and in_turn.agent_selection not in together.agents:  # who died
             in_turn.step(None)
     assert not in_turn.agents
+
+
+def test_settings_have_the_types_of_their_fields() -> None:
+    """So that an editor completes what `gymnasium.make` takes."""
+    expected: dict[str, Any] = {}
+    for name, field_type in get_type_hints(EnvConfig, include_extras=True).items():
+        base, *details = get_args(field_type) or (field_type,)
+        names = [detail.names for detail in details if isinstance(detail, OneOf)]
+        text_or_list = str | Sequence[str] if get_origin(base) is tuple else base
+        expected[name] = Literal[names[0]] if names else text_or_list
+    assert get_type_hints(EnvSettings) == expected
+    settings: EnvSettings = {"episode_steps": 7, "magic": True}
+    assert gymnasium.make(ENVIRONMENTS[0], **settings).action_space == gymnasium.spaces.Discrete(7)
 
 
 # --- What their docstring contains --------------------------------------------------------------------
