@@ -40,6 +40,8 @@ from pneuma.study.shipped import shipped_tables
 
 ROOT = Path(__file__).parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+TABLES = (ROOT / "paper_figures/tables/own-game.md",)
+"""Tables that pages link to."""
 READING = (
     "study list", "study show", "study summary", "study compare", "study collapse",
     "study verify", "env list",
@@ -54,7 +56,7 @@ _BLOCK = re.compile(
 )
 
 
-def rewrite(pages: Sequence[Path] = PAGES) -> list[Path]:
+def rewrite(pages: Sequence[Path] = (*PAGES, *TABLES)) -> list[Path]:
     """Write all blocks of pages again; return the pages that this changed."""
     changed = renewed(pages)
     for page, text in changed.items():
@@ -62,7 +64,7 @@ def rewrite(pages: Sequence[Path] = PAGES) -> list[Path]:
     return [*changed]
 
 
-def renewed(pages: Sequence[Path] = PAGES) -> dict[Path, str]:
+def renewed(pages: Sequence[Path] = (*PAGES, *TABLES)) -> dict[Path, str]:
     """Return the new text of each page whose commands now print something else.
 
     Commands read a results folder of published tables without runs.

@@ -342,11 +342,12 @@ def _notes_on_random_levels(column: Column) -> list[str]:
     levels = column.reference[column.reference["x"].isna()]
     for quantity, of_quantity in levels.groupby("quantity", sort=False):
         if QUANTITIES[str(quantity)].kind == SHARES and 1 < of_quantity["value"].nunique() <= MOST_LEVELS:
-            by_level = of_quantity.sort_values("value", ascending=False)
             texts = []
-            for condition, value in zip(by_level["condition"], by_level["value"], strict=True):
-                texts.append(f"{condition} {per_cent(float(value))}")
-            notes.append(f"Random players: {', '.join(texts)}.")
+            for level in of_quantity["value"].unique().tolist():
+                names = of_quantity["condition"][of_quantity["value"] == level]
+                labels = [column.data.study.labels.get(name, name) for name in names]
+                texts.append(f"{per_cent(level)} ({'; '.join(labels)})")
+            notes.append(f"Random players kill {', '.join(texts)}.")
     return notes
 
 

@@ -9,6 +9,7 @@ from typing import cast
 
 import matplotlib as mpl
 import numpy as np
+import pandas as pd
 import PIL
 import pytest
 from matplotlib.collections import LineCollection
@@ -19,7 +20,7 @@ from scipy import stats
 from pneuma import __version__
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
-from pneuma.answers.curves import find_curves
+from pneuma.answers.curves import Column, _notes_on_random_levels, find_curves
 from pneuma.answers.notes import notes_on_windows
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
@@ -278,3 +279,15 @@ def test_every_return_has_the_random_players_line(figures: list[Figure], tmp_pat
         (line,) = (line for line in figures[-1].axes[0].lines if line.get_label() == "random player")
         assert np.max(line.get_xdata()) == pytest.approx(data.budget, rel=0.01)
         assert np.min(line.get_xdata()) == 0 or world == "godot"
+
+
+def test_random_players_that_differ_are_named_as_in_the_legend(study: HandMade) -> None:
+    """Those that kill as many stand together; no words if all do."""
+    data = study.data
+    labelled = replace(data, study=data.study.model_copy(update={"labels": {"relu": "ReLU"}}))
+    levels = [("tanh", 0.2), ("relu", 0.1), ("other", 0.2)]
+    rows = [("share_killed", condition, np.nan, level) for condition, level in levels]
+    reference = pd.DataFrame(rows, columns=["quantity", "condition", "x", "value"])
+    (note,) = _notes_on_random_levels(Column(labelled, {}, reference))
+    assert note == "Random players kill 20 % (tanh; other), 10 % (ReLU)."
+    assert _notes_on_random_levels(Column(labelled, {}, reference[:1])) == []
