@@ -108,7 +108,7 @@ class RunWarning(UserWarning):
 
 NEEDED_BY_STUDIES = (
     "typer", "rich", "pandas", "pyarrow", "scipy", "torch", "stable_baselines3", "sb3_contrib", "optuna",
-    "matplotlib", "jinja2", "safetensors",
+    "matplotlib", "jinja2", "safetensors", "yaml",
 )  # fmt: skip
 """Packages that commands and studies need, and Pneuma's worlds do not."""
 

@@ -123,7 +123,7 @@ def test_one_module_alone_removes_what_is_stored() -> None:
 
 # --- Code --------------------------------------------------------------------------------------------
 
-RUNS_CODE = {"pickle", "cloudpickle", "dill", "joblib", "shelve", "marshal", "yaml"}
+RUNS_CODE = {"pickle", "cloudpickle", "dill", "joblib", "shelve", "marshal"}
 UNPICKLES_NOTHING = {
     "tomllib.load", "json.load", "builder.load",  # of a compiled program's memory
     "entry.load", "choice.load", "self.load",  # import from an installed package
@@ -146,6 +146,9 @@ def test_no_module_can_unpickle() -> None:
                     loaded.add(function)
         assert not {name.split(".")[0] for name in imported} & RUNS_CODE, path
         allowed = {"load"} if "safetensors.numpy" in imported else set()
+        if path.match("imports/zoo.py"):
+            allowed.add("yaml.load")
+            assert "class _Loader(yaml.SafeLoader):" in path.read_text()
         assert loaded - UNPICKLES_NOTHING <= allowed, path
 
 
