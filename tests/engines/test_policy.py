@@ -148,13 +148,14 @@ def test_stable_baselines3_evaluates_a_stored_policy() -> None:
 def test_what_is_no_policy_is_refused() -> None:
     policy = Policy("tanh", trained.random_layers((9, 8, 5)), trained.random_layers((9, 7, 1)))
     assert read_sound_policy(policy.to_bytes()).to_bytes() == policy.to_bytes()
-    (hidden, head), (_, critic_head) = policy.actor, policy.critic
+    (hidden, head), (critic_hidden, critic_head) = policy.actor, policy.critic
     wrong: list[dict[str, Any]] = [
         {"activation": "exec"},
         {"actor": (head, hidden)},
         {"actor": ((hidden[0], hidden[1][:-1]), head)},
         {"critic": policy.actor},
         {"critic": (critic_head,)},
+        {"critic": (critic_hidden, (critic_head[0], critic_head[1] * np.float32(np.nan)))},
         {"scaling": Scaling(np.zeros(3), np.ones(3))},
         {"choices": np.array([2, 2])},
     ]
