@@ -163,12 +163,24 @@ def test_files_on_pages_are_allowed(tmp_path: Path) -> None:
 
 
 def test_pages_stay_short() -> None:
-    """A front page that is read to its end, and documentation that is read at all; `NAMED` does not count."""
+    """A front page that is read to its end, and documentation that is read at all.
+
+    The table of all verdicts, which is made, and `NAMED` do not count.
+    """
     texts = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
+    texts["verdicts.md"] = re.sub("(?ms)^<!-- pneuma.*?^<!-- end -->", "", texts["verdicts.md"])
     readme = texts.pop("README.md")
     assert len(readme.split()) <= 700 and len(readme.splitlines()) <= 110
     named_words = sum(map(len, NAMED.values()))
     assert sum(len(text.split()) for text in texts.values()) - named_words <= 16_000
+
+
+def test_answers_have_the_numbers_of_the_verdicts() -> None:
+    findings, verdicts = ((ROOT / "docs" / name).read_text() for name in ("findings.md", "verdicts.md"))
+    answers = " ".join(findings.partition("## Eight questions")[2].partition("## The verdicts")[0].split())
+    intervals = re.findall(r"(?:[\d.,]+ against [\d.,]+ % )?\([^()]*; ±[\d.,]+\)", answers)
+    assert len(intervals) == 8
+    assert [interval for interval in intervals if interval not in verdicts] == []
 
 
 def test_an_indexs_page_leads_to_the_repository_or_has_no_pictures() -> None:
