@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 
-from pneuma.engines.policy import POLICY_FILE
+from pneuma.engines.records import POLICY_FILE
 from pneuma.store.row_builder import stored_row
 from pneuma.store.store import ROW_FILE, Store
 from pneuma.store.stored_runs import shipped_runs
