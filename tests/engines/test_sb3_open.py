@@ -133,11 +133,11 @@ def test_what_toml_cannot_contain_is_written_as_text_or_table() -> None:
     ("noise_type", "noise_class"),
     [("normal", NormalActionNoise), ("ornstein-uhlenbeck", OrnsteinUhlenbeckActionNoise)],
 )
-def test_the_zoos_action_noise_has_its_two_keys(noise_type: str, noise_class: type) -> None:
+def test_the_zoos_action_noise_has_its_two_keys(noise_type: str, noise_class: Any) -> None:
     arguments = {"noise_type": noise_type, "noise_std": 0.3, "gamma": 0.9}
     read = read_arguments(arguments, spaces.Box(-1, 1, (2,)))
     noise: Any = read.pop("action_noise")
-    assert type(noise) is noise_class and read == {"gamma": 0.9}
+    assert isinstance(noise, noise_class) and read == {"gamma": 0.9}
     assert (noise._mu.tolist(), noise._sigma.tolist()) == ([0.0, 0.0], [0.3, 0.3])
 
 
