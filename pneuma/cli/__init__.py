@@ -166,6 +166,8 @@ def _with_point(message: str, typed_words: Sequence[str]) -> str:
 
 def _in_its_place(typed_words: Sequence[str]) -> str:
     """Return what there is in the place of what an earlier version had; empty if it had no such thing."""
+    if list(typed_words[:2]) == ["run", "list"] and typed_words[2:]:
+        return " A study's runs: `pneuma run list --study NAME`"
     for removed_words, remaining in REMOVED.items():
         if all(word in typed_words for word in removed_words):
             return f" It was removed: {remaining}"

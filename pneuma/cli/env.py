@@ -136,7 +136,9 @@ def _load_player(
     from pneuma.store.stored_runs import find_trained, trusted_settings
 
     try:
-        run_prefix = _best_run(player, env_id, results) if player.startswith(BEST) else player
+        run_prefix = player.removeprefix("run:")
+        if player.startswith(BEST):
+            run_prefix = _best_run(player, env_id, results)
         store, run_id = find_trained(Store(results), run_prefix)
         settings = trusted_settings(store, run_id, trust)
         policy = stored_policy(store, run_id, settings)

@@ -154,7 +154,7 @@ def _refuse_stuck(level: Level, body_name: str, x: float, y: float, stats: Any, 
     for row, column in product(rows, columns):
         if closed[row, column]:
             size = f"{2 * stats['half_width']:g} x {2 * stats['half_height']:g}"
-            problem = f"has a body of {size} px, stuck in row {row + 1}, column {column + 1}"
+            problem = f"is the centre of a body of {size} px, which row {row + 1}, column {column + 1} blocks"
             raise UserError(f"{body_place} {problem}")
 
 

@@ -70,7 +70,7 @@ class LogLock(BaseJournalFileLock):
     """After this time it prints for whom it waits."""
 
     def __init__(self, log_path: Path) -> None:
-        self._log = log_path.resolve()
+        self._log, self._has_told = log_path.resolve(), False
         self._file: BinaryIO
 
     def acquire(self) -> bool:
@@ -78,8 +78,8 @@ class LogLock(BaseJournalFileLock):
         self._file = open(lock_path, "a+b", opener=open_stored)  # noqa: SIM115 (`release` closes it)
         message_time = time.monotonic() + self.WAIT_SECONDS
         while not take_lock(self._file):
-            if time.monotonic() > message_time:
-                message_time = math.inf
+            if time.monotonic() > message_time and not self._has_told:
+                self._has_told = True
                 self._file.seek(0)
                 holder = self._file.read().decode(errors="replace") or "another process"
                 print_aside(f"Waiting for {holder}, which writes {self._log}.")

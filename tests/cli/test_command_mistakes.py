@@ -58,6 +58,7 @@ MISTAKES = {
     f"{RUN} --seeds 0..{10**20}": "must be a count",
     f"{RUN} --preset claims": "pneuma/engines/ppo.py is not as committed (2 files",
     "study summary activation@last": "activation@last: was not run in",
+    "run list activation": "`pneuma run list --study NAME`",
     f"{RUN} --workers 0": "--workers 0: must be a whole number of at least 1",
     "search run activation": "activation is a study, not a search: `pneuma study run activation`",
     "search plot tune-ppo --world godot": "`pneuma search run tune-ppo --world godot`",

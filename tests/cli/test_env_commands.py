@@ -156,7 +156,7 @@ def test_each_shipped_agent_plays_and_is_that_of_its_row(here: Path) -> None:
         rows += [table.row(run_id) for table in tables if run_id in table.row_numbers]
         assert {row.policy for row in rows} == {policy.checksum}
         gif = f"{run_id}.gif"
-        printed("env", "render", env_id, "--player", run_id[:6], "--seconds", "1", "--out", gif)
+        printed("env", "render", env_id, "--player", f"run:{run_id[:6]}", "--seconds", "1", "--out", gif)
         assert frames(gif) > 1
 
 

@@ -119,7 +119,7 @@ def test_what_toml_cannot_contain_is_written_as_text_or_table() -> None:
         "policy_kwargs": {"activation_fn": "nn.ELU", "optimizer_kwargs": {"betas": [0.5, 0.9]}},
     }
     read = read_arguments(arguments, spaces.Box(-1, 1, (2,)))
-    noise = read.pop("action_noise")
+    noise: Any = read.pop("action_noise")
     assert (noise._mu.tolist(), noise._sigma.tolist()) == ([0.0, 0.0], [0.2, 0.2])
     assert read == {
         "train_freq": (1, "episode"),
@@ -133,7 +133,7 @@ def test_what_toml_cannot_contain_is_written_as_text_or_table() -> None:
     ("noise_type", "noise_class"),
     [("normal", NormalActionNoise), ("ornstein-uhlenbeck", OrnsteinUhlenbeckActionNoise)],
 )
-def test_the_zoos_action_noise_has_its_two_keys(noise_type: str, noise_class: type) -> None:
+def test_the_zoos_action_noise_has_its_two_keys(noise_type: str, noise_class: Any) -> None:
     arguments = {"noise_type": noise_type, "noise_std": 0.3, "gamma": 0.9}
     read = read_arguments(arguments, spaces.Box(-1, 1, (2,)))
     noise: Any = read.pop("action_noise")

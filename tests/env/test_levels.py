@@ -137,9 +137,11 @@ def test_how_tiled_turns_a_picture_changes_no_code(tmp_path: Path, turned: int) 
     ("start", "monster", "message", "allowed"),
     [
         # An obstacle is from x = 64 to 128 and from y = 0 to 64; bodies of 47 x 48 and 24 x 50 px.
-        ((43.0, 0.0), (-200.0, 0.0), "start place 0 at (43, 0) has a body of 47 x 48 px, stuck in row 11",
+        ((43.0, 0.0), (-200.0, 0.0),
+         "start place 0 at (43, 0) is the centre of a body of 47 x 48 px, which row 11",
          {"trees": "pass"}),
-        ((0.0, 0.0), (139.0, 32.0), "(bamboo) at (139, 32) has a body of 24 x 50 px, stuck in row 11",
+        ((0.0, 0.0), (139.0, 32.0),
+         "(bamboo) at (139, 32) is the centre of a body of 24 x 50 px, which row 11",
          {"terrain_stops": "players"}),
         ((0.0, 0.0), (629.0, 0.0),
          "at (629, 0) reaches beyond the level, which has x from -640 to 640 and y from -640 to 640", {}),

@@ -51,6 +51,17 @@ def test_what_a_users_own_code_raised_is_not_trained_again(
     assert len((tmp_path / "started").read_text().splitlines()) == len(notes) + 1
 
 
+def test_a_wait_is_told_once_in_a_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search trains the same run up to each of its pauses."""
+    end = {"event": "end", "run_id": run_id(RUN), "status": "done", "step": 256, "trained": True}
+    lines = [json.dumps({"event": "busy", "run_id": run_id(RUN)}), json.dumps(end)]
+    flip = f"if [ -e {tmp_path}/was ]; then rm {tmp_path}/was; echo '{lines[1]}'"
+    no_worker(tmp_path, monkeypatch, f"{flip}; else touch {tmp_path}/was; echo '{lines[0]}'; fi\nread x")
+    events = train({run_id(RUN): RUN}, tmp_path) + train({run_id(RUN): RUN}, tmp_path)
+    assert [event["event"] for event in events] == ["note", "end", "end"]
+    assert "another process trains this run" in events[0]["text"]
+
+
 def test_after_a_full_disk_no_further_run_begins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     about = {"event": "end", "run_id": run_id(RUN), "status": "stopped", "step": 0, "trained": True}
     line = json.dumps({**about, "reason": "row.arrow: cannot be written (No space left)", "storage": True})

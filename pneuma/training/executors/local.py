@@ -39,6 +39,8 @@ from pneuma.store.store import LARGEST_ERROR
 from pneuma.training.executors.base import Event, ExecutorConfig, Job, OnEvent, end_event
 
 TRIES = 2
+_told_waits: set[Path] = set()
+"""Locks for which this process has said that it waits: a search would say it at each of its pauses."""
 MOST_PRINTED = 2**20
 """Bytes that a run may print before the disk is freed of them."""
 LOOK_SECONDS = 0.5
@@ -243,8 +245,9 @@ class Supervisor:
             worker.dismiss()
             return
         if event_name == "busy":
-            if not task.is_busy:
-                lock_path = self._store.run_folder(task.name) / LOCK_FILE
+            lock_path = self._store.run_folder(task.name).resolve() / LOCK_FILE
+            if lock_path not in _told_waits:
+                _told_waits.add(lock_path)
                 self._note(task, f"another process trains this run; waiting for it to let go of {lock_path}")
             if self._stop_level() == 0:
                 self._tasks.append(replace(task, is_busy=True))
