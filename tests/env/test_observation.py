@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,7 +13,7 @@ import pytest
 from pneuma.env import layouts
 from pneuma.env.worlds import Worlds
 
-from .arena import ARENA, FLAME, GODOT, HEAL, RIGHT, THESIS, begin, play, stage
+from .arena import ARENA, EMPTY, FLAME, GODOT, HEAL, RIGHT, THESIS, begin, play, stage
 
 WIDTHS = {"thesis": (4, 4), "pygame": (6, 5), "godot": (4, 5)}  # of the player's part and of a monster's
 
@@ -100,6 +102,21 @@ def test_rays_show_what_they_meet_first_and_how_far_off_it_is(zoo: str) -> None:
     spirit_ends = float(stats["body_y"] + stats["half_height"])
     far = [88, corner, 576, 178 * np.sqrt(2), 576, corner, 500 - spirit_ends, corner]
     assert rays[:, 0] == pytest.approx(far)
+
+
+@pytest.mark.parametrize(
+    ("obstacles", "distance"),
+    [([(11, 10)], 32), ([(10, 11)], 32), ([(11, 10), (10, 11)], 32), ([(11, 11)], 32), ([], 544)],
+)
+def test_a_ray_passes_a_corner_only_between_two_open_tiles(
+    obstacles: list[tuple[int, int]], distance: float, tmp_path: Path
+) -> None:
+    """From the middle of a tile of 64 px its corner is 32 px each way; the coast is at 576."""
+    monsters = (("bamboo", -500.0, 0.0),)
+    level = replace(EMPTY, starts=((32.0, 32.0),), obstacles=tuple(obstacles), monsters=monsters)
+    pair = stage(level.write(tmp_path), perceive="rays:8", scale="raw")
+    rays = pair.worlds.observations[0, 0, 4:].reshape(8, -1)
+    assert rays[1, 0] == pytest.approx(distance * np.sqrt(2))  # the first goes right, the third down
 
 
 @pytest.mark.parametrize(("scale", "unit"), [("unit", 300), ("map", 1280), ("raw", 1)])
