@@ -188,7 +188,7 @@ def _missing_values(study_data: StudyData, summary: pd.DataFrame, outcomes: Sequ
     for condition in study_data.conditions:
         for outcome in outcomes:
             if condition not in untrained and (outcome, condition) not in pairs_with_values:
-                cause = reason(study_data.of_condition(condition)[0], outcome)
+                cause = reason(study_data.of_condition(condition)[0], outcome) or "no run gets there"
                 notes.append(f"{outcome}, {condition}: {cause}")
     means = summary["outcome"][summary["statistic"] == "mean"]
     return notes + _runs_without_value(study_data, pairs_with_values, outcomes or means[:1])

@@ -195,6 +195,8 @@ def test_the_overview_has_five_columns_and_what_never_happens_is_a_line(tmp_path
     sound = summarize(study_of(store, cells))
     assert [*sound.cells[0]] == [*heads, "greedy-share-killed"]
     assert sound.legend[0] == "No run collapsed or diverged."
+    never = summarize(study_of(store, cells), ["lasting-one-action-spell"])
+    assert "lasting-one-action-spell, a: no run gets there" in never.notes
 
 
 def test_a_run_without_the_value_that_others_of_its_condition_have_is_named() -> None:
