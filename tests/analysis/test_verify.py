@@ -16,8 +16,9 @@ from .claim_files import BETTER, CLAIMS, HIGH, LOW, save_runs, write_files
 OTHER = BETTER.replace("better", "other").replace('"high"', '"middle"')
 
 
-def test_all_views_have_every_claim_in_its_worlds(tmp_path: Path) -> None:
+def test_all_views_have_every_claim_in_its_worlds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One claim has all its runs, and the other none of one condition."""
+    monkeypatch.chdir(tmp_path)  # paths are shown from the current folder
     path = write_files(tmp_path, CLAIMS + OTHER)
     save_runs(Store(tmp_path / "results"), tmp_path, {"high": HIGH, "low": LOW})
     command = ["study", "verify", "--claims", path, "--results", tmp_path / "results"]
@@ -32,7 +33,7 @@ def test_all_views_have_every_claim_in_its_worlds(tmp_path: Path) -> None:
     assert (first["seeds_a"], first["seeds_b"], len(first["run_ids"])) == (8, 8, 16)
     assert (missing["effect"], missing["low"]) == (None, None)
     trains = (
-        f"train with: pneuma study run {tmp_path / 'mine.toml'} --world text --condition middle "
+        "train with: pneuma study run mine.toml --world text --condition middle "
         f"--condition low --seeds 0..7 --steps 1024 --results {tmp_path / 'results'}"
     )
     lacking = "runs missing: middle has 0 of the 8 fixed ones with 1,024 steps"

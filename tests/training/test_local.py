@@ -56,7 +56,8 @@ def test_a_wait_is_told_once_in_a_process(tmp_path: Path, monkeypatch: pytest.Mo
     end = {"event": "end", "run_id": run_id(RUN), "status": "done", "step": 256, "trained": True}
     lines = [json.dumps({"event": "busy", "run_id": run_id(RUN)}), json.dumps(end)]
     flip = f"if [ -e {tmp_path}/was ]; then rm {tmp_path}/was; echo '{lines[1]}'"
-    no_worker(tmp_path, monkeypatch, f"{flip}; else touch {tmp_path}/was; echo '{lines[0]}'; fi\nread x")
+    answer = f"{flip}; else touch {tmp_path}/was; echo '{lines[0]}'; fi"
+    no_worker(tmp_path, monkeypatch, f"while read order; do {answer}; done")
     events = train({run_id(RUN): RUN}, tmp_path) + train({run_id(RUN): RUN}, tmp_path)
     assert [event["event"] for event in events] == ["note", "end", "end"]
     assert "another process trains this run" in events[0]["text"]
