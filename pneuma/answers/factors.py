@@ -160,6 +160,15 @@ def _effects(study_data: StudyData, a: str, b: str, outcome: str) -> tuple[Rows,
     base: Mapping[str, str] = levels.get(study_data.study.baseline) or next(iter(levels.values()))
     names_a = list(dict.fromkeys(levels[condition][a] for condition in values))
     names_b = list(dict.fromkeys(levels[condition][b] for condition in values))
+    other_levels = []
+    for x, y in product(names_a, names_b):
+        pair_levels = [{**levels[condition], a: "", b: ""} for condition in at(x, y)]
+        other_levels.append(sorted(map(sorted, (pair.items() for pair in pair_levels))))
+    if any(pair_levels != other_levels[0] for pair_levels in other_levels):
+        text = (
+            f"the pairs of {a} and {b} have different levels of other factors ({study_data.label}): choose "
+        )
+        raise UserError(text, Hint("conditions"), " so that a mean over them is the same mean everywhere")
     means = [{"level_a": x, "level_b": y, **estimate(at(x, y), {})} for x, y in product(names_a, names_b)]
     base_a = base[a] if base[a] in names_a else names_a[0]
     base_b = base[b] if base[b] in names_b else names_b[0]

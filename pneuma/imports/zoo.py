@@ -19,7 +19,7 @@ import yaml
 from pneuma.algorithms import has_rollouts
 from pneuma.config import FIELDS, Run, make_run
 from pneuma.env.fields import read_field
-from pneuma.errors import UserError, unknown_name
+from pneuma.errors import UserError, printable, unknown_name
 from pneuma.files import read_text
 from pneuma.sb3_names import NAMES, READERS, WRONG_TEXT, own_fields, read_arguments_text
 from pneuma.study.spec import unread_fields
@@ -71,13 +71,18 @@ def zoo_study(path: Path, env_id: str) -> tuple[str, list[str]]:
         raise UserError(f"{path}: {name}: {error}") from None
     tables, steps, left_out = _convert(entry, env_id, ALGORITHMS[path.stem])
     title = f"{path.stem} in {env_id}, as rl-baselines3-zoo tuned it"
-    lines = [f"# not kept: {key} = {format_json(entry[key])}: {reason}" for key, reason in left_out.items()]
+    lines = []
+    for key, reason in left_out.items():  # printable: a line's end would end the comment
+        lines.append(printable(f"# not kept: {key} = {format_json(entry[key])}: {reason}"))
     lines += [f"title = {format_json(title)}"]
     for heading, table in tables.items():
         lines += ["", f"[{heading}]", *(f"{_key(key)} = {_toml(value)}" for key, value in table.items())]
     lines += ["", "[presets.quick]", "seeds = 5", f"steps = {steps}", ""]
     text = "\n".join(lines)
-    tomllib.loads(text)
+    try:
+        tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{path}: {name}: has a value that TOML cannot hold ({error})") from None
     return text, notes + [f"{key} is not kept: {reason}" for key, reason in left_out.items()]
 
 
@@ -217,7 +222,11 @@ def _normalization(value: Any, left_out: dict[str, str]) -> dict[str, Any]:
 
 def _wrapper(wrapper: Any) -> dict[str, Any]:
     """Return module.Class, or {module.Class: arguments}, as a wrapper of a study."""
-    class_path, arguments = next(iter(wrapper.items())) if isinstance(wrapper, dict) else (wrapper, None)
+    class_path, arguments = wrapper, None
+    if isinstance(wrapper, dict):
+        if len(wrapper) != 1:
+            raise UserError("is not one wrapper")
+        ((class_path, arguments),) = wrapper.items()
     module, _, class_name = str(class_path).rpartition(".")
     table = {**(arguments or {}), "name": f"{module}:{class_name}"}
     read_field(Run, "wrappers", [table])

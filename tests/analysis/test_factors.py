@@ -10,6 +10,7 @@ from scipy import stats
 from pneuma.answers.factors import compare_factors
 from pneuma.api import compare, open_data
 from pneuma.config import as_fields
+from pneuma.errors import UserError
 from pneuma.figures.grid import Page
 from pneuma.figures.heat_map import heat_map_page
 from pneuma.store.store import Store
@@ -136,3 +137,10 @@ def test_what_has_no_effects_is_refused(study: Path) -> None:
     assert (
         "no condition has learning_rate 1e-3 and gamma 0.99" in message and "some with --condition" in message
     )
+
+
+def test_pairs_with_other_levels_of_a_third_factor_are_refused(study: Path) -> None:
+    """An effect of the third factor would be taken for one of the others."""
+    conditions = list(open_data(study).conditions)
+    with pytest.raises(UserError, match="different levels of other factors"):
+        compare_factors(open_data(study, conditions=conditions[1:]), "learning_rate", "gamma")

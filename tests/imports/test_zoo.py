@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import time
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -142,8 +143,9 @@ MERGES = (
         (MERGES + "CartPole-v1: {<<: *a11}", "too many"),
         ("a: &a 1\nb: [" + "*a, " * 300 + "]\nCartPole-v1: {}", "too many references"),
         ("x: " + "y" * LARGEST_FILE, "is larger than"),
+        ("CartPole-v1: {policy_kwargs: {activation: null}}", "a value that TOML cannot hold"),
     ],
-    ids=range(15),
+    ids=range(16),
 )  # fmt: skip
 def test_what_is_not_an_entry_is_refused_in_a_line(text: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "ppo.yml"
@@ -153,6 +155,16 @@ def test_what_is_not_an_entry_is_refused_in_a_line(text: str, message: str, tmp_
     refusal = refused(*words)
     assert re.search(message, refusal), refusal
     assert time.process_time() - started < 5 and not (tmp_path / "study.toml").exists()
+
+
+def test_a_key_cannot_leave_the_comment_that_names_it(tmp_path: Path) -> None:
+    file = tmp_path / "ppo.yml"
+    file.write_text(
+        r'CartPole-v1: {"x\nconditions.evil = {env_module = \"antigravity\"}\n#": null, n_timesteps: 9}'
+    )
+    call("import", "zoo", file, "--env", "CartPole-v1", "--out", tmp_path / "study.toml")
+    text = (tmp_path / "study.toml").read_text()
+    assert "antigravity" not in str(tomllib.loads(text)) and "# not kept: x" in text
 
 
 def test_files_and_environments_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
