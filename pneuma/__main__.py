@@ -8,10 +8,8 @@ def run() -> None:
     if not (3, 11) <= sys.version_info[:2] < (3, 14):
         version = ".".join(map(str, sys.version_info[:2]))
         raise SystemExit(_refuse(f"Python {version} is not supported: use 3.11, 3.12 or 3.13"))
-    from pneuma.errors import NEEDED_BY_STUDIES, require
-
     try:
-        require(*NEEDED_BY_STUDIES)
+        import pneuma.store  # noqa: F401 (says which package is missing)
         from pneuma.cli import run as run_command_line
     except ModuleNotFoundError as missing:
         message = str(missing)

@@ -7,6 +7,7 @@ do not repeat it; the command line prints it as one line and leaves with exit co
 from __future__ import annotations
 
 import difflib
+import re
 import shutil
 import sys
 import textwrap
@@ -159,14 +160,16 @@ def print_aside(message: str) -> None:
 
 
 def folded(line: str, stream: TextIO) -> str:
-    """Return a line folded between words at a terminal's width; it goes on below its first word."""
+    """Return a line folded between words at a terminal's width; commands stay whole, to be copied."""
     if not (stream and stream.isatty()):
         return line
     width = shutil.get_terminal_size().columns
     indent = " " * (len(line) - len(line.lstrip(" ")))
-    return textwrap.fill(
-        line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    whole_commands = re.sub(r"`[^`]*`", lambda command: command[0].replace(" ", "\0"), line)
+    folded_line = textwrap.fill(
+        whole_commands, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
+    return folded_line.replace("\0", " ")
 
 
 def counted(count: int, noun: str) -> str:

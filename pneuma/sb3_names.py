@@ -26,6 +26,8 @@ def _names_of_ppo() -> dict[str, str]:
 NAMES = _names_of_ppo()
 """Fields that PPO has by another name, by that name."""
 ALGORITHM_KWARGS = "algorithm_kwargs"
+ZOO_NOISE = {"normal": "NormalActionNoise", "ornstein-uhlenbeck": "OrnsteinUhlenbeckActionNoise"}
+"""Action noise, by its name in the zoo."""
 _ACTIVATIONS = {f"nn.{torch_class}": activation for activation, torch_class in ACTIVATIONS.items()}
 WRONG_TEXT = (KeyError, TypeError, ValueError, SyntaxError, RecursionError, MemoryError)
 """Exceptions of `read_arguments_text`."""

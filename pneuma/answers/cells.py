@@ -53,8 +53,13 @@ def with_labels(study_data: StudyData, cells: pd.DataFrame) -> pd.DataFrame:
     """Return a table for people whose conditions are called by the study's labels for them."""
     if "condition" not in cells:
         return cells
+    return cells.assign(condition=[labelled(study_data, name) for name in cells["condition"]])
+
+
+def labelled(study_data: StudyData, name: str, factor: str = "") -> str:
+    """Return the study's label of a condition, or of a factor's level, or else the name itself."""
     labels = study_data.study.labels
-    return cells.assign(condition=[labels.get(name, name) for name in cells["condition"]])
+    return labels.get(name) or labels.get(f"{factor}={name}", name)
 
 
 def condition_cells(

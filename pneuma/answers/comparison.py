@@ -14,7 +14,7 @@ from pneuma.analysis.outcomes import find_outcome, known_values
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import Group, compare_groups, outcomes_to_compare
 from pneuma.answers.answer import Answer
-from pneuma.answers.cells import comparison_cells, with_cells
+from pneuma.answers.cells import comparison_cells, labelled, with_cells
 from pneuma.answers.factors import compare_factors, factors_of
 from pneuma.answers.notes import (
     averaging,
@@ -101,7 +101,7 @@ def compare(
             f"Claims about these conditions: {claim_names}. Their outcomes come first (see study verify)."
         )
     pairs = {"": (_group(study_data, a), _group(study_data, b))}
-    headings = [study_data.study.labels.get(condition, condition) for condition in (a, b)]
+    headings = [labelled(study_data, condition) for condition in (a, b)]
     answer = _compare_pairs(study_data, pairs, headings, outcomes, claimed_outcomes)
     return replace(answer, notes=list(answer.notes) + claim_notes)
 

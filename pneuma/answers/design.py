@@ -38,9 +38,9 @@ def design(
                     planned += plan_contrasts(claim_list, claim, claim_world)
     return Answer(
         title="",
-        about={"lists": [list_row(claim_list) for claim_list in claim_lists]},
-        tables={"design": pd.DataFrame([_row(contrast) for contrast in planned])},
-        cells=[pd.DataFrame([_cells(contrast) for contrast in planned])],
+        about={"lists": list(map(list_row, claim_lists))},
+        tables={"design": pd.DataFrame(map(_row, planned))},
+        cells=[pd.DataFrame(map(_cells, planned))],
         legend=LEGEND,
     )
 

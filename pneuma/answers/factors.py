@@ -18,7 +18,7 @@ from pneuma.analysis.outcomes import find_outcome, kinds_of_return, outcome_valu
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import refuse_different_returns
 from pneuma.answers.answer import StudyAnswer
-from pneuma.answers.cells import with_cells
+from pneuma.answers.cells import labelled, with_cells
 from pneuma.answers.notes import notes_on_ends, notes_on_few_episodes
 from pneuma.errors import Hint, UserError, unknown_name
 from pneuma.study.spec import CONDITION
@@ -98,15 +98,9 @@ def compare_factors(study_data: StudyData, a: str, b: str, outcomes: Sequence[st
 
 def level_label(study_data: StudyData, factor: str, level: str) -> str:
     """Return what a level is called by the study's file, or its factor and value."""
-    label = labelled(study_data, factor, level)
+    label = labelled(study_data, level, factor)
     is_named = factor == CONDITION or level in study_data.study.factors.get(factor, {})
     return label if is_named or label != level else f"{_words(factor)} {level}"
-
-
-def labelled(study_data: StudyData, factor: str, level: str) -> str:
-    """Return the label of a level in the study's file, or else the level itself."""
-    labels = study_data.study.labels
-    return labels.get(level) or labels.get(f"{factor}={level}", level)
 
 
 def _words(factor: str) -> str:
@@ -174,14 +168,18 @@ def _effects(study_data: StudyData, a: str, b: str, outcome: str) -> tuple[Rows,
     base_b = base[b] if base[b] in names_b else names_b[0]
     names_a.remove(base_a)
     names_b.remove(base_b)
+    label_a, label_b = partial(labelled, study_data, factor=a), partial(labelled, study_data, factor=b)
     effects: Rows = []
     for x in names_a:
-        effects.append({"effect": f"{_words(a)}: {x} − {base_a}", **estimate(at(x), at(base_a))})
+        words = f"{_words(a)}: {label_a(x)} − {label_a(base_a)}"
+        effects.append({"effect": words, **estimate(at(x), at(base_a))})
     for y in names_b:
-        effects.append({"effect": f"{_words(b)}: {y} − {base_b}", **estimate(at("", y), at("", base_b))})
+        words = f"{_words(b)}: {label_b(y)} − {label_b(base_b)}"
+        effects.append({"effect": words, **estimate(at("", y), at("", base_b))})
     for x, y in product(names_a, names_b):
         # twice the mean over both corners minus that over the others is the difference of differences
         corners, others = {**at(x, y), **at(base_a, base_b)}, {**at(x, base_b), **at(base_a, y)}
-        words = f"interaction: {x} − {base_a} at {y} minus at {base_b}"
+        difference = f"{label_a(x)} − {label_a(base_a)}"
+        words = f"interaction: {difference} at {label_b(y)} minus at {label_b(base_b)}"
         effects.append({"effect": words, **estimate(corners, others, 2)})
     return means, effects

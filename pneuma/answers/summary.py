@@ -12,8 +12,7 @@ from pneuma.analysis.outcomes import reason, with_unit
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
 from pneuma.answers.answer import Answer
-from pneuma.answers.cells import NO_CELL, condition_cells, pivot_cells, with_cells, with_labels
-from pneuma.answers.factors import labelled
+from pneuma.answers.cells import NO_CELL, condition_cells, labelled, pivot_cells, with_cells, with_labels
 from pneuma.answers.notes import MOST_NAMED, notes_on_ends, notes_on_few_episodes, notes_on_few_runs
 from pneuma.errors import Hint, UserError
 
@@ -146,7 +145,7 @@ def _paper_cells(study_data: StudyData, summary: pd.DataFrame, outcomes: Sequenc
         rows = []
         for condition in cell_table.index:
             condition_levels = study_data.study.levels[condition].items()
-            rows.append({factor: labelled(study_data, factor, level) for factor, level in condition_levels})
+            rows.append({factor: labelled(study_data, level, factor) for factor, level in condition_levels})
         levels = pd.DataFrame(rows)
         levels.columns = levels.columns.str.replace("_", " ")
         cell_table.index = pd.MultiIndex.from_frame(levels)

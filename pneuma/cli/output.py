@@ -157,7 +157,10 @@ def print_result(result: Result, output_format: str) -> None:
         return
     if output_format == "table":
         notes = [write_hints(note, write_hint) for note in result.notes]
-        for line in [result.title] * bool(result.title) + notes + [*result.lines]:
+        lines: list[str | Table] = [*notes, *result.lines]
+        if result.title:
+            lines.insert(0, result.title)
+        for line in lines:
             if isinstance(line, Table):
                 _print_table(line)
             else:

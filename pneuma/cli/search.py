@@ -223,7 +223,8 @@ def promote(
     study_path = write_study(store, search_record, study_text)
     say(f"wrote {study_path}", quiet=quiet)
     planned, config = api.plan_study(Query(str(study_path)), store, say), opt.Resources(workers).config()
-    say("\n".join(plan_answer(RunIndex(store), planned, config.workers).legend), quiet=quiet)
+    for line in plan_answer(RunIndex(store), planned, config.workers).legend:
+        say(line, quiet=quiet)
     trained = train_study(planned, store, config, retry_failed=True, quiet=quiet)
     notes = list(trained.notes)
     if not trained.code:

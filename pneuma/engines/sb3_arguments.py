@@ -19,15 +19,14 @@ from stable_baselines3.common.sb2_compat import rmsprop_tf_like
 from stable_baselines3.common.utils import LinearSchedule
 
 from pneuma.errors import UserError
-from pneuma.sb3_names import WRONG_TEXT, annealed_from, read_arguments_text
+from pneuma.sb3_names import WRONG_TEXT, ZOO_NOISE, annealed_from, read_arguments_text
 
 TUPLES = ("train_freq", "betas")
 """Arguments that must be tuples."""
 CLASSES_OF = (torch.nn, torch.optim, torch_layers, buffers, rmsprop_tf_like, stable_baselines3)
 """Modules in which a class is looked up by its name, which may be untrusted: so a user's own are not among
 them."""
-NOISE = ("NormalActionNoise", "OrnsteinUhlenbeckActionNoise")
-ZOO_NOISE = dict(zip(("normal", "ornstein-uhlenbeck"), NOISE, strict=True))
+NOISE = tuple(ZOO_NOISE.values())
 
 
 def read_arguments(argument_table: Mapping[str, Any], action_space: spaces.Space[Any]) -> dict[str, Any]:
@@ -41,7 +40,11 @@ def _with_action_noise(argument_table: Mapping[str, Any]) -> dict[str, Any]:
     """Return a table with action noise in place of the zoo's two keys."""
     arguments = dict(argument_table)
     noise_type, deviation = arguments.pop("noise_type", None), arguments.pop("noise_std", None)
-    if noise_type not in ZOO_NOISE or deviation is None or "action_noise" in arguments:
+    if (
+        str(noise_type) not in ZOO_NOISE
+        or not isinstance(deviation, int | float)
+        or "action_noise" in arguments
+    ):
         problem = f"noise_type = {noise_type!r} and noise_std = {deviation!r} are not allowed"
         kinds = " or ".join(ZOO_NOISE)
         raise UserError(f"algorithm_kwargs: {problem}: {kinds}, a number, and no action_noise beside them")

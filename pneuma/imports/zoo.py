@@ -21,7 +21,7 @@ from pneuma.config import FIELDS, Run, make_run
 from pneuma.env.fields import read_field
 from pneuma.errors import UserError, printable, unknown_name
 from pneuma.files import read_text
-from pneuma.sb3_names import NAMES, READERS, WRONG_TEXT, own_fields, read_arguments_text
+from pneuma.sb3_names import NAMES, READERS, WRONG_TEXT, ZOO_NOISE, own_fields, read_arguments_text
 from pneuma.study.spec import unread_fields
 from pneuma.values import format_json
 
@@ -36,7 +36,6 @@ MOST_ALIASES, MOST_KEYS, MOST_VALUES = 200, 1000, 1000
 """Most references of a file, keys of a table and values of an entry: references multiply what they name."""
 NUMBER = r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?"
 """Texts that are numbers, although YAML reads 1e-3 as a text."""
-NOISES = {"normal": "NormalActionNoise", "ornstein-uhlenbeck": "OrnsteinUhlenbeckActionNoise"}
 NORMALIZED = {"norm_obs": "normalize_observations", "norm_reward": "normalize_rewards"}
 WITHOUT_FIELD = {
     "frame_stack": "give wrappers that stack observations instead",
@@ -167,11 +166,8 @@ def _convert(
                 run["wrappers"] = [
                     _wrapper(wrapper) for wrapper in (value if isinstance(value, list) else [value])
                 ]
-            elif key == "noise_type" and value in NOISES:
-                arguments["action_noise"] = {"name": NOISES[value], "sigma": entry.get("noise_std", 0.1)}
-            elif key in ("noise_type", "noise_std"):
-                if entry.get("noise_type") not in NOISES:
-                    raise UserError(f"noise_type must be {' or '.join(NOISES)}")
+            elif key in ("noise_type", "noise_std") and str(entry.get("noise_type")) not in ZOO_NOISE:
+                raise UserError(f"noise_type must be {' or '.join(ZOO_NOISE)}")
             elif _is_field(key, algorithm):
                 for field_name, field_value in own_fields({key: value}).items():
                     if field_name in FIELDS:

@@ -406,20 +406,22 @@ def _crossed(study_file: TomlFile, study: Study) -> Study:
     changes = {
         "conditions": conditions,
         "levels": levels,
-        "labels": {named_condition(name, levels): label for name, label in labels.items()},
-        "colors": {named_condition(name, levels): color for name, color in colors.items()},
+        "labels": _by_full_name(labels, levels),
+        "colors": _by_full_name(colors, levels),
         "baseline": named_condition(baseline, levels),
         "presets": {name: _with_full_names(preset, levels) for name, preset in study.presets.items()},
     }
     return study.model_copy(update=changes)
 
 
+def _by_full_name(table: Mapping[str, Any], levels: Mapping[str, Mapping[str, str]]) -> dict[str, Any]:
+    return {named_condition(name, levels): value for name, value in table.items()}
+
+
 def _with_full_names(amounts: Any, levels: Mapping[str, Mapping[str, str]]) -> Any:
     """Return a preset, or its exceptions in a world, whose conditions have their full names."""
     changes: dict[str, Any] = {"only": tuple(named_condition(name, levels) for name in amounts.only)}
-    changes["conditions"] = {
-        named_condition(name, levels): amount for name, amount in amounts.conditions.items()
-    }
+    changes["conditions"] = _by_full_name(amounts.conditions, levels)
     for world in WORLDS:
         if getattr(amounts, world, None):
             changes[world] = _with_full_names(getattr(amounts, world), levels)

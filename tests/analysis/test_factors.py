@@ -71,8 +71,8 @@ def test_main_effects_and_the_interaction_have_their_welch_intervals(study: Path
     effects = answer.tables["effects"].set_index("effect")
     expected = {  # each, and its variance: of eight means times 1/4, and twice as large for the last
         "learning rate: 1e-4 − 1e-3": ((4 + 9) / 2 - (1 + 2) / 2, 8 * 0.5 / 16),
-        "gamma: 0.99 − 0.9": ((2 + 9) / 2 - (1 + 4) / 2, 8 * 0.5 / 16),
-        "interaction: 1e-4 − 1e-3 at 0.99 minus at 0.9": ((9 - 2) - (4 - 1), 4 * 8 * 0.5 / 16),
+        "gamma: 0.99 − short-sighted": ((2 + 9) / 2 - (1 + 4) / 2, 8 * 0.5 / 16),
+        "interaction: 1e-4 − 1e-3 at 0.99 minus at short-sighted": ((9 - 2) - (4 - 1), 4 * 8 * 0.5 / 16),
     }
     assert list(effects.index) == list(expected)
     for effect, (value, variance) in expected.items():

@@ -242,7 +242,11 @@ def test_words_are_folded_at_the_terminals_width(monkeypatch: pytest.MonkeyPatch
     assert len(file.getvalue().splitlines()) == 3
     with contextlib.redirect_stderr(Terminal()) as terminal:
         say("a note of some words that is long")
-    assert terminal.getvalue() == "a note of some words that is\nlong\n"
+        say("compare them with `pneuma study compare mine.toml tuned base`")  # a command to copy stays whole
+    folded = (
+        "a note of some words that is\nlong\ncompare them with\n`pneuma study compare mine.toml tuned base`\n"
+    )
+    assert terminal.getvalue() == folded
 
 
 def test_people_read_labels_and_programs_identifiers(tmp_path: Path) -> None:
