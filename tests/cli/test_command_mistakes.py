@@ -10,8 +10,8 @@ import pytest
 
 from pneuma.cli import study_run
 from pneuma.cli.options import count, seeds
-from pneuma.store.provenance import uncommitted
 from pneuma.errors import UserError
+from pneuma.store.provenance import uncommitted
 from pneuma.study import shipped
 from pneuma.training.executors import local
 from pneuma.training.executors.base import Job
