@@ -10,7 +10,6 @@ from __future__ import annotations
 import platform
 from typing import Any
 
-import numba
 from llvmlite import binding, ir
 from numba.core import types
 
@@ -159,7 +158,7 @@ def _compiled_product(symbol: str, product: Any) -> Any:
         number, number, matrix, number, number, number, number, number, matrix, number, number, number,
         matrix, number, number, matrix, number, number, number, types.boolean,
     )  # fmt: skip
-    compile_product = cached(signature, using=numba.cfunc, error_model="numpy", _nrt=False)
+    compile_product = cached(signature, error_model="numpy", _nrt=False)
     binding.add_symbol(symbol, compile_product(product).address)
     return types.ExternalFunction(symbol, signature)
 

@@ -1,9 +1,7 @@
 """How functions over the state of worlds are compiled, and what of numba's own is used for that.
 
 Numba's cache on disk checks the types of arguments and the file of the kernel itself, but no other file. So
-the handle of a world's state (`state.HANDLE`) and the numbers of a run (`update.NUMBERS`) have a field whose
-name is a digest of all files with kernels. If one of them changes, every kernel that takes one of these is
-compiled again. A kernel that takes neither must not use code from other files.
+its keys have a digest of all files with kernels here: if one of them changes, every kernel is compiled again.
 """
 
 from __future__ import annotations
@@ -20,7 +18,8 @@ import numpy as np
 from llvmlite import ir
 from numba import _helperlib, njit, types
 from numba.core import cgutils
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, NullCache
+from numba.core.ccallback import CFunc
 from numba.core.codegen import get_host_cpu_features
 from numba.extending import intrinsic
 from numba.np import arrayobj
@@ -35,38 +34,50 @@ KERNEL_SOURCES = (
 DIGEST = hashlib.sha256(b"".join((PACKAGE / name).read_bytes() for name in KERNEL_SOURCES)).hexdigest()[:16]
 
 
-def cached(*signature: Any, using: Any = njit, notice: str = "", **options: Any) -> Callable[[Any], Any]:
-    """Return `njit`, or `cfunc`, with its cache; where no folder can be written, each process compiles again.
+def cached(signature: Any = None, notice: str = "", **options: Any) -> Callable[[Any], Any]:
+    """Return `njit`, or `cfunc`, with a cache; where no folder can be written, each process compiles again.
 
     Numba writes next to the code, in the user's cache, or in NUMBA_CACHE_DIR; in some containers it can write
     to none of them.
 
     Args:
-        signature: of the function, if it is compiled at once.
-        using: numba's decorator.
+        signature: of a C function, which is compiled at once.
         notice: what a person at a terminal is shown if nothing is in the cache.
         options: of the decorator.
     """
 
     def compiled(function: Any) -> Any:
         cache_index: Any = {}
-        can_cache = True
         try:
-            function_cache = typed_cache(function)
+            cache: Any = typed_cache(function)
         except RuntimeError:  # no such folder
-            can_cache = False
+            cache = NullCache()
         else:
             try:
-                cache_index = function_cache._cache_file._load_index()
+                cache_index = cache._cache_file._load_index()
             except Exception:  # it names a class that is gone, and is read whole before its age is seen
-                function_cache.flush()
+                cache.flush()
         if notice and not cache_index and sys.stderr.isatty():
             print(notice, file=sys.stderr)
-        if using is njit:
-            options["no_cfunc_wrapper"] = True  # compiled functions call each other directly
-        return using(*signature, cache=can_cache, **options)(function)
+        if signature is None:
+            # without what C would call: compiled functions call it directly
+            kernel = typed_njit(no_cfunc_wrapper=True, **options)(function)
+            kernel._cache = cache
+        else:
+            kernel = typed_cfunc(function, (signature.args, signature.return_type), {}, options)
+            kernel._cache = cache
+            kernel.compile()
+        return kernel
 
     return compiled
+
+
+class _KernelCache(FunctionCache):
+    """Numba's cache of a kernel, which an edit of any file with kernels makes old."""
+
+    def _index_key(self, signature: Any, codegen: Any) -> Any:
+        key: Any = super()._index_key
+        return (*key(signature, codegen), DIGEST)
 
 
 # Only the call from outside can be called from outside: the code that takes Python's arguments
@@ -87,7 +98,9 @@ typed_float: Any = types.float32
 typed_double: Any = types.float64
 typed_pointer: Any = types.CPointer
 typed_tuple: Any = types.NamedTuple
-typed_cache: Any = FunctionCache
+typed_cfunc: Any = CFunc
+typed_njit: Any = njit
+typed_cache: Any = _KernelCache
 
 
 @entry

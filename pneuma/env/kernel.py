@@ -33,7 +33,7 @@ Inlined it would be compiled again with each of them, 12 s a time. `load_rules` 
 def load_rules() -> None:
     """Compile `_run_worlds`, or load it."""
     signature = types.int64(_STATE, _ACTIONS, types.int64)
-    compile_rules = cached(signature, using=numba.cfunc, notice=NOTICE, error_model="numpy", _nrt=False)
+    compile_rules = cached(signature, notice=NOTICE, error_model="numpy", _nrt=False)
     binding.add_symbol(SYMBOL, compile_rules(_run_worlds).address)
 
 

@@ -16,7 +16,6 @@ from numba import from_dtype, types
 from numpy import bool_, float32, float64, int16, int32, int64, uint8, uint32, uint64
 
 from pneuma.env.compiling import (
-    DIGEST,
     array_from,
     inlined_early,
     typed_arrays,
@@ -349,9 +348,8 @@ ARRAYS = _read_annotations()
 _SAVED = repr([dtype.descr for dtype in (WORLD, PLAYER, MONSTER, SLOT)])
 LAYOUT_DIGEST = hashlib.sha256(_SAVED.encode()).hexdigest()[:16]
 """Identifies the layout of the parts of a `State` that are saved."""
-_CODE = f"code_{DIGEST}"
-HANDLE = np.dtype([(_CODE, "i8", (4,))])
-"""Address and shape of an array of a `State`; the name is the sources' digest: an edit recompiles."""
+HANDLE = np.dtype([("array", "i8", (4,))])
+"""Address and shape of an array of a `State`."""
 
 
 def allocate(constants: Mapping[str, np.ndarray], sizes: Mapping[str, int]) -> State:
@@ -372,7 +370,7 @@ def make_handle(state: State) -> np.ndarray:
     arrays must outlive the handle.
     """
     handle = np.zeros(len(state), HANDLE)
-    for numbers, array in zip(handle[_CODE], state, strict=True):
+    for numbers, array in zip(handle["array"], state, strict=True):
         numbers[0] = array.ctypes.data
         numbers[1 : 1 + array.ndim] = array.shape
     return handle

@@ -65,6 +65,21 @@ def test_a_change_is_compiled_and_programs_kept_from_before_stop_nobody(copy: Pa
     assert output_of(CHOOSE, copy) == "1"
 
 
+OUTPUTS = """
+import numpy as np
+from pneuma.engines.mlp import outputs_of
+outputs_of(np.zeros(32, np.float32), np.array([1, 1]), 0, np.zeros((1, 1), np.float32))
+print(*outputs_of.stats.cache_hits.values())
+"""
+
+
+@pytest.mark.slow
+def test_a_kernel_is_compiled_again_where_another_file_with_kernels_changes(copy: Path) -> None:
+    assert (output_of(OUTPUTS, copy), output_of(OUTPUTS, copy)) == ("", "1")
+    change(copy / "pneuma/engines/products.py", "Measured with", "measured with")
+    assert output_of(OUTPUTS, copy) == ""
+
+
 def test_every_file_with_kernels_is_listed() -> None:
     files_with_kernels = {"env/layouts.py", "env/state.py"}  # whose constants they hold
     for path in PACKAGE.rglob("*.py"):

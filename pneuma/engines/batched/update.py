@@ -38,7 +38,7 @@ from pneuma.engines.mlp import (
     widest_layer,
 )
 from pneuma.engines.products import COLUMNS, multiply, multiply_across, square_of_norm, transpose
-from pneuma.env.compiling import DIGEST, cached
+from pneuma.env.compiling import cached
 from pneuma.env.compiling import kernel as inner
 
 kernel: Any = cached(error_model="numpy")
@@ -68,7 +68,6 @@ NUMBERS = np.dtype(
         ("activation", "i8"), ("optimizer", "i8"), ("minibatch", "i8"), ("normalizes", "?"),
         ("noise_key", "u8"), ("joint_limit", "f8"), ("separate_limit", "f8"),
         *((name, "f8") for name in _LEARNING_NUMBERS + _OPTIMIZER_NUMBERS),
-        (f"code_{DIGEST}", "u1"),  # so that numba compiles again where any of the kernels' files has changed
     ],
     align=True,
 )  # fmt: skip
