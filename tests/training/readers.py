@@ -51,7 +51,7 @@ COMMANDS = {
 DELETE, DELETE_ROW = "delete", "delete row"
 TASKS = (*COMMANDS, "run", DELETE, DELETE, DELETE_ROW)
 NAMES_WHAT_IS_MISSING = re.compile(
-    r"has no runs|no finished run|missing or damaged|train some before publishing|seed \d (running|damaged): "
+    r"has no runs|no finished run|missing or damaged|train some before publishing|seed \d (planned|running|damaged): "
 )
 """The last: of a run that the other process deleted, and trains again."""
 
@@ -77,10 +77,10 @@ def read_and_delete(folder: Path, seconds: float, seed: int) -> tuple[Counter[st
 
 
 def _failures(command: str, allowed: re.Pattern[str] = NAMES_WHAT_IS_MISSING) -> list[str]:
-    exit_code, _, errors = call(*COMMANDS[command])
-    if exit_code == 0 or (exit_code in (1, 2) and allowed.search(errors)):
+    exit_code, printed, errors = call(*COMMANDS[command])
+    if exit_code == 0 or (exit_code in (1, 2) and allowed.search(printed + errors)):
         return []
-    return [f"{command}: exit {exit_code}: {errors}"]
+    return [f"{command}: exit {exit_code}: {printed}{errors}"]
 
 
 def _delete(store: Store, dice: random.Random, task: str) -> None:
