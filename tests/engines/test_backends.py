@@ -113,6 +113,24 @@ def test_an_optimizer_decays_weights_once(name: str) -> None:
     assert moved == pytest.approx(weights - np.resize([DECAYS[name], 0], 64), abs=1e-4)
 
 
+@pytest.mark.parametrize("name", OPTIMIZERS)
+def test_what_an_optimizer_keeps_of_an_old_gradient_becomes_zero(name: str) -> None:
+    """Without it a run of sparse observations takes four times as long: such numbers never reach 0 alone."""
+    run = make_run({"optimizer": name} | ({"betas": (0.9, 0.9)} if name == "adam" else {}))
+    widths = np.array([1, COLUMNS])
+    weights, gradient = np.zeros(64, np.float32), np.ones(64, np.float32)
+    state = optimizers.initial_state(name, 64)
+    numbers, factors, panels = run_numbers(run)[0], np.ones(2, np.float32), used_panels(widths, widths)
+    for _ in range(2_000):
+        optimizers.take_step(weights, gradient, state, numbers, 32, factors, panels)
+        size = np.abs(state.kept)
+        assert not np.any((size > 0) & (size < np.finfo(np.float32).tiny))
+        gradient[:] = 0
+    gradient[0] = np.nan
+    optimizers.take_step(weights, gradient, state, numbers, 32, factors, panels)
+    assert np.isnan(weights[0])
+
+
 def test_an_optimizers_torch_class_is_one() -> None:
     assert OPTIMIZERS.keys() == optimizers.OPTIMIZERS.keys()
     for optimizer in OPTIMIZERS.values():

@@ -51,7 +51,8 @@ COMMANDS = {
 DELETE, DELETE_ROW = "delete", "delete row"
 TASKS = (*COMMANDS, "run", DELETE, DELETE, DELETE_ROW)
 NAMES_WHAT_IS_MISSING = re.compile(
-    r"has no runs|no finished run|missing or damaged|train some before publishing|seed \d (planned|running|damaged): "
+    r"has no runs|no finished run|missing or damaged|train some before publishing"
+    r"|seed \d (planned|running|damaged): "
 )
 """The last: of a run that the other process deleted, and trains again."""
 

@@ -15,12 +15,13 @@ import numpy as np
 from pneuma.engines.batched.initial_weights import draw_normal, mix
 from pneuma.engines.mlp import exp
 from pneuma.engines.products import COLUMNS
-from pneuma.env.compiling import cached
+from pneuma.env.compiling import cached, inlined
 from pneuma.env.compiling import kernel as inner
 
 kernel: Any = cached(error_model="numpy")
 
 ADAM, SGD, RMSPROP, UPGD = range(4)
+_ZERO, _LEAST_NORMAL = np.float32(0), np.finfo(np.float32).tiny
 OPTIMIZERS = {"adam": (ADAM, 2), "sgd": (SGD, 1), "rmsprop": (RMSPROP, 2), "upgd": (UPGD, 3)}
 """The code by which `take_step` chooses its branch, and how many numbers are kept for every weight."""
 
@@ -84,6 +85,16 @@ def take_step(
         _upgd(weights, kept, powers, steps[0], numbers, panels)
 
 
+@inlined
+def _normal(x: Any) -> Any:
+    """Return a number of float32, or 0 for one so small that processors take a hundred times as long for it.
+
+    Where a gradient stays 0, such as of an input that is seen once, its means would fall to such numbers and
+    never to 0. A weight's step from them is below 1e-30.
+    """
+    return _ZERO if abs(x) < _LEAST_NORMAL else x
+
+
 @inner
 def _adam(
     weights: Any, gradient: Any, factor: Any, mean: Any, square: Any, powers: Any, numbers: Any
@@ -96,8 +107,8 @@ def _adam(
     epsilon, decay = np.float32(numbers.epsilon), np.float32(numbers.weight_decay)
     for i in range(len(weights)):
         g = gradient[i] * factor + decay * weights[i]
-        m = mean[i] + (g - mean[i]) * rest_1
-        v = beta_2 * square[i] + rest_2 * (g * g)
+        m = _normal(mean[i] + (g - mean[i]) * rest_1)
+        v = _normal(beta_2 * square[i] + rest_2 * (g * g))
         mean[i], square[i] = m, v
         weights[i] -= rate * m / (math.sqrt(v) * scale + epsilon)
 
@@ -111,7 +122,7 @@ def _sgd(weights: Any, gradient: Any, factor: Any, momentum: Any, is_first: bool
         fresh = np.float32(1.0)
     for i in range(len(weights)):
         g = gradient[i] * factor + decay * weights[i]
-        momentum[i] = kept * momentum[i] + fresh * g
+        momentum[i] = _normal(kept * momentum[i] + fresh * g)
         weights[i] -= rate * momentum[i]
 
 
@@ -123,9 +134,9 @@ def _rmsprop(weights: Any, gradient: Any, factor: Any, square: Any, momentum: An
     kept, epsilon = np.float32(numbers.momentum), np.float32(numbers.epsilon)
     for i in range(len(weights)):
         g = gradient[i] * factor + decay * weights[i]
-        v = smoothing * square[i] + rest * (g * g)
+        v = _normal(smoothing * square[i] + rest * (g * g))
         square[i] = v
-        momentum[i] = kept * momentum[i] + g / (math.sqrt(v) + epsilon)
+        momentum[i] = _normal(kept * momentum[i] + g / (math.sqrt(v) + epsilon))
         weights[i] -= rate * momentum[i]
 
 
@@ -142,9 +153,9 @@ def _remember(
     decay, rest = np.float32(numbers.utility_decay), np.float32(1.0 - numbers.utility_decay)
     for i in range(len(weights)):
         g = gradient[i] * factor
-        mean[i] = beta_1 * mean[i] + rest_1 * g
-        square[i] = beta_2 * square[i] + rest_2 * (g * g)
-        utility[i] = decay * utility[i] - rest * (g * weights[i])
+        mean[i] = _normal(beta_1 * mean[i] + rest_1 * g)
+        square[i] = _normal(beta_2 * square[i] + rest_2 * (g * g))
+        utility[i] = _normal(decay * utility[i] - rest * (g * weights[i]))
 
 
 @kernel
