@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import platform
 import sys
 from collections.abc import Iterable
 from importlib.util import find_spec
@@ -20,6 +21,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from numba.core.registry import cpu_target
 
 from pneuma.config import ACTIVATIONS, make_run
 from pneuma.engines.batched.initial_weights import _draw_reflectors, _reflect, initial_networks
@@ -27,7 +29,6 @@ from pneuma.engines.loop import Result, train_run
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import Row
 from pneuma.env.fields import ENVIRONMENTS
-from pneuma.store.provenance import machine
 
 RECORD = Path(__file__).with_suffix(".json")
 UPDATES = 3
@@ -164,8 +165,9 @@ def main(arguments: list[str]) -> int:
     different = differences(digests(arguments), recorded(arguments))
     for kind in different:
         print(f"other bits: {kind}")
-    here = machine()
-    print(f"{len(recorded(arguments))} kinds, {len(different)} differ ({here['system']}, {here['target']})")
+    _, target, _ = cpu_target.target_context.codegen().magic_tuple()
+    system = f"{platform.system()} {platform.machine()}"
+    print(f"{len(recorded(arguments))} kinds, {len(different)} differ ({system}, {target})")
     return 1 if different else 0
 
 

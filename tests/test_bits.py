@@ -105,3 +105,11 @@ def test_numpy_and_c_compute_otherwise_without_features() -> None:
     assert old["product"] != here["product"]
     for function in here["functions"]:
         assert old["functions"][function] != here["functions"][function], function
+
+
+def test_the_bits_of_a_run_need_no_more_than_the_emulated_machine_has() -> None:
+    blocked = dict.fromkeys(
+        ["torch", "pandas", "pyarrow", "typer", "optuna", "matplotlib", "stable_baselines3"]
+    )
+    code = f"import sys; sys.modules.update({blocked}); import tests.bits"
+    subprocess.run([sys.executable, "-c", code], check=True)
