@@ -112,6 +112,6 @@ def test_the_bits_of_a_run_need_no_more_than_the_emulated_machine_has() -> None:
         ["torch", "pandas", "pyarrow", "typer", "optuna", "matplotlib", "stable_baselines3"]
     )
     code = (
-        f"import sys; sys.modules.update({blocked}); from tests.bits import main; print(main(['no limit']))"
+        f"import sys; sys.modules.update({blocked}); from tests.bits import main; sys.exit(main(['limit']))"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
