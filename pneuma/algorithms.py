@@ -104,11 +104,12 @@ ALGORITHMS: dict[str, Algorithm] = {
     "tqc": Algorithm(learner="sb3_contrib:TQC"),
     "crossq": Algorithm(learner="sb3_contrib:CrossQ"),
     "recurrent-ppo": Algorithm({"horizon": 128}, learner="sb3_contrib:RecurrentPPO"),
+    "maskable-ppo": Algorithm({"horizon": 2048}, learner="sb3_contrib:MaskablePPO"),
 }  # fmt: skip
 
 VALUE_BASED = ("dqn", "double-dqn")
 """Algorithms that act by estimated values of actions (thesis chapter 3)."""
-LIBRARY_HORIZONS = {"PPO": 2048, "A2C": 5, "TRPO": 2048, "RecurrentPPO": 128}
+LIBRARY_HORIZONS = {"PPO": 2048, "A2C": 5, "TRPO": 2048, "RecurrentPPO": 128, "MaskablePPO": 2048}
 """Defaults of the horizon of the libraries' learners that are named by `module:Class`."""
 
 
@@ -129,6 +130,11 @@ def has_rollouts(algorithm_name: str) -> bool:
     That of a learner with replay is another. It is not known of a user's own class.
     """
     return "horizon" in find_algorithm(algorithm_name).defaults
+
+
+def is_masked(algorithm_name: str) -> bool:
+    """Return whether an algorithm takes only the actions that its environment's `action_masks()` allows."""
+    return find_algorithm(algorithm_name).learner.endswith(":MaskablePPO")
 
 
 def is_own_algorithm(algorithm_name: str) -> bool:

@@ -7,6 +7,7 @@ learning_rate_schedule = "linear". The arguments of other learners are in `algor
 from __future__ import annotations
 
 import ast
+import json
 import re
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -25,7 +26,7 @@ def _names_of_ppo() -> dict[str, str]:
 
 NAMES = _names_of_ppo()
 """Fields that PPO has by another name, by that name."""
-ALGORITHM_KWARGS = "algorithm_kwargs"
+ALGORITHM_KWARGS, CALLBACK = "algorithm_kwargs", "callback"
 ZOO_NOISE = {"normal": "NormalActionNoise", "ornstein-uhlenbeck": "OrnsteinUhlenbeckActionNoise"}
 """Action noise, by its name in the zoo."""
 _ACTIVATIONS = {f"nn.{torch_class}": activation for activation, torch_class in ACTIVATIONS.items()}
@@ -119,6 +120,38 @@ def _read_net_arch(layers: Any) -> dict[str, Any]:
     if isinstance(layers, Mapping):
         return {"actor": layers["pi"], "critic": layers["vf"]}
     return {"actor": layers, "critic": layers}
+
+
+def takes_classes(argument_name: str) -> bool:
+    """Return whether an argument of a learner or of its policy is a class, or several."""
+    return argument_name in ("activation_fn", CALLBACK) or argument_name.endswith("_class")
+
+
+def own_classes(arguments: str) -> list[str]:
+    """Return the classes of a user's own, "module:Class", in the JSON of `algorithm_kwargs`."""
+    class_names: list[str] = []
+
+    def noted(class_name: str) -> str:
+        class_names.append(class_name)
+        return class_name
+
+    replace_own_classes(arguments, noted)
+    return class_names
+
+
+def replace_own_classes(arguments: str, change: Callable[[str], str]) -> str:
+    """Return the JSON of `algorithm_kwargs` with other names for classes of a user's own."""
+
+    def changed(argument_name: str, argument: Any) -> Any:
+        if isinstance(argument, dict):
+            return {name: changed(name, part) for name, part in argument.items()}
+        if isinstance(argument, list):
+            return [changed(argument_name, part) for part in argument]
+        if isinstance(argument, str) and ":" in argument and takes_classes(argument_name):
+            return change(argument)
+        return argument
+
+    return json.dumps(changed("", json.loads(arguments)), sort_keys=True) if arguments else ""
 
 
 def read_arguments_text(arguments_text: str) -> Any:

@@ -26,7 +26,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.error import DeprecatedEnv, VersionNotFound
 
-from pneuma.algorithms import VALUE_BASED
+from pneuma.algorithms import VALUE_BASED, is_masked
 from pneuma.config import Run
 from pneuma.engines.normalization import Normalization, Scaling
 from pneuma.engines.records import episode_row
@@ -164,9 +164,12 @@ class GymnasiumSlots:
         self.rewards = np.zeros(len(self.envs))
         self.terminated, self.truncated = np.zeros((2, len(self.envs)), np.bool_)
 
-    def random_action(self) -> Any:
+    def random_action(self, slot: int = 0) -> Any:
         """Sample an action by the space's own generator; discrete ones count from 0."""
-        return self.action_space.sample() - getattr(self.action_space, "start", 0)
+        mask: Any = None
+        if is_masked(self.run.algorithm) and isinstance(self.action_space, spaces.Discrete):
+            mask = np.asarray(self.envs[slot].get_wrapper_attr("action_masks")(), np.int8)
+        return self.action_space.sample(mask) - getattr(self.action_space, "start", 0)
 
     def step_one(self, slot: int, action: Any) -> tuple[float, bool, bool, Mapping[str, Any]]:
         """Step one environment; return its reward, whether it terminated or was truncated, and its info."""

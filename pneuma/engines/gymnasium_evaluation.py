@@ -44,7 +44,7 @@ class Evaluation:
         slots = self._make_slots(slot_count)
         slots.action_space.seed(stream_seed(self.run.seed, "random-player") % 2**31)
         returns, lengths, _ = self._play(
-            slots, lambda rows, _: np.array([slots.random_action() for _ in rows])
+            slots, lambda rows, _: np.array([slots.random_action(row) for row in rows])
         )
         return returns, lengths
 

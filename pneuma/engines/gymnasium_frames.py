@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from gymnasium.error import DependencyNotInstalled
 
+from pneuma.algorithms import is_masked
 from pneuma.config import Run
 from pneuma.engines.gymnasium_env import actions_in_space, errors_from, flattening, make_env
 from pneuma.engines.policy import Policy
@@ -53,7 +54,8 @@ def episode_frames(run: Run, policy: Policy | LearnedPolicy | None, seed: int) -
                 actions = policy.sample(flat_observation[None], generator)
                 action = actions_in_space(env.action_space, actions)[0]
             else:
-                action, state = policy.predict(observation, state, np.array([is_first]))
+                masks = env.get_wrapper_attr("action_masks")() if is_masked(run.algorithm) else None
+                action, state = policy.predict(observation, state, np.array([is_first]), action_masks=masks)
             observation, _, terminated, truncated, _ = env.step(action)
             yield _frame(run, env)
             is_first, has_ended = False, terminated or truncated

@@ -1,8 +1,9 @@
 """The arguments of a learner of Stable-Baselines3's kind, from `algorithm_kwargs` of a run.
 
 Numbers, texts and lists are passed on as they are. What TOML cannot contain is written as in
-rl-baselines3-zoo: "lin_7e-4" is a schedule, "nn.ELU" a class, "dict(net_arch=[64])" a dictionary. Action
-noise is a table with the name of its class, or the zoo's noise_type and noise_std.
+rl-baselines3-zoo: "lin_7e-4" is a schedule, "nn.ELU" a class, "dict(net_arch=[64])" a dictionary. A class of
+a user's own is "module:Class". Action noise is a table with the name of its class, or the zoo's noise_type
+and noise_std.
 """
 
 from __future__ import annotations
@@ -15,17 +16,32 @@ import stable_baselines3
 import torch
 from gymnasium import spaces
 from stable_baselines3.common import buffers, noise, torch_layers
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.sb2_compat import rmsprop_tf_like
 from stable_baselines3.common.utils import LinearSchedule
 
+from pneuma.engines.gymnasium_env import errors_from, load_class
 from pneuma.errors import UserError
-from pneuma.sb3_names import WRONG_TEXT, ZOO_NOISE, annealed_from, read_arguments_text
+from pneuma.sb3_names import (
+    CALLBACK,
+    WRONG_TEXT,
+    ZOO_NOISE,
+    annealed_from,
+    read_arguments_text,
+    takes_classes,
+)
 
 TUPLES = ("train_freq", "betas")
 """Arguments that must be tuples."""
 CLASSES_OF = (torch.nn, torch.optim, torch_layers, buffers, rmsprop_tf_like, stable_baselines3)
-"""Modules in which a class is looked up by its name, which may be untrusted: so a user's own are not among
-them."""
+"""Modules in which a class is looked up by its name."""
+BASES: dict[str, type] = {
+    CALLBACK: BaseCallback,
+    "features_extractor_class": torch_layers.BaseFeaturesExtractor,
+    "optimizer_class": torch.optim.Optimizer,
+    "activation_fn": torch.nn.Module,
+}
+"""What a class must be, by the argument that names it."""
 NOISE = tuple(ZOO_NOISE.values())
 
 
@@ -64,8 +80,8 @@ def _read(argument_name: str, argument: Any, action_space: spaces.Space[Any]) ->
 
 
 def _read_text(argument_name: str, argument_text: str, action_space: spaces.Space[Any]) -> Any:
-    if argument_name == "activation_fn" or argument_name.endswith("_class"):
-        return _find_class(argument_name, argument_text)
+    if takes_classes(argument_name):
+        return find_class(argument_name, argument_text)
     first_value = annealed_from(argument_text)
     if first_value is not None:
         return LinearSchedule(first_value, 0.0, 1.0)
@@ -80,15 +96,25 @@ def _read_text(argument_name: str, argument_text: str, action_space: spaces.Spac
     return read_arguments(argument_table, action_space)
 
 
-def _find_class(argument_name: str, class_text: str) -> type:
-    class_name = class_text.rpartition(".")[2]
-    for module in CLASSES_OF:
-        candidate = getattr(module, class_name, None)
-        if isinstance(candidate, type):
-            return candidate
-    raise UserError(
-        f"algorithm_kwargs: {argument_name} = {class_text!r}: is not a class of torch or Stable-Baselines3"
-    )
+def find_class(argument_name: str, class_text: str) -> Any:
+    """Return a class of torch or Stable-Baselines3 by its name, or one of a user's own by `module:Class`."""
+    wanted = f"algorithm_kwargs: {argument_name} = {class_text!r}"
+    found: Any = None
+    if ":" in class_text:
+        with errors_from(wanted):
+            found = load_class(class_text)
+    else:
+        class_name = class_text.rpartition(".")[2]
+        for module in CLASSES_OF:
+            found = found or getattr(module, class_name, None)
+        if not isinstance(found, type):
+            raise UserError(
+                f"{wanted}: is not a class of torch or Stable-Baselines3; your own is module:Class"
+            )
+    base = BASES.get(argument_name, object)
+    if not isinstance(found, type) or not issubclass(found, base):
+        raise UserError(f"{wanted}: must be a class of {base.__name__}'s kind")
+    return found
 
 
 def _action_noise(noise_table: Mapping[str, Any], action_space: spaces.Space[Any]) -> noise.ActionNoise:

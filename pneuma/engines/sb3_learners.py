@@ -20,7 +20,7 @@ import torch
 from sb3_contrib import TRPO
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.buffers import RolloutBuffer
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import VecEnv
@@ -197,6 +197,28 @@ def prepare(model: Any, run: Run) -> None:
 def learn(model: Any, steps: int, callback: BaseCallback) -> None:
     """Let a learner go on for so many agent steps, and train on them."""
     model.learn(steps, callback=callback, reset_num_timesteps=False, log_interval=None)
+
+
+class PartwiseCallbacks(CallbackList):
+    """Several callbacks of a training in several calls of `learn`: for them it starts and ends once."""
+
+    _has_begun = False
+
+    def _init_callback(self) -> None:
+        if not self._has_begun:
+            super()._init_callback()
+
+    def _on_training_start(self) -> None:
+        if not self._has_begun:
+            super()._on_training_start()
+        self._has_begun = True
+
+    def _on_training_end(self) -> None:
+        """Do nothing at the end of a call of `learn`."""
+
+    def end(self) -> None:
+        """Tell the callbacks that training has ended."""
+        super()._on_training_end()
 
 
 class Episodes(BaseCallback):

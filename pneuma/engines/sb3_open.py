@@ -22,7 +22,10 @@ import numpy as np
 import torch
 from safetensors.numpy import load, save
 from sb3_contrib import MaskablePPO
+from sb3_contrib.common.maskable.evaluation import evaluate_policy as masked_evaluation
+from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
@@ -31,7 +34,7 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.type_aliases import TrainFrequencyUnit
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
-from pneuma.algorithms import find_algorithm, has_rollouts
+from pneuma.algorithms import find_algorithm, has_rollouts, is_masked
 from pneuma.config import CPU, LIBRARY, Run, slot_seeds, stream_seed
 from pneuma.engines.environment import check_device
 from pneuma.engines.gymnasium_env import (
@@ -45,10 +48,11 @@ from pneuma.engines.gymnasium_env import (
 from pneuma.engines.loop import Trainer
 from pneuma.engines.policy import LEARNER_FILE
 from pneuma.engines.records import Records, Row, evaluation_row, metrics_row
-from pneuma.engines.sb3_arguments import read_arguments
+from pneuma.engines.sb3_arguments import find_class, read_arguments
 from pneuma.engines.sb3_learners import (
     LEARNERS,
     Episodes,
+    PartwiseCallbacks,
     field_arguments,
     has_finite_weights,
     learn,
@@ -58,6 +62,7 @@ from pneuma.engines.sb3_learners import (
 )
 from pneuma.engines.stopping import IsStopping, check_length, check_stop, never
 from pneuma.errors import UserError
+from pneuma.sb3_names import CALLBACK
 
 IN_POLICY_KWARGS = {
     "net_arch": "actor and critic",
@@ -99,9 +104,13 @@ def check_learner(run: Run) -> None:
         closed_after(run, _environments(run, run.slots)) as environments,
     ):
         learner = _make_learner(run, environments)
+        own_callbacks(run)
         with errors_from(f"{run.env} in its first step"):
-            environments.reset()
-            environments.step(np.array([environments.action_space.sample() for _ in range(run.slots)]))
+            observations = environments.reset()
+            actions = np.array([environments.action_space.sample() for _ in range(run.slots)])
+            if is_masked(run.algorithm):
+                actions, _ = learner.predict(observations, action_masks=get_action_masks(environments))
+            environments.step(actions)
     pace = _pace(learner)
     if isinstance(learner, OnPolicyAlgorithm) and run.horizon != pace:
         remedy = f"set horizon = {pace}, or n_steps = {run.horizon} in algorithm_kwargs"
@@ -124,8 +133,10 @@ def learner_class(run: Run) -> Any:
         learner_type, OnPolicyAlgorithm | OffPolicyAlgorithm
     ):
         raise UserError(f"algorithm = {run.algorithm}: must be an OnPolicyAlgorithm or an OffPolicyAlgorithm")
-    if issubclass(learner_type, MaskablePPO):
-        raise UserError(f"algorithm = {run.algorithm}: evaluations do not support action masks")
+    if issubclass(learner_type, MaskablePPO) and not is_masked(run.algorithm):
+        raise UserError(
+            f"algorithm = {run.algorithm}: evaluations know the action masks of maskable-ppo alone"
+        )
     return learner_type
 
 
@@ -139,8 +150,24 @@ def _check_arguments(run: Run) -> None:
 
 
 def _algorithm_kwargs(run: Run) -> dict[str, Any]:
+    """Return the learner's arguments as a table, without callbacks."""
     argument_table: dict[str, Any] = json.loads(run.algorithm_kwargs or "{}")
+    argument_table.pop(CALLBACK, None)
     return argument_table
+
+
+def own_callbacks(run: Run) -> list[BaseCallback]:
+    """Make a user's own callbacks, which `algorithm_kwargs` names, without arguments."""
+    named = json.loads(run.algorithm_kwargs or "{}").get(CALLBACK, [])
+    callbacks = []
+    for class_name in [named] if isinstance(named, str) else named:
+        if not isinstance(class_name, str):
+            raise UserError(
+                f"algorithm_kwargs: {CALLBACK} = {named!r} is not allowed: module:Class, or a list"
+            )
+        with errors_from(f"algorithm_kwargs: {CALLBACK} = {class_name!r}"):
+            callbacks.append(find_class(CALLBACK, class_name)())
+    return callbacks
 
 
 def _environments(run: Run, slots: int, seed: int = 0) -> VecEnv:
@@ -161,6 +188,8 @@ def _make_learner(run: Run, env: VecEnv, to_play: bool = False) -> Any:
     """Return the learner of a run. One `to_play` has an empty replay buffer, and seeds no generators."""
     learner_type = learner_class(run)
     policy_name = run.policy or "MlpPolicy"
+    if issubclass(learner_type, MaskablePPO) and not is_masking_supported(env):
+        raise UserError(f"{run.algorithm} needs action masks, but {run.env} has no method action_masks()")
     if policy_name not in learner_type.policy_aliases:
         raise UserError(
             f'policy = "{policy_name}": {run.algorithm} has {", ".join(learner_type.policy_aliases)}'
@@ -223,6 +252,7 @@ class OpenTrainer(Trainer):
         self._model = _make_learner(run, self._env)
         prepare(self._model, run)
         self._episodes = Episodes(run, is_stopping)
+        self._callbacks = PartwiseCallbacks([self._episodes, *own_callbacks(run)])
         self._seed = stream_seed(run.seed, "evaluation")
 
     def update(self, before: int, after: int, records: Records) -> bool:
@@ -230,7 +260,12 @@ class OpenTrainer(Trainer):
         with errors_from(f"{self.run.algorithm} in {self.run.env}"):
             steps_left = after - model.num_timesteps
             if steps_left > 0:  # a learner that counts episodes may have gone further
-                learn(model, steps_left, self._episodes)
+                learn(model, steps_left, self._callbacks)
+                if model.num_timesteps < after:
+                    step_text = f"at step {model.num_timesteps:,}"
+                    raise UserError(f"a callback ended training {step_text}, but a run trains all its steps")
+            if after >= self.run.steps:
+                self._callbacks.end()
         records.metrics.append(metrics_row(after, logged_losses(model)))
         records.episodes.extend(self._episodes.take_rows())
         return has_finite_weights(model)
@@ -263,7 +298,8 @@ class OpenTrainer(Trainer):
                     env.training, env.norm_reward = False, False
                     if self.run.normalize_observations:
                         env.obs_rms = self._env.obs_rms
-                returns_and_lengths: Any = evaluate_policy(
+                evaluate: Any = masked_evaluation if is_masked(self.run.algorithm) else evaluate_policy
+                returns_and_lengths: Any = evaluate(
                     self._model, env, episodes, deterministic, callback=check, return_episode_rewards=True
                 )
         finally:
@@ -295,15 +331,18 @@ class LearnedPolicy:
         state: tuple[np.ndarray, ...] | None = None,
         episode_start: np.ndarray | None = None,
         deterministic: bool = False,
+        action_masks: np.ndarray | None = None,
     ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
         """Return actions and the next state for observations as the environment gives them.
 
-        It is a `PolicyPredictor` of Stable-Baselines3, for its `evaluate_policy`.
+        It is a `PolicyPredictor` of Stable-Baselines3, for its `evaluate_policy`. Only a learner with action
+        masks takes them.
         """
         normalizing = self.learner.get_vec_normalize_env()
         if normalizing is not None:
             observation = normalizing.normalize_obs(observation)
-        return self.learner.predict(observation, state, episode_start, deterministic)
+        masks: dict[str, Any] = {} if action_masks is None else {"action_masks": action_masks}
+        return self.learner.predict(observation, state, episode_start, deterministic, **masks)
 
     def to_bytes(self) -> bytes:
         """Return the .zip that the learner's `save` writes, with the statistics in it."""

@@ -39,7 +39,7 @@ NUMBER = r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?"
 NORMALIZED = {"norm_obs": "normalize_observations", "norm_reward": "normalize_rewards"}
 WITHOUT_FIELD = {
     "frame_stack": "give wrappers that stack observations instead",
-    "callback": "a run has no callbacks",
+    "callback": "in algorithm_kwargs, callback takes classes without arguments",
     "vec_env_wrapper": "wrappers are of single environments",
     "monitor_kwargs": "episodes are recorded by Pneuma's own monitor",
 }

@@ -14,6 +14,7 @@ from pneuma.config import ENGINE_VERSIONS, RULES_VERSION, Run, as_fields
 from pneuma.env.fields import are_own_characters, is_own_level, is_own_reward, read_field
 from pneuma.files import read_regular
 from pneuma.own_modules import in_package, module_files
+from pneuma.sb3_names import ALGORITHM_KWARGS, own_classes, replace_own_classes
 
 _IS_OWN: dict[str, Callable[[str], bool]] = {
     "level": is_own_level,
@@ -22,11 +23,12 @@ _IS_OWN: dict[str, Callable[[str], bool]] = {
     "env_module": bool,
     "wrappers": bool,
     "reward": is_own_reward,
+    ALGORITHM_KWARGS: bool,
 }
 """Fields that may name a user's files, in the order in which these are hashed, and whether a name does."""
-_CLASSES = ("reward", "wrappers", "algorithm")
+_CLASSES = ("reward", "wrappers", "algorithm", ALGORITHM_KWARGS)
 """Fields that name something in a module."""
-_NOUNS = {"env_module": "module", "wrappers": "wrapper"}
+_NOUNS = {"env_module": "module", "wrappers": "wrapper", ALGORITHM_KWARGS: "class"}
 
 
 def run_id(run: Run) -> str:
@@ -57,6 +59,8 @@ def _digest(run: Run, without: Sequence[str] = ()) -> str:
         hashed_fields["algorithm"] = _by_file(run.algorithm)
     if "wrappers" in hashed_fields:
         hashed_fields["wrappers"] = list(map(_by_file, run.wrappers))
+    if ALGORITHM_KWARGS in hashed_fields:
+        hashed_fields[ALGORITHM_KWARGS] = replace_own_classes(run.algorithm_kwargs, _by_file)
     if "reward" in hashed_fields:
         hashed_fields["reward"] = list(map(_by_module, run.reward))
     identity = {
@@ -130,6 +134,8 @@ def own_names(fields: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
     for field_name, is_own in _IS_OWN.items():
         field_value = fields.get(field_name, ())
         names = (field_value,) if isinstance(field_value, str) else field_value
+        if field_name == ALGORITHM_KWARGS:
+            names = own_classes(field_value or "")
         user_names = tuple(filter(is_own, names))
         if user_names:
             names_by_field[field_name] = user_names
@@ -146,7 +152,9 @@ def with_file_paths(study_file: Path, fields: Mapping[str, Any]) -> dict[str, An
     for field_name, names in own_names(fields).items():
         paths = {own_name: _file_path(study_file.parent, field_name, own_name) for own_name in names}
         field_value = fields[field_name]
-        if isinstance(field_value, str):
+        if field_name == ALGORITHM_KWARGS:
+            resolved[field_name] = replace_own_classes(field_value, paths.__getitem__)
+        elif isinstance(field_value, str):
             resolved[field_name] = paths[field_value]
         else:
             resolved[field_name] = tuple(paths.get(own_name, own_name) for own_name in field_value)

@@ -97,6 +97,17 @@ class Corridor(gymnasium.Env[Any, Any]):
         return self._seen(), 1.0 if there else paid, there, False, {"is_success": there}
 
 
+class Masked(Corridor):
+    """It allows only the step to the right."""
+
+    def action_masks(self) -> np.ndarray:
+        return np.array([False, True])
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        assert action == 1, "a masked action"
+        return super().step(action)
+
+
 class Alone(Corridor):
     """There can be few at a time, as where each opens one of a list of ports."""
 
@@ -138,4 +149,5 @@ class Doubled(gymnasium.RewardWrapper[Any, Any]):
         return 2 * float(reward)
 
 
+gymnasium.register("Masked-v0", "tests.engines.own_envs:Masked", max_episode_steps=30)
 gymnasium.register("Corridor-v0", "tests.engines.own_envs:Corridor", max_episode_steps=30)

@@ -25,7 +25,7 @@ from torch import nn
 from pneuma.config import Run, effective_fields, make_run
 from pneuma.engines import gymnasium_frames, stopping
 from pneuma.engines.environment import check_environment
-from pneuma.engines.gymnasium_env import make_env, refuse_flat_pictures
+from pneuma.engines.gymnasium_env import load_class, make_env, refuse_flat_pictures
 from pneuma.engines.loop import train_run
 from pneuma.engines.sb3_arguments import read_arguments
 from pneuma.engines.sb3_open import (
@@ -40,7 +40,7 @@ from pneuma.engines.sb3_open import (
 from pneuma.engines.shared_generators import seed_shared_generators
 from pneuma.errors import UserError
 from pneuma.sb3_names import own_fields
-from pneuma.study.identity import describe_user_code, run_id
+from pneuma.study.identity import describe_user_code, run_id, with_file_paths
 
 from .trained import CORRIDOR
 
@@ -176,6 +176,97 @@ def test_a_class_of_ones_own_trains_and_its_file_is_part_of_the_id(tmp_path: Pat
     assert run_id(run) != before
     assert describe_user_code(vars(run)) == {"algorithm": f"run the algorithm {file}:Mine"}
     assert not describe_user_code({"algorithm": "stable_baselines3:PPO"})
+
+
+OWN_PARTS = """
+import torch
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+class Net(BaseFeaturesExtractor):
+    def __init__(self, observation_space):
+        super().__init__(observation_space, features_dim=3)
+        self.layer = torch.nn.Linear(observation_space.shape[0], 3)
+
+    def forward(self, observations):
+        return self.layer(observations)
+
+class Diary(BaseCallback):
+    heard = []
+
+    def _on_training_start(self):
+        self.heard.append("start")
+
+    def _on_step(self):
+        return True
+
+    def _on_rollout_end(self):
+        self.heard.append(self.num_timesteps)
+
+    def _on_training_end(self):
+        self.heard.append("end")
+
+class Impatient(BaseCallback):
+    def _on_step(self):
+        return self.num_timesteps < 100
+"""
+
+
+def test_a_feature_extractor_of_ones_own_trains_and_its_file_is_part_of_the_id(tmp_path: Path) -> None:
+    file = tmp_path / "net_parts.py"
+    file.write_text(OWN_PARTS)
+    study_file = tmp_path / "mine.toml"
+    fields = with_file_paths(
+        study_file, {"algorithm_kwargs": '{"policy_kwargs": {"features_extractor_class": "net_parts:Net"}}'}
+    )
+    run = make_run({**SHORT, **fields})
+    check_environment(run)
+    learner: Any = learned(run).learner
+    assert "Linear(in_features=4, out_features=3" in repr(learner.policy.features_extractor)
+    before = run_id(run)
+    file.write_text(OWN_PARTS + "\n")
+    assert run_id(run) != before
+    moved = tmp_path / "elsewhere" / "net_parts.py"
+    moved.parent.mkdir()
+    moved.write_text(OWN_PARTS)
+    arguments = {"policy_kwargs": {"features_extractor_class": f"{moved}:Net"}}
+    assert run_id(make_run({**SHORT, "algorithm_kwargs": arguments})) == before
+    assert describe_user_code(vars(run)) == {"algorithm_kwargs": f"run the class {file}:Net"}
+
+
+def test_callbacks_of_ones_own_hear_one_training_from_start_to_end(tmp_path: Path) -> None:
+    file = tmp_path / "diary_parts.py"
+    file.write_text(OWN_PARTS)
+    heard = load_class(f"{file}:Diary").heard
+    run = make_run({**SHORT, "algorithm_kwargs": {"callback": [f"{file}:Diary"]}})
+    check_environment(run)
+    assert heard == []
+    plain = pasted(clip_range_vf=0.2)  # any argument, so that both are trained by the same engine
+    with_it = pasted(clip_range_vf=0.2, algorithm_kwargs={"callback": f"{file}:Diary"})
+    assert learned(with_it).learner.policy.state_dict()["action_net.bias"].tolist() == (
+        learned(plain).learner.policy.state_dict()["action_net.bias"].tolist()
+    )
+    assert heard == ["start", 128, 256, "end"]
+
+
+def test_a_callback_cannot_end_a_run(tmp_path: Path) -> None:
+    file = tmp_path / "impatient_parts.py"
+    file.write_text(OWN_PARTS)
+    run = make_run({**SHORT, "algorithm_kwargs": {"callback": f"{file}:Impatient"}})
+    with pytest.raises(UserError, match="a callback ended training at step 100, but a run trains all its"):
+        train_run(run, lambda _: True)
+
+
+def test_masked_actions_are_never_taken() -> None:
+    masked = {"env": "Masked-v0", "env_module": "tests.engines.own_envs", "algorithm": "maskable-ppo"}
+    run = make_run({**masked, "horizon": 64, "steps": 128, "evaluation_episodes": 2})
+    check_environment(run)
+    result = train_run(run, lambda _: True)
+    assert result.status == "done"
+    assert result.records.evaluations[-1]["return"] > 0.5  # five steps to the right
+    policy = load_learner(run, learned(run).to_bytes())
+    actions, _ = policy.predict(np.zeros((1, 2)), action_masks=np.array([[False, True]]))
+    assert actions == [1]
 
 
 def test_a_rollout_learners_horizon_is_its_n_steps() -> None:
@@ -462,7 +553,30 @@ def test_what_is_not_used_does_not_move_an_id() -> None:
             "horizon = 64 .* has n_steps = 100; set horizon = 100, or n_steps = 64 in algorithm_kwargs",
         ),
         ({"algorithm": "sb3_contrib:ARS"}, "must be an OnPolicyAlgorithm or an OffPolicyAlgorithm"),
-        ({"algorithm": "sb3_contrib:MaskablePPO"}, "evaluations do not support action masks"),
+        (
+            {"algorithm": "sb3_contrib:MaskablePPO"},
+            "MaskablePPO needs action masks, but CartPole-v1 has no method action_masks",
+        ),
+        (
+            {"algorithm_kwargs": {"policy_kwargs": {"features_extractor_class": f"{__name__}:OwnRollouts"}}},
+            "OwnRollouts': must be a class of BaseFeaturesExtractor's kind",
+        ),
+        (
+            {"algorithm_kwargs": {"policy_kwargs": {"features_extractor_class": f"{__name__}:Missing"}}},
+            r"^algorithm_kwargs: features_extractor_class = .*:Missing': .*AttributeError",
+        ),
+        (
+            {"algorithm_kwargs": {"callback": "no_such_module:Diary"}},
+            "^module no_such_module cannot be imported: ModuleNotFound",
+        ),
+        (
+            {"algorithm_kwargs": {"callback": "PPO"}},
+            "callback = 'PPO': must be a class of BaseCallback's kind",
+        ),
+        (
+            {"algorithm_kwargs": {"callback": [3]}},
+            r"callback = \[3\] is not allowed: module:Class, or a list",
+        ),
         (
             {"algorithm": "td3", **NUMBERS, "algorithm_kwargs": {"action_noise": {"sigma": 1.0}}},
             "action_noise = .*: a table with the name NormalActionNoise or Ornstein",
