@@ -13,7 +13,7 @@ from pneuma.analysis.power import ENOUGH_RUNS, POWER, seeds_for_means, seeds_tab
 from pneuma.analysis.study_data import StudyData
 from pneuma.answers.answer import Answer
 from pneuma.config import Run
-from pneuma.engines.loop import EPISODES, has_limited_evaluations
+from pneuma.engines.loop import EPISODES, has_limited_evaluations, planned_evaluations
 from pneuma.errors import Hint, UserError, tallied
 from pneuma.store.index import RunIndex
 from pneuma.store.store import Status
@@ -62,6 +62,10 @@ def plan_answer(index: RunIndex, plan: Plan, workers: int) -> Answer:
             f"Time to train: {_expected_time(index, missing_runs, statuses, seconds_by_run, workers)}."
         )
     notes = [f"Note: {note}." for note in plan.notes]
+    points = {run.env: len(planned_evaluations(run)) for run in plan.configurations.values()}
+    if len(set(points.values())) > 1 and len(points) > 1:
+        counts = ", ".join(f"{count} in {env_id}" for env_id, count in points.items())
+        notes.append(f"Note: runs so short have another number of evaluations in each environment: {counts}.")
     if any(has_limited_evaluations(run) for run in plan.configurations.values()):
         limit = "fewer where all evaluations would take more than a fifth of a run's steps"
         notes.append(

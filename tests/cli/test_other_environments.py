@@ -147,6 +147,15 @@ def test_each_example_can_be_planned(example: Path, tmp_path: Path) -> None:
     printed("study", "plan", example, "--results", tmp_path / "results")
 
 
+def test_a_plan_says_where_environments_have_other_numbers_of_evaluations(tmp_path: Path) -> None:
+    file = tmp_path / "two.toml"
+    for steps, is_said in {100_352: True, 1_000_448: False}.items():
+        conditions = '[conditions.a]\nenv = "CartPole-v1"\n[conditions.b]\nenv = "pneuma/PneumaArena-v0"\n'
+        file.write_text(f'title = "Two"\n{conditions}[presets.quick]\nseeds = 1\nsteps = {steps}\n')
+        text = printed("study", "plan", file, "--results", tmp_path / "results")
+        assert ("6 in CartPole-v1, 20 in pneuma/PneumaArena-v0" in text) == is_said
+
+
 MINATAR = """
 import gymnasium
 def register_envs():
