@@ -86,7 +86,8 @@ def count(help_text: str, form: str = "of at least 1") -> Any:
         except ValueError:
             number = 0.0
         if not (1 <= number <= LARGEST_COUNT and number.is_integer()):
-            raise WrongText(f"{typed}: must be a whole number {form}")
+            limit = f", and at most {LARGEST_COUNT:,.0f}" if number > LARGEST_COUNT else ""
+            raise WrongText(f"{typed}: must be a whole number {form}{limit}")
         return int(number)
 
     return option("N", help_text, read)

@@ -168,6 +168,10 @@ def _convert(
                 ]
             elif key in ("noise_type", "noise_std") and str(entry.get("noise_type")) not in ZOO_NOISE:
                 raise UserError(f"noise_type must be {' or '.join(ZOO_NOISE)}")
+            elif key == "noise_std" and not isinstance(value, int | float):
+                raise UserError("it must be a number")
+            elif key == "train_freq" and value == 0:
+                raise UserError("it must be at least 1")
             elif _is_field(key, algorithm):
                 for field_name, field_value in own_fields({key: value}).items():
                     if field_name in FIELDS:

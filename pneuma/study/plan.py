@@ -25,7 +25,7 @@ from pneuma.config import (
     is_gymnasium_id,
     make_run,
 )
-from pneuma.env.fields import PLAYER_FIELDS, read_field
+from pneuma.env.fields import ENVIRONMENTS, PLAYER_FIELDS, read_field
 from pneuma.errors import Hint, UserError, unknown_name
 from pneuma.sb3_names import own_fields
 from pneuma.study.identity import config_id, run_id, with_file_paths
@@ -40,6 +40,7 @@ from pneuma.study.spec import (
     named_condition,
     no_effect_message,
     refuse_n_steps,
+    unknown_field,
     unread_fields,
 )
 from pneuma.values import format_short, read_value, split_list
@@ -268,8 +269,11 @@ def _read_settings(study: Study, settings: Mapping[str, Any]) -> tuple[dict[str,
         return fields[field_name]
 
     has_one_player = all(study.fields(name, settings).get("players", 1) == 1 for name in study.conditions)
+    env_ids = [study.fields(name, {}).get("env", ENVIRONMENTS[0]) for name in study.conditions]
     single_values, swept = {}, {}
     for key, setting in settings.items():
+        if key not in Run.__dataclass_fields__:
+            raise unknown_field(key, env_ids)
         setting_values = setting
         if isinstance(setting, str):
             setting_values = [read_value(value_text) for value_text in split_list(setting)]

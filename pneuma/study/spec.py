@@ -87,6 +87,14 @@ def _named_values(factors: Any) -> Any:
     return values_by_factor
 
 
+def unknown_field(field_name: str, env_ids: Iterable[str]) -> UserError:
+    """Return the error for a field that no run has; it lists those that runs in the environments read."""
+    known_names = list(Run.__dataclass_fields__)
+    if all(is_gymnasium_id(env_id) for env_id in env_ids):
+        known_names = [name for name in known_names if name not in WORLD_FIELDS]
+    return unknown_name("key", field_name, known_names)
+
+
 def _read_fields(run_table: dict[str, Any]) -> dict[str, Any]:
     """Read a table of a run's fields, by the names of Stable-Baselines3 too; return them by Pneuma's."""
     try:
@@ -100,10 +108,8 @@ def _read_fields(run_table: dict[str, Any]) -> dict[str, Any]:
             if field_name in MISPLACED:
                 raise UserError(f"{field_name} is not allowed here: {MISPLACED[field_name]}")
             if field_name not in Run.__dataclass_fields__:
-                known_names = list(Run.__dataclass_fields__)
-                if is_gymnasium_id(str(fields.get("env", ENVIRONMENTS[0]))):
-                    known_names = [name for name in known_names if name not in WORLD_FIELDS]
-                raise UserError(f"{unknown_name('key', field_name, known_names)}; {ZOO_HINT}")
+                env_id = str(fields.get("env", ENVIRONMENTS[0]))
+                raise UserError(f"{unknown_field(field_name, [env_id])}; {ZOO_HINT}")
             read_values[field_name] = read_field(Run, field_name, field_value)
         except UserError as error:
             key = keys_by_field[field_name]

@@ -102,6 +102,16 @@ def test_the_arguments_of_another_learner_reach_it(tmp_path: Path) -> None:
     assert not learner.replay_buffer.handle_timeout_termination
 
 
+def test_what_no_learner_takes_is_named(tmp_path: Path) -> None:
+    text = "Pendulum-v1:\n  noise_type: normal\n  noise_std: [1]\n  train_freq: 0\n"
+    (tmp_path / "td3.yml").write_text(text)
+    said = printed(
+        "import", "zoo", tmp_path / "td3.yml", "--env", "Pendulum-v1", "--out", tmp_path / "s.toml"
+    )
+    assert "noise_std is not kept: it must be a number" in said
+    assert "train_freq is not kept: it must be at least 1" in said
+
+
 def test_nothing_of_an_entry_is_evaluated(tmp_path: Path) -> None:
     """A call in a text is not kept, and one that YAML's tags name is refused."""
     made = tmp_path / "made"
