@@ -7,6 +7,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -78,6 +79,11 @@ def test_modules_import_only_what_their_layer_may() -> None:
         if not _allowed(module, imported)
     ]
     assert breaches == []
+
+
+def test_modules_do_not_import_each_other_in_a_circle() -> None:
+    imports = {module: {name for _, name in _imports(path)} - {"pneuma"} for module, path in MODULES.items()}
+    TopologicalSorter(imports).prepare()  # or it raises, and names a circle
 
 
 _ANYWHERE = {"annotated_types", "numpy", "pydantic", "pydantic_core", "typing_extensions"}

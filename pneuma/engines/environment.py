@@ -1,6 +1,6 @@
 """The interface between engines and environments.
 
-    run → check_environment, check_device, first_capable_engine; make_vec_env
+    run → check_environment, first_capable_engine; make_vec_env
 
 There are two implementations: one for Pneuma's own worlds, and one for all other Gymnasium environments
 (`gymnasium_env.py`). Heavy modules are imported only when needed, as each engine needs a part of them.
@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from pneuma.config import CPU, ENGINES, Run, env_config, is_gymnasium_id, is_resumable, slot_seeds
-from pneuma.errors import UserError
+from pneuma.config import ENGINES, Run, env_config, is_gymnasium_id, is_resumable, slot_seeds
+from pneuma.engines.device import check_device
 
 
 def check_environment(run: Run) -> None:
@@ -29,19 +29,6 @@ def check_environment(run: Run) -> None:
         from pneuma.env.worlds import Worlds
 
         Worlds(1, env_config(run))
-
-
-def check_device(run: Run) -> None:
-    """Refuse a run whose device is not there; Stable-Baselines3 would take the CPU without a word."""
-    if run.device == CPU:
-        return
-    import torch
-
-    if not torch.cuda.is_available():
-        raise UserError(
-            f'device = "{run.device}" is not allowed: PyTorch {torch.__version__} finds no CUDA device here. '
-            "Install its CUDA build, or leave device out"
-        )
 
 
 def first_capable_engine(run: Run) -> str:

@@ -18,7 +18,8 @@ from stable_baselines3 import DQN
 from torch import nn
 
 from pneuma.config import Run
-from pneuma.engines.environment import check_device, make_vec_env
+from pneuma.engines.device import check_device
+from pneuma.engines.environment import make_vec_env
 from pneuma.engines.gymnasium_env import choice_counts
 from pneuma.engines.loop import ResumableTrainer
 from pneuma.engines.policy import Policy, dead_share, overflows

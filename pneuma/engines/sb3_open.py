@@ -36,7 +36,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 
 from pneuma.algorithms import find_algorithm, has_rollouts, is_masked
 from pneuma.config import CPU, LIBRARY, Run, slot_seeds, stream_seed
-from pneuma.engines.environment import check_device
+from pneuma.engines.device import check_device
 from pneuma.engines.gymnasium_env import (
     check_observations,
     check_others,

@@ -26,8 +26,8 @@ from numba.np import arrayobj
 
 PACKAGE = Path(__file__).parents[1]
 KERNEL_SOURCES = (
-    "env/compiling.py", "env/kernel.py", "env/layouts.py", "env/observe.py", "env/reward.py", "env/rules.py",
-    "env/state.py", "engines/mlp.py", "engines/products.py", "engines/batched/initial_weights.py",
+    "env/compiling.py", "env/kernel.py", "env/observe.py", "env/reward.py", "env/rules.py", "env/state.py",
+    "engines/mlp.py", "engines/products.py", "engines/batched/initial_weights.py",
     "engines/batched/optimizers.py", "engines/batched/rollout.py", "engines/batched/update.py",
 )  # fmt: skip
 """Files whose code, or whose constants, are compiled into kernels."""

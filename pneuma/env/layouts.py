@@ -8,26 +8,23 @@ grid, so that each sees the same place as the same numbers, whichever are played
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
-from pneuma.env.fields import OBSERVATIONS, RANDOM
+from pneuma.env.fields import OBSERVATIONS, RANDOM, EnvConfig
 from pneuma.env.level import Level, Rectangle
 
-if TYPE_CHECKING:
-    from pneuma.env.worlds import Worlds
-
-LAYOUT_THESIS, LAYOUT_PYGAME, LAYOUT_GODOT = range(len(OBSERVATIONS))
 MAX_XP = 1e9
 """Bound of XP, in points, that is kept through episodes."""
 
 
-def fill_scales(worlds: Worlds) -> None:
-    """Write layout and scales into the `settings`, `player_stats` and `monster_stats` of worlds."""
-    config, settings = worlds.config, worlds.settings[0]
-    players, monsters = worlds.player_stats, worlds.monster_stats
+def fill_scales(
+    config: EnvConfig, levels: Sequence[Level], settings: Any, players: np.ndarray, monsters: np.ndarray
+) -> None:
+    """Write layout and scales into `state.SETTINGS`, player stats (P,) and monster stats (levels, M)."""
     settings["layout"] = OBSERVATIONS.index(config.observation)
     settings["fixed_order"] = config.order == "fixed"
     settings["xp_scale"] = 1 / max(_max_by_level(monsters["xp"]), 1.0)
@@ -35,10 +32,10 @@ def fill_scales(worlds: Worlds) -> None:
     players["energy_scale"] = 1 / np.maximum(players["energy"], 1.0)
     players["hp_scale"] = 1 / players["hp"]
     monsters["hp_scale"] = 1 / monsters["hp"]
-    grid = worlds.level.grid
+    grid = levels[0].grid
     distance_scale = 1 / max(grid.width, grid.height)
     if config.scale == "unit":
-        land = _land(worlds.level)
+        land = _land(levels[0])
         settings["middle_x"] = (land.left + land.right) / 2
         settings["middle_y"] = (land.top + land.bottom) / 2
         settings["scale_x"] = 2 / land.width
@@ -58,13 +55,13 @@ def fill_scales(worlds: Worlds) -> None:
     if monsters.size:
         distance_scale = monsters["distance_scale"].min()
     settings["ray_scale"] = distance_scale
-    _fill_perceived(worlds, settings)
+    _fill_perceived(config, levels, settings, monsters)
 
 
-def _fill_perceived(worlds: Worlds, settings: Any) -> None:
+def _fill_perceived(config: EnvConfig, levels: Sequence[Level], settings: Any, monsters: np.ndarray) -> None:
     """Write how many monsters are perceived, or by which rays, and the kinds that these distinguish."""
-    perception, _, number = worlds.config.perceive.partition(":")
-    settings["perceived"] = worlds.monster_stats.shape[1]
+    perception, _, number = config.perceive.partition(":")
+    settings["perceived"] = monsters.shape[1]
     if perception == "nearest":
         settings["perceived"] = min(int(number), settings["perceived"])
     elif perception == "rays":
@@ -73,9 +70,9 @@ def _fill_perceived(worlds: Worlds, settings: Any) -> None:
         angles = 2 * np.pi * np.arange(rays) / rays
         settings["ray_x"][:rays] = np.round(np.cos(angles), 12)  # rounding makes them equal on all machines
         settings["ray_y"][:rays] = np.round(np.sin(angles), 12)
-    species = sorted({monster.name for level in worlds.levels for monster in level.monsters})
+    species = sorted({monster.name for level in levels for monster in level.monsters})
     settings["species_count"] = len(species)
-    for level_stats, level in zip(worlds.monster_stats, worlds.levels, strict=True):
+    for level_stats, level in zip(monsters, levels, strict=True):
         level_stats["species"] = [species.index(monster.name) for monster in level.monsters]
 
 
@@ -90,10 +87,10 @@ DIRECTION: Bounds = (-1.0, 1.0)
 FLAG: Bounds = (0.0, 1.0)
 
 
-def observation_space(worlds: Worlds, player_stats: Any) -> spaces.Box:
+def observation_space(
+    config: EnvConfig, level: Level, settings: Any, player_stats: Any, monsters: np.ndarray
+) -> spaces.Box:
     """Return the Box, with finite bounds, of a player's observations, float32."""
-    config, settings, monsters = worlds.config, worlds.settings[0], worlds.monster_stats
-    level = worlds.level
     width, height = level.grid.width, level.grid.height
     diagonal = math.sqrt(width * width + height * height)
     max_hp = player_stats["hp"] + _max_by_level(monsters["heal"])  # by all kills, unhurt

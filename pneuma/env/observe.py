@@ -9,8 +9,10 @@ import numpy as np
 
 from pneuma.env import rules
 from pneuma.env.compiling import inlined, inlined_early, kernel
-from pneuma.env.layouts import LAYOUT_GODOT, LAYOUT_PYGAME, LAYOUT_THESIS
+from pneuma.env.fields import OBSERVATIONS
 from pneuma.env.state import Array, World
+
+LAYOUT_THESIS, LAYOUT_PYGAME, LAYOUT_GODOT = range(len(OBSERVATIONS))
 
 
 @inlined_early

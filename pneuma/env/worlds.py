@@ -74,8 +74,12 @@ class Worlds:
         own_names = dict.fromkeys(filter(fields.is_own_reward, config.reward))
         self._own_rewards = [OwnReward(reward_name) for reward_name in own_names]
         self.settings = self._settings(config)
-        fill_scales(self)
-        self.spaces = [observation_space(self, stats) for stats in self.player_stats]
+        settings = self.settings[0]
+        fill_scales(config, self.levels, settings, self.player_stats, self.monster_stats)
+        self.spaces = [
+            observation_space(config, self.level, settings, player_stats, self.monster_stats)
+            for player_stats in self.player_stats
+        ]
         self._actions = len(self.action_names)
         self.action_space = spaces.Discrete(self._actions)
         self._allocate(count)
