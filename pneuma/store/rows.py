@@ -123,11 +123,11 @@ def sound_rows(table: pa.Table) -> pa.Table:
         ValueError: if one of them is missing, or is not as `encode_row` writes it.
     """
     column_names = []
-    for column in table.schema:
-        if column.name in COLUMN_TYPES and column.type != COLUMN_TYPES[column.name]:
-            raise ValueError(f"column {column.name} is invalid")
-        if column.name in COLUMN_TYPES or column.name == EVALUATIONS:
-            column_names.append(column.name)
+    for column_name, column_type in zip(table.schema.names, table.schema.types, strict=True):
+        if column_name in COLUMN_TYPES and column_type != COLUMN_TYPES[column_name]:
+            raise ValueError(f"column {column_name} is invalid")
+        if column_name in COLUMN_TYPES or column_name == EVALUATIONS:
+            column_names.append(column_name)
     for column_name in REQUIRED_CELLS:
         if column_name not in column_names:
             raise ValueError(f"column {column_name} is missing")
@@ -202,7 +202,10 @@ def read_row(table: pa.Table, row_index: int = 0, published: bool = False) -> Ro
 def in_one_table(rows: Sequence[Row]) -> list[Row]:
     """Return rows, each in a table of its own, in one table, which takes a third of their memory."""
     tables = [row.shared_table for row in rows]
-    table = pa.concat_tables(tables, promote_options="permissive").combine_chunks()
+    has_one_schema = all(table.schema.equals(tables[0].schema) for table in tables)
+    table = pa.concat_tables(
+        tables, promote_options="none" if has_one_schema else "permissive"
+    ).combine_chunks()
     return [replace(row, shared_table=table, row_index=row_index) for row_index, row in enumerate(rows)]
 
 
@@ -344,11 +347,20 @@ class Row:
         column_names = [name for name in table.column_names if table[name].null_count < len(table)]
         return table.select(column_names)
 
+    @cached_property
+    def _evaluations(self) -> dict[str, np.ndarray]:
+        """The columns that `evaluations` has returned before."""
+        return {}
+
     def evaluations(self, column: str) -> np.ndarray:
         """Return a column of its evaluations, in their order; empty if it has no such column."""
-        if column not in self.evaluations_table.column_names:
-            return np.empty(0)
-        return self.evaluations_table[column].to_numpy().astype(float)
+        if column not in self._evaluations:
+            values = np.empty(0)
+            if column in self.evaluations_table.column_names:
+                values = self.evaluations_table[column].to_numpy().astype(float)
+            values.setflags(write=False)  # it is returned again
+            self._evaluations[column] = values
+        return self._evaluations[column]
 
     def evaluation_points(self, column: str) -> Series:
         """Return a column's finite values with their steps; empty if it has no such column."""
