@@ -3,17 +3,17 @@
     python -m tools.figures [FOLDER]
 
 From the repository's root, it draws the environment's own figures and its gallery; the thesis's Figs. 6.2 to
-6.5 with its conditions; one figure of every study in results/published, over the worlds in which it has runs;
-the searches that pages show; and the verdicts on all claims.
+6.5 with its conditions; one figure of every study in results/published, over the worlds in which it has runs,
+or what `PICTURES` has instead; and the verdicts on all claims.
 Figures of an earlier run that are no longer drawn are removed.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -57,55 +57,12 @@ from tools.verdicts import draw_verdicts
 
 FOLDER, RESULTS = Path("paper_figures"), Path("results")
 
-THESIS_FIGURES = {
-    "fig-6-2": ("architecture", ("small", "mid", "big")),
-    "fig-6-3": ("actor-size", ("small", "smallest", "small-critic", "big", "big-actor")),
-    "fig-6-4": ("optimizer", ("stationary", "non-stationary")),
-    "fig-6-5": ("activation", ("tanh", "relu", "leaky-relu")),
-}
-"""The study of a figure in chapter 6, and the conditions in it."""
 OWN_GAME = "own-game"
-OF_OWN_GAME: Mapping[str, Mapping[str, Mapping[str, str]]] = {
-    "fig-6-4": {
-        "clip 0.1": {"stationary": "stationary", "non-stationary": "non-stationary"},
-        "clip 0.2": {"stationary-wide": "stationary", "non-stationary-wide": "non-stationary"},
-    },
-    "fig-6-5": {"": {"non-stationary": "tanh", "relu": "relu", "leaky-relu": "leaky-relu"}},
-    OWN_GAME: {
-        "clip range 0.1": {"stationary": "stationary", "non-stationary": "non-stationary"},
-        "clip range 0.2": {
-            "stationary-wide": "stationary",
-            "non-stationary-wide": "non-stationary",
-            "l2-wide": "l2",
-            "upgd-wide": "upgd",
-        },
-    },
-}
-"""The conditions of the thesis's own game that a figure shows, by title, with the figure's names for them."""
 ONE_ENVIRONMENT = "Older runs, trained in one environment, not in four."
-REWARDS = {"classes": "All classes are rewarded for kills."}
 OWN_QUANTITIES = ("return", "entropy")
 THESIS_QUANTITIES = ("return", "share_killed")
-SEARCHES = {("ppo", "arena"): (), ("ppo", "text"): ("values",), ("godot", None): ("values",)}
-"""The published searches that a page shows, each with its world if it has several; () is all its pictures."""
-ELSEWHERE: Mapping[str, tuple[str, Mapping[str, Any]]] = {
-    "CartPole": ("cartpole", {}),
-    "Acrobot": ("acrobot", {}),
-    "Acrobot, rewards normalised": ("acrobot", {"normalize_rewards": True}),
-    "MinAtar's Breakout": ("breakout", {}),
-}
-"""Studies of the same question in other environments, with changed fields, by the titles of their panels."""
-WHOLE = (
-    "architecture", "activation", "actor-size", "author-logs", "breakout", "cartpole", "collapse",
-    "late-collapse", "published-logs", "robustness", "team", "three-updates",
-)  # fmt: skip
-"""Studies without a figure: another figure shows every condition, or a table or a sentence is enough."""
-EARLIER: Mapping[str, tuple[str, dict[str, Any]]] = {"fig-6-2": ("one-environment", {"slots": 1})}
-"""Figures that show earlier runs too: the preset and the changed fields that these have."""
 SEEN_SEEDS = range(100, 150)
 """Of runs that were known when their claims were stated. They are not drawn beside fresh ones."""
-IN_ONE_ACTION = ("betas-by-clip", "betas-longer", "xp-scope", "xp-scope-longer")
-"""Studies whose figure shows training's returns, and its updates in one action."""
 
 SETTINGS = (
     "gamma", "gae_lambda", "learning_rate", "clip_range", "horizon", "minibatch", "epochs",
@@ -124,12 +81,13 @@ def draw_all(folder: Path, results: Path = RESULTS) -> list[Path]:
     for table in index.tables.values():
         sizes[table.about["study"]] = sizes.get(table.about["study"], 0) + len(table.index)
     largest_first = sorted(sizes, key=lambda name: (-sizes[name], name))
+    logs = sorted((results / PUBLISHED).glob("search-*.log"))
+    searches = [log.stem for log in logs if log.stem in PICTURES]
     with ProcessPoolExecutor(available_cores(), get_context("spawn")) as pool:
         verdicts = pool.submit(_draw_verdicts, folder, results)
-        for paths in pool.map(partial(_draw_one, folder, results), largest_first):
+        for paths in pool.map(partial(_draw_one, folder, results), largest_first + searches):
             written += paths
     written += verdicts.result()
-    written += _draw_searches(folder, results)
     if folder == FOLDER:
         _remove_others(folder, written)
     return written
@@ -167,17 +125,6 @@ def _draw_verdicts(folder: Path, results: Path) -> list[Path]:
     return draw_verdicts(verdicts_by_claim(verdicts), folder)
 
 
-def _draw_searches(folder: Path, results: Path) -> list[Path]:
-    """Draw the searches that pages show, if they are published in this folder."""
-    drawn: list[Path] = []
-    for (name, world), pictures in SEARCHES.items():
-        search = load_search(name, world)
-        if (results / PUBLISHED / f"search-{search.label}.log").exists():
-            record = read_published(Store(results), search)
-            drawn += draw_search(record, folder, ("png",), pictures)
-    return drawn
-
-
 def _draw_environment(folder: Path) -> list[Path]:
     """Draw the figures of the environment itself, and its gallery."""
     draws = (draw_mailman, draw_screens, draw_level, draw_gallery)
@@ -197,51 +144,120 @@ def _write_settings(folder: Path) -> Path:
     return path
 
 
-# --- One study ---------------------------------------------------------------------------------------
+# --- One study or search -----------------------------------------------------------------------------
 
 
 def _draw_one(folder: Path, results: Path, study: str) -> list[Path]:
-    """Draw all figures of a study; return the files written."""
-    index, pages = _published(results), []
-    for figure, (figure_study, _) in THESIS_FIGURES.items():
-        if figure_study == study:
-            curves = find_curves(thesis_columns(index, figure), THESIS_QUANTITIES)
-            pages.append(curves_page(curves, basename=figure))
-    if study == OWN_GAME:
-        pages.append(curves_page(find_curves(_own_columns(index, study), OWN_QUANTITIES), basename=study))
-    elif study == noise_scale.STUDY:
-        pages.append(noise_scale.noise_page(noise_scale.open_noise_scale(index)))
-    elif study == "acrobot":
-        pages.append(_elsewhere(index))
-    elif study in IN_ONE_ACTION:
-        runs_there = study_runs(index, study, "godot")
-        pages += [_in_training(runs_there)] if runs_there else []
-    elif study not in WHOLE:
-        pages += _study_pages(index, study)
-    return _save(folder, pages)
+    """Draw all figures of a study or search; return the files written."""
+    index = _published(results)
+    paths: list[Path] = []
+    for draw in PICTURES.get(study, [_study]):
+        paths += draw(folder, index, study)
+    return paths
 
 
-def _in_training(study_data: StudyData) -> Page:
-    """Return the figure of returns in training, and of training's updates in one action."""
-    returns = curves_page(find_curves({"": study_data}, OWN_QUANTITIES[:1]), basename=study_data.study.name)
-    ((_, updates_panel),) = one_action_page(find_one_action(study_data)).grid
+Draw = Callable[[Path, RunIndex, str], list[Path]]
+"""Draws into a folder, from an index, what is published of a study or search; returns the files."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a figure.
+
+    Attributes:
+        names: the conditions in it, with the figure's names for them; none is all by their own names.
+    """
+
+    title: str
+    study: str
+    names: Mapping[str, str] = field(default_factory=dict)
+    world: str | None = None
+    preset: str | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+def _curves(
+    figure: str, quantities: Sequence[str], columns: Iterable[Column], headline: str | None = None
+) -> Draw:
+    """Return what draws a figure of curves.
+
+    Args:
+        figure: the file's name.
+        quantities: a row of panels for each; () for the studies' own.
+        columns: those without runs are left out.
+        headline: instead of the study's title.
+    """
+
+    def draw(folder: Path, index: RunIndex, study: str) -> list[Path]:
+        opened: dict[str, StudyData] = {}
+        for column in columns:
+            data = _open_column(index, column)
+            if data and headline:
+                updates = {"title": headline, "settings": {}}
+                data = replace(data, study=data.study.model_copy(update=updates))
+            if data:
+                opened[column.title] = data
+        return _save(folder, [curves_page(find_curves(opened, quantities), basename=figure)])
+
+    return draw
+
+
+def _open_column(index: RunIndex, column: Column) -> StudyData | None:
+    """Return a column's runs; None if there are none, or only of one condition out of several."""
+    data = study_runs(index, column.study, column.world, column.preset, column.settings)
+    if data is None or not column.names:
+        return data
+    shown = list(column.names.values())
+    if shown != list(column.names):
+        data = data.renamed(column.names)
+        labels = {
+            name: label.partition(";")[0] for name, label in data.study.labels.items() if name != "tanh"
+        }
+        data = replace(data, study=data.study.model_copy(update={"labels": labels}))
+    return _fresh(data, shown)
+
+
+def _fresh(data: StudyData, shown: Sequence[str]) -> StudyData | None:
+    """Return those conditions that have runs, with fresh seeds if any has; None if it is one alone."""
+    runs = data.runs[data.runs["condition"].isin(shown)]
+    fresh_runs = runs[~runs["seed"].isin(SEEN_SEEDS)]
+    if len(fresh_runs):
+        runs = fresh_runs
+    trained = runs["condition"].unique().tolist()
+    return data.of_conditions(trained) if len(trained) > 1 else None
+
+
+def _noise(folder: Path, index: RunIndex, study: str) -> list[Path]:
+    return _save(folder, [noise_scale.noise_page(noise_scale.open_noise_scale(index))])
+
+
+def _in_training(folder: Path, index: RunIndex, study: str) -> list[Path]:
+    """Draw the figure of returns in training, and of training's updates in one action."""
+    data = study_runs(index, study, "godot")
+    if data is None:
+        return []
+    returns = curves_page(find_curves({"": data}, OWN_QUANTITIES[:1]), basename=study)
+    ((_, updates_panel),) = one_action_page(find_one_action(data)).grid
     one_action = f"at least {100 * MOST_OF_ONE:g} % one action"
     note = f"Right: updates whose rollout is {one_action}, means in 95 % intervals."
     panels, notes = [*returns.grid[0], updates_panel], [note, *returns.caption]
-    return replace(returns, grid=[panels], inches=PANEL_INCHES, caption=notes)
+    return _save(folder, [replace(returns, grid=[panels], inches=PANEL_INCHES, caption=notes)])
 
 
-def _elsewhere(index: RunIndex) -> Page:
-    columns: dict[str, StudyData] = {}
-    for title, (study, settings) in ELSEWHERE.items():
-        data = study_runs(index, study, None, settings=settings)
-        if data:
-            headline = {"title": "tanh or ReLU, and Adam's betas, in other environments", "settings": {}}
-            columns[title] = replace(data, study=data.study.model_copy(update=headline))
-    return curves_page(find_curves(columns), basename="elsewhere")
+def _search(name: str, world: str | None, pictures: Sequence[str] = ()) -> Draw:
+    """Return what draws pictures of a published search; () is all of them."""
+
+    def draw(folder: Path, index: RunIndex, study: str) -> list[Path]:
+        return draw_search(read_published(index.store, load_search(name, world)), folder, ("png",), pictures)
+
+    return draw
 
 
-def _study_pages(index: RunIndex, study: str) -> list[Page]:
+def _study(folder: Path, index: RunIndex, study: str, note: str = "") -> list[Path]:
+    return _save(folder, study_pages(index, study, note))
+
+
+def study_pages(index: RunIndex, study: str, note: str = "") -> list[Page]:
     """Return a study over the worlds of its tables: curves if they fit, or else its summary; and more."""
     worlds = {table.about.get("world") for table in index.tables.values() if table.about["study"] == study}
     columns: dict[str, StudyData] = {}
@@ -263,8 +279,8 @@ def _study_pages(index: RunIndex, study: str) -> list[Page]:
         pages = [summary_page(show_outcomes(columns), basename=study)]
     else:
         pages = [curves_page(find_curves(columns), basename=study)]
-    if study in REWARDS:
-        pages = [replace(page, caption=[REWARDS[study], *page.caption]) for page in pages]
+    if note:
+        pages = [replace(page, caption=[note, *page.caption]) for page in pages]
     if all(fields.get("slots") == 1 for data in columns.values() for fields in data.fields.values()):
         pages = [replace(page, caption=[ONE_ENVIRONMENT, *page.caption]) for page in pages]
     return pages
@@ -278,64 +294,86 @@ def study_runs(
     index: RunIndex,
     study: str,
     world: str | None,
-    conditions: Sequence[str] = (),
     preset: str | None = None,
     settings: Mapping[str, Any] | None = None,
 ) -> StudyData | None:
     """Return the published runs of a study's preset (default: paper) in a world; None if there are none."""
-    query = Query(study, world, preset, conditions=tuple(conditions), settings=settings or {})
+    query = Query(study, world, preset, settings=settings or {})
     try:
         return open_study(index, query)
     except UserError:
         return None
 
 
-def thesis_columns(index: RunIndex, figure: str) -> dict[str, StudyData]:
-    """Return the runs of a figure's conditions in each world that has two of them or more, by title."""
-    study, conditions = THESIS_FIGURES[figure]
-    columns: dict[str, StudyData] = {}
-    for world in WORLDS:
-        if world == "godot" and figure in OF_OWN_GAME:
-            columns |= _own_columns(index, figure)
-            continue
-        data = study_runs(index, study, world)
-        if data is not None:
-            _add_column(columns, _title(world), data, conditions)
-        if figure in EARLIER:
-            preset, settings = EARLIER[figure]
-            data = study_runs(index, study, world, preset=preset, settings=settings)
-            if data is not None:
-                _add_column(columns, f"{_title(world)}, one environment", data, conditions)
-    return columns
+def _named(*conditions: str) -> Mapping[str, str]:
+    """Return conditions under their own names."""
+    return {condition: condition for condition in conditions}
 
 
-def _add_column(
-    columns: dict[str, StudyData], title: str, data: StudyData, conditions: Sequence[str]
-) -> None:
-    shown = [name for name in conditions if data.of_condition(name)]
-    has_fresh_seed = ~data.runs["seed"].isin(SEEN_SEEDS)
-    fresh_conditions = {*data.runs["condition"][has_fresh_seed]}
-    if fresh_conditions:
-        shown = [name for name in shown if name in fresh_conditions]
-    if len(shown) > 1:
-        columns[title] = data.of_conditions(shown)
+def _in_world(world: str, study: str, names: Mapping[str, str]) -> Column:
+    return Column(_title(world), study, names, world)
 
 
-def _own_columns(index: RunIndex, figure: str) -> dict[str, StudyData]:
-    """Return the runs of the thesis's own game that a figure shows, under the names of its conditions."""
-    if figure not in OF_OWN_GAME or not (data := study_runs(index, OWN_GAME, None)):
-        return {}
-    columns = {}
-    for clip_text, names in OF_OWN_GAME[figure].items():
-        renamed = data.renamed(names)
-        labels = {
-            name: label.partition(";")[0] for name, label in renamed.study.labels.items() if name != "tanh"
-        }
-        title = ", ".join(filter(None, [_title("godot"), clip_text]))
-        if figure == OWN_GAME:
-            title = capital(clip_text)
-        columns[title] = replace(renamed, study=renamed.study.model_copy(update={"labels": labels}))
-    return {title: data for title, data in columns.items() if len(data.runs)}
+# --- The table of pictures ---------------------------------------------------------------------------
+
+_BETAS = _named("stationary", "non-stationary")
+_BETAS_WIDE = {"stationary-wide": "stationary", "non-stationary-wide": "non-stationary"}
+_SIZES = _named("small", "mid", "big")
+_ACTOR_SIZES = _named("small", "smallest", "small-critic", "big", "big-actor")
+_ACTIVATIONS = _named("tanh", "relu", "leaky-relu")
+_OWN_ACTIVATIONS = {"non-stationary": "tanh", "relu": "relu", "leaky-relu": "leaky-relu"}
+
+PICTURES: Mapping[str, Sequence[Draw]] = {
+    # the thesis's
+    "architecture": [_curves("fig-6-2", THESIS_QUANTITIES, [
+        *(_in_world(world, "architecture", _SIZES) for world in WORLDS),
+        Column(
+            "The arena, one environment", "architecture", _SIZES, "arena", "one-environment", {"slots": 1}
+        ),
+    ])],
+    "actor-size": [_curves("fig-6-3", THESIS_QUANTITIES, [
+        _in_world(world, "actor-size", _ACTOR_SIZES) for world in WORLDS
+    ])],
+    "optimizer": [
+        _curves("fig-6-4", THESIS_QUANTITIES, [
+            _in_world("text", "optimizer", _BETAS),
+            Column("The published code's world, clip 0.1", OWN_GAME, _BETAS),
+            Column("The published code's world, clip 0.2", OWN_GAME, _BETAS_WIDE),
+            _in_world("arena", "optimizer", _BETAS),
+        ]),
+        _study,
+    ],
+    "activation": [_curves("fig-6-5", THESIS_QUANTITIES, [
+        _in_world("text", "activation", _ACTIVATIONS),
+        Column("The published code's world", OWN_GAME, _OWN_ACTIVATIONS),
+        _in_world("arena", "activation", _ACTIVATIONS),
+    ])],
+    # others of curves
+    OWN_GAME: [_curves(OWN_GAME, OWN_QUANTITIES, [
+        Column("Clip range 0.1", OWN_GAME, _BETAS),
+        Column("Clip range 0.2", OWN_GAME, {**_BETAS_WIDE, "l2-wide": "l2", "upgd-wide": "upgd"}),
+    ])],
+    "acrobot": [_curves("elsewhere", (), [
+        Column("CartPole", "cartpole"),
+        Column("Acrobot", "acrobot"),
+        Column("Acrobot, rewards normalised", "acrobot", settings={"normalize_rewards": True}),
+        Column("MinAtar's Breakout", "breakout"),
+    ], "tanh or ReLU, and Adam's betas, in other environments")],
+    "betas-by-clip": [_in_training],
+    "betas-longer": [_in_training],
+    "xp-scope": [_in_training],
+    "xp-scope-longer": [_in_training],
+    # others
+    "classes": [partial(_study, note="All classes are rewarded for kills.")],
+    "noise-scale": [_noise],
+    "search-ppo-arena": [_search("ppo", "arena")],
+    "search-ppo-text": [_search("ppo", "text", ("values",))],
+    "search-godot": [_search("godot", None, ("values",))],
+    # none: another figure shows every condition, or a table or a sentence is enough
+    "author-logs": [], "breakout": [], "cartpole": [], "collapse": [], "late-collapse": [],
+    "published-logs": [], "robustness": [], "team": [], "three-updates": [],
+}  # fmt: skip
+"""What is drawn of a published study or search; of a study without a row, curves or its summary."""
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from pneuma.analysis.study_data import StudyData
 from pneuma.config import make_run
 from pneuma.figures.origin import origin_text
 from pneuma.figures.style import save_figure
@@ -65,15 +64,14 @@ def test_every_table_is_drawn_and_traced_to_its_runs(published: Path, tmp_path: 
 
 def test_runs_that_were_known_are_not_drawn_beside_fresh_ones(tmp_path: Path) -> None:
     study = HandMade(tmp_path)
-    columns: dict[str, StudyData] = {}
     for condition, seed in (("tanh", 300), ("relu", 300), ("leaky-relu", 100)):
         study.add(condition, seed)
-    figures._add_column(columns, "The arena", study.data, ("tanh", "relu", "leaky-relu"))
-    assert {*columns["The arena"].runs["condition"]} == {"tanh", "relu"}
+    data = figures._fresh(study.data, ("tanh", "relu", "leaky-relu"))
+    assert data is not None and {*data.runs["condition"]} == {"tanh", "relu"}
 
 
 def test_captions_say_that_runs_had_one_environment(published: Path) -> None:
-    (page,) = figures._study_pages(figures._published(published), "mine")
+    (page,) = figures.study_pages(figures._published(published), "mine")
     assert page.caption[0] == figures.ONE_ENVIRONMENT
 
 
