@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pandas as pd
 
-from pneuma.analysis.claims.claim_list import Claim, shipped_claims
+from pneuma.analysis.claims.claim_list import Claim, shipped_claims_on
 from pneuma.analysis.environments import OUTCOME, by_environment, improvements
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import find_outcome, known_values
@@ -228,11 +228,10 @@ def _notes_on_averages(a: Group, b: Group) -> list[str]:
 
 def _claims_about(study_data: StudyData, a: str, b: str) -> list[Claim]:
     """Return the shipped claims that compare the means of two conditions of a study in its world."""
-    study, claims = study_data.study, []
-    for claim_list in shipped_claims():
-        for claim in claim_list.claims.values():
-            if (claim.study, claim.kind) == (study.name, "mean") and study.world in claim.worlds:
-                pairs = [pair for outcome in claim.outcome for pair in claim.pairs(outcome)]
-                if any(set(pair) == {(a,), (b,)} for pair in pairs):
-                    claims.append(claim)
+    claims = []
+    for claim in shipped_claims_on(study_data.study.name):
+        if claim.kind == "mean" and study_data.study.world in claim.worlds:
+            pairs = [pair for outcome in claim.outcome for pair in claim.pairs(outcome)]
+            if any(set(pair) == {(a,), (b,)} for pair in pairs):
+                claims.append(claim)
     return claims

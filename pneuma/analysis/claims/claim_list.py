@@ -345,6 +345,19 @@ def shipped_claims() -> list[ClaimList]:
     return [load_claims(studies_folder() / file_name) for file_name in CLAIMS_FILES]
 
 
+def shipped_claims_on(study_name: str) -> list[Claim]:
+    """Return the claims on the thesis that are about a study; the studies of the others are not opened."""
+    claims = []
+    studies: dict[str, Study] = {}
+    for file_name in CLAIMS_FILES:
+        toml_file = read_toml(studies_folder() / file_name)
+        contents = read_model(ClaimsFile, toml_file)
+        for claim_name in contents.claims:
+            if claim_keys(toml_file.data, claim_name)["study"] == study_name:
+                claims.append(_read_claim(toml_file, claim_name, contents, studies))
+    return claims
+
+
 def load_claims(path: str | os.PathLike[str]) -> ClaimList:
     """Load a list of claims from a file.
 
