@@ -20,6 +20,33 @@ from pneuma.cli import app
 
 ROOT = Path(__file__).parents[1]
 PICTURES = "paper_figures"
+MODULES = {
+    "Environments": [
+        "pneuma.env.gym", "pneuma.env.gym_vector", "pneuma.env.settings", "pneuma.env.sb3",
+        "pneuma.env.pettingzoo",
+    ],
+    "Studies": ["pneuma.api"],
+    "Reading": [
+        "pneuma.analysis.study_data", "pneuma.analysis.outcomes", "pneuma.analysis.curves",
+        "pneuma.analysis.claims.contrasts", "pneuma.analysis.environments",
+    ],
+    "Figures": [
+        "pneuma.answers.curves", "pneuma.answers.outcomes", "pneuma.figures.curves", "pneuma.figures.grid",
+        "pneuma.figures.summary",
+    ],
+    "Policies": ["pneuma.engines.policy"],
+}  # fmt: skip
+"""The public modules, grouped as a user meets them."""
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Add the modules' pages to the contents, under the heading Python."""
+    groups = []
+    for group, modules in MODULES.items():
+        groups.append({group: [{module.removeprefix("pneuma."): _page_name(module)} for module in modules]})
+    assert config.nav is not None, "mkdocs.yml has it"
+    config.nav.append({"Python": groups})
+    return config
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -29,7 +56,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "contributing.md": _page("CONTRIBUTING.md"),
         "security.md": _page("SECURITY.md"),
         "commands.md": _commands(),
-        "api.md": _modules(),
+        **_module_pages(),
     }
     for name, text in made.items():
         files.append(File.generated(config, name, content=text))
@@ -57,9 +84,16 @@ def _commands() -> str:
     return re.sub("^# .*", "# Commands", text, count=1)
 
 
-def _modules() -> str:
-    """Return a page of the modules that docs/python.md calls."""
+def _module_pages() -> dict[str, str]:
+    """Return a page for each module of `MODULES`, by its name; all that docs/python.md calls are there."""
     calls = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
-    found = {*re.findall(r"^from (pneuma[\w.]*) import", calls, re.MULTILINE)}
-    names = sorted(found, key=lambda name: (name != "pneuma.api", name))
-    return "# Modules\n\n" + "\n".join(f"::: {name}\n" for name in names)
+    called = {*re.findall(r"^from (pneuma[\w.]*) import", calls, re.MULTILINE)}
+    listed = {module for modules in MODULES.values() for module in modules}
+    for module in sorted(called):
+        if not any(page == module or page.startswith(f"{module}.") for page in listed):
+            raise ValueError(f"MODULES lacks {module}, which docs/python.md calls")
+    return {_page_name(module): f"# {module}\n\n::: {module}\n" for module in sorted(listed)}
+
+
+def _page_name(module: str) -> str:
+    return f"python/{module}.md"
