@@ -47,13 +47,10 @@ steps = 4_096
 RETURNED = {"pole, ppo": 100, "pole, a2c": 50, "arms, ppo": -200, "arms, a2c": -400}
 
 
-@pytest.fixture
-def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A study whose runs return what `RETURNED` says in their only evaluation, and up to 3 more."""
-    monkeypatch.chdir(tmp_path)
-    path = tmp_path / "two.toml"
+def save_two_environments(path: Path) -> None:
+    """Write a study with runs that return what `RETURNED` says in their only evaluation, and up to 3 more."""
     path.write_text(TOML)
-    store = Store(tmp_path / "results")
+    store = Store(path.parent / "results")
     plan = make_plan(load_study(str(path)), Query())
     for cell in plan.cells:
         step, random = cell.run.steps, {"random_return": 20.0, "random_spread": 5.0}
@@ -62,7 +59,14 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         fields, config = as_fields(cell.run), config_id(cell.run)
         episode = [{"step": step, "episode": 0, "return": 1.0}]
         save_run(store, run_id(cell.run), episode, [], [evaluated], step, "done", fields, config)
-    return path
+
+
+@pytest.fixture
+def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A study with the runs of `save_two_environments`."""
+    monkeypatch.chdir(tmp_path)
+    save_two_environments(tmp_path / "two.toml")
+    return tmp_path / "two.toml"
 
 
 def test_summary_has_a_column_for_each_environment_and_scores_over_all(study: Path) -> None:
