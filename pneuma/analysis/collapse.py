@@ -93,7 +93,7 @@ def diagnoses(study_data: StudyData) -> pd.DataFrame:
 
     `collapsed` is missing where no sign that decides is recorded.
     """
-    diagnosis_table = pd.DataFrame([vars(diagnose(run)) for run in study_data.rows])
+    diagnosis_table = pd.DataFrame(list(map(diagnose, study_data.rows)))
     diagnosis_table["signs"] = diagnosis_table["signs"].map(", ".join)
     diagnosis_table = diagnosis_table.astype(
         {"collapsed": "boolean", "onset_step": "Int64", "onset_update": "Int64"}
@@ -122,7 +122,7 @@ def incidence(study_data: StudyData, diagnosed: pd.DataFrame) -> pd.DataFrame:
             "runs": judged_count,
             "diverged": int((judged_runs["status"] == "diverged").sum()),
             "collapsed": collapsed_count,
-            "share": collapsed_count / judged_count if judged_count else float("nan"),
+            "share": collapsed_count / (judged_count or np.nan),
             "low": interval.low,
             "high": interval.high,
             "interval": interval.method,
@@ -222,7 +222,7 @@ def joined(periods: list[Stretch], gap: float) -> list[Stretch]:
 
 def share_with_sign(periods: list[Stretch], spell: Stretch, distance: float) -> float:
     """Return the share of a stretch's updates in which a sign is seen."""
-    steps_held = sum(
-        last_step - first_step + distance for first_step, last_step in intersection(periods, [spell])
-    )
+    steps_held = 0.0
+    for first_step, last_step in intersection(periods, [spell]):
+        steps_held += last_step - first_step + distance
     return steps_held / (spell[1] - spell[0] + distance)

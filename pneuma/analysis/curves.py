@@ -179,7 +179,7 @@ def _episodes(run: Row, steps: np.ndarray) -> np.ndarray:
     if not len(lengths):
         raise UserError(Hint("x", EPISODES), f": run {run.run_id} in {run.origin} has no lengths of episodes")
     finished_episodes = np.cumsum(np.diff(run.grid, prepend=0.0) / np.interp(run.grid, known_steps, lengths))
-    return np.interp(steps, [0.0, *run.grid], [0.0, *finished_episodes])
+    return np.interp(steps, np.insert(run.grid, 0, 0.0), np.insert(finished_episodes, 0, 0.0))
 
 
 def curve_names(study_data: StudyData) -> list[str]:
@@ -245,7 +245,9 @@ def random_levels(study_data: StudyData, quantity: str) -> dict[str, float]:
     """
     if quantity == "score":
         return dict.fromkeys(study_data.conditions, 0.0)
-    column = "random_return" if quantity == "evaluated_return" else "random_share_killed"
+    column = "random_share_killed"
+    if quantity == "evaluated_return":
+        column = "random_return"
     if quantity not in EVALUATION_QUANTITIES or column not in study_data.evaluations:
         return {}  # an imported log may have evaluations without a random player
     levels = study_data.evaluations.groupby("condition", sort=False)[column].mean().dropna()
@@ -325,7 +327,8 @@ BANDS = {
 
 def checked_band(band: str) -> str:
     """Return a band's name in `BANDS`: people ask for mean and variance, whose root is drawn."""
-    band = "sd" if band == "variance" else band
+    if band == "variance":
+        band = "sd"
     if band not in BANDS:
         raise unknown_name("band", band, BANDS)
     return band

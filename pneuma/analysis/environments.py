@@ -128,9 +128,8 @@ def over_environments(data_by_env: Parts, outcome: str = OUTCOME) -> pd.DataFram
     rows = []
     for condition, env_scores in scores(data_by_env, outcome).items():
         for statistic, aggregate in AGGREGATES.items():
-            rows.append(
-                (condition, statistic, float(aggregate(env_scores)), *bootstrap(aggregate, env_scores))
-            )
+            low, high = bootstrap(aggregate, env_scores)
+            rows.append((condition, statistic, float(aggregate(env_scores)), low, high))
     return pd.DataFrame(rows, columns=["condition", "statistic", "value", "low", "high"])
 
 
@@ -139,7 +138,7 @@ def profiles(data_by_env: Parts, outcome: str = OUTCOME) -> pd.DataFrame:
     scores_by_condition = scores(data_by_env, outcome)
     if not scores_by_condition:
         raise UserError(f"no condition has runs in every environment: {', '.join(data_by_env)}")
-    all_scores = [np.concatenate(env_scores) for env_scores in scores_by_condition.values()]
+    all_scores = list(map(np.concatenate, scores_by_condition.values()))
     ends = np.concatenate([[0.0, 1.0], *all_scores])
     thresholds = np.linspace(ends.min(), ends.max(), PROFILE_POINTS)
     share_above, profile_frames = partial(profile, thresholds=thresholds), []
@@ -161,11 +160,11 @@ def improvements(data_by_env: Parts, a: str, b: str, outcome: str = OUTCOME) -> 
     statistics: dict[str, Statistic] = {"P(better)": improvement}
     for name, aggregate in AGGREGATES.items():
         statistics[f"{name}, difference"] = partial(_difference, aggregate)
-    score_pair = scores_by_condition[a], scores_by_condition[b]
-    rows = [
-        (name, float(statistic(*score_pair)), *bootstrap(statistic, *score_pair))
-        for name, statistic in statistics.items()
-    ]
+    scores_a, scores_b = scores_by_condition[a], scores_by_condition[b]
+    rows = []
+    for name, statistic in statistics.items():
+        low, high = bootstrap(statistic, scores_a, scores_b)
+        rows.append((name, float(statistic(scores_a, scores_b)), low, high))
     return pd.DataFrame(rows, columns=["statistic", "value", "low", "high"])
 
 

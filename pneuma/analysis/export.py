@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pandas as pd
 
 from pneuma.analysis.intervals import decimals, number_text
@@ -112,9 +113,10 @@ def encode_frame(frame: pd.DataFrame, form: str) -> bytes:
         return safe_frame.to_csv(index=False, lineterminator="\n").encode()
     cells = pd.DataFrame(_formatted_rows(frame), columns=frame.columns).map(_visible)
     cells.columns = cells.columns.map(_visible)
-    is_numeric = [pd.api.types.is_numeric_dtype(column_type) for column_type in frame.dtypes]
-    encode = _latex if form == "latex" else _markdown
-    return encode(cells, is_numeric).encode()
+    is_numeric = list(map(pd.api.types.is_numeric_dtype, frame.dtypes))
+    if form == "latex":
+        return _latex(cells, is_numeric).encode()
+    return _markdown(cells, is_numeric).encode()
 
 
 def _is_number(text: str) -> bool:
@@ -153,7 +155,7 @@ def _formatted_rows(frame: pd.DataFrame) -> list[list[str]]:
                 digits = 0
             for column in ("value", "low", "high"):
                 cells[columns.index(column)] = number_text(row[column], digits)
-        formatted_rows.append([_formatted(value) for value in cells])
+        formatted_rows.append(list(map(_formatted, cells)))
     return formatted_rows
 
 
@@ -196,7 +198,7 @@ def _latex(cells: pd.DataFrame, is_numeric: Sequence[bool]) -> str:
 
 def _markdown(cells: pd.DataFrame, is_numeric: Sequence[bool]) -> str:
     """Return a table in Markdown. `to_markdown` of pandas needs another package, and escapes nothing."""
-    rules = ["---:" if is_number else "---" for is_number in is_numeric]
+    rules = np.where(is_numeric, "---:", "---")
     lines = []
     for row in (cells.columns, rules, *cells.to_numpy()):
         escaped_cells = []

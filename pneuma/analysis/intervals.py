@@ -249,7 +249,7 @@ def spread_ratio_interval(a: np.ndarray, b: np.ndarray, level: float = LEVEL) ->
 def _no_spread_reason(a: np.ndarray, b: np.ndarray) -> str:
     """Return why the spreads of two groups have no interval; empty if they have one."""
     reason = no_interval_reason(a, b)
-    if not reason and any(is_constant(distances(runs)) for runs in (a, b)):
+    if not reason and (is_constant(distances(a)) or is_constant(distances(b))):
         reason = "all runs of a group are equally far from their median, so no interval can be computed"
     return reason
 

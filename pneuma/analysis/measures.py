@@ -40,7 +40,9 @@ LEAST_NORM = 1e-8
 def evaluated(run: Row, column: str, take: Take) -> float:
     """Return what a function takes from a column of the evaluations."""
     _, curve_values = run.evaluation_points(column)
-    return float(take(curve_values)) if len(curve_values) else NAN
+    if not len(curve_values):
+        return NAN
+    return float(take(curve_values))
 
 
 def last_value(curve_values: np.ndarray) -> float:
@@ -63,7 +65,9 @@ def late_mean_of_known(curve_values: np.ndarray) -> float:
     """Return the mean of the last evaluations that have a value."""
     late_values = curve_values[-LATE:]
     finite_values = late_values[np.isfinite(late_values)]
-    return finite_values.mean() if len(finite_values) else NAN
+    if not len(finite_values):
+        return NAN
+    return finite_values.mean()
 
 
 def late_fall(curve_values: np.ndarray) -> float:
@@ -232,7 +236,7 @@ def lasting_one_action_spell(run: Row) -> float:
 def stuck_share(run: Row) -> float:
     """Return the share of updates that are stuck; NaN if not known."""
     stuck_updates, updates, _ = (run.cell(column) or 0 for column in STUCK)
-    return stuck_updates / updates if updates else NAN
+    return stuck_updates / (updates or NAN)
 
 
 def share_of_commonest(run: Row) -> float:
@@ -246,7 +250,9 @@ def share_of_commonest(run: Row) -> float:
 def diagnosed(run: Row, name: str) -> float:
     """Return an attribute of the diagnosis of collapse; NaN if it is None."""
     attribute_value = getattr(diagnose(run), name)
-    return NAN if attribute_value is None else float(attribute_value)
+    if attribute_value is None:
+        return NAN
+    return float(attribute_value)
 
 
 def wall_seconds(run: Row) -> float:
@@ -256,4 +262,4 @@ def wall_seconds(run: Row) -> float:
 
 def pace(run: Row) -> float:
     """Return the steps trained per second."""
-    return run.end / run.wall_seconds if run.wall_seconds else NAN
+    return run.end / wall_seconds(run)

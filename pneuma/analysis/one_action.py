@@ -33,7 +33,7 @@ def runs_not_staying(study_data: StudyData, condition: str) -> pd.DataFrame:
         interval (log-log), NaN where there is none.
     """
     runs = study_data.of_condition(condition)
-    staying_steps = np.array([lasting_one_action(run) for run in runs])
+    staying_steps = np.array(list(map(lasting_one_action, runs)))
     if np.isnan(staying_steps).any():
         raise UserError(
             f"study {study_data.study.name}: {study_data.origin} has no evaluations with {COLUMN}"
@@ -46,10 +46,10 @@ def runs_not_staying(study_data: StudyData, condition: str) -> pd.DataFrame:
     with warnings.catch_warnings(action="ignore"):  # there is no interval before the first run stays
         interval_ends = survival.confidence_interval(LEVEL, method="log-log")
     return pd.DataFrame({
-        "x": [0.0, *survival.quantiles],
-        "share": [1.0, *survival.probabilities],
-        "low": [np.nan, *interval_ends.low.probabilities],
-        "high": [np.nan, *interval_ends.high.probabilities],
+        "x": np.insert(survival.quantiles, 0, 0.0),
+        "share": np.insert(survival.probabilities, 0, 1.0),
+        "low": np.insert(interval_ends.low.probabilities, 0, np.nan),
+        "high": np.insert(interval_ends.high.probabilities, 0, np.nan),
     })  # fmt: skip
 
 

@@ -150,7 +150,9 @@ def with_unit(outcome_name: str) -> str:
         return outcome_name
     unit = find_outcome(outcome_name).unit
     is_in_name = unit in outcome_name.split("-")  # as in late-share-killed
-    return f"{outcome_name} ({unit})" if unit and not is_in_name else outcome_name
+    if not unit or is_in_name:
+        return outcome_name
+    return f"{outcome_name} ({unit})"
 
 
 # --- Values ---------------------------------------------------------------------------------------
@@ -185,7 +187,9 @@ def reason(run: Row, outcome_name: str) -> str:
         return f"{outcome_name} is {measured_value:g}, beyond {LARGEST:g}"
     if declared.source == "signs" and not diagnose(run).collapsed:
         return "no sign of collapse is recorded, or there was none"
-    subject = f"the run {run.status} at step {run.end:,} and" if run.status == "diverged" else "the run"
+    subject = "the run"
+    if run.status == "diverged":
+        subject += f" diverged at step {run.end:,} and"
     return f"{subject} has nothing that {outcome_name} is taken from ({declared.source}) in {run.origin}"
 
 
@@ -219,7 +223,9 @@ def kinds_of_return(study_data: StudyData, conditions: Iterable[str] | None = No
 def unit_of_return(run: Row) -> str:
     """Return what the unit of a run's returns depends on: environment, reward and number of players."""
     run_fields = run.fields
-    env = run_fields["env"] if is_gymnasium_id(run_fields.get("env")) else ""
+    env = ""
+    if is_gymnasium_id(run_fields.get("env")):
+        env = run_fields["env"]
     return str(
         [env, run_fields.get("reward"), run_fields.get("players"), run_fields.get("shared_reward", False)]
     )

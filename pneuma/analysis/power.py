@@ -113,7 +113,8 @@ def power_of_shares(share_a: float, share_b: float, seeds: int, level: float = L
     leaves_out_0 = (centre - np.sqrt(squares_below + squares_above.T) > 0) | (
         centre + np.sqrt(squares_above + squares_below.T) < 0
     )
-    chances_a, chances_b = (stats.binom.pmf(counts, seeds, share) for share in (share_a, share_b))
+    chances_a = stats.binom.pmf(counts, seeds, share_a)
+    chances_b = stats.binom.pmf(counts, seeds, share_b)
     return float((chances_a[:, None] * leaves_out_0 * chances_b).sum())
 
 

@@ -46,7 +46,9 @@ class Difference:
 
     def __str__(self) -> str:
         published_text, here_text = value_texts(self.published, self.here)
-        place = "" if self.step is None else f" at step {self.step:,.0f}"
+        place = ""
+        if self.step is not None:
+            place = f" at step {self.step:,.0f}"
         return f"{self.quantity}{place}: {published_text} published, {here_text} here"
 
 
@@ -55,10 +57,14 @@ def find_differences(published: Row, here: Row) -> list[Difference]:
 
     Columns that the published table lacks are not compared (`quantities_not_published`).
     """
-    in_training = [*_curve_differences(published, here), *_evaluation_differences(published, here)]
+    in_training = list(_curve_differences(published, here))
+    in_training += _evaluation_differences(published, here)
     in_training += _sign_differences(published, here)
     in_training.sort(key=lambda difference: difference.step or 0)
-    return [*_setting_differences(published, here), *in_training, *_number_differences(published, here)]
+    differences = list(_setting_differences(published, here))
+    differences += in_training
+    differences += _number_differences(published, here)
+    return differences
 
 
 def quantities_not_published(published: Row, here: Row) -> list[str]:
@@ -100,17 +106,17 @@ def _value_text(value: Any, digits: int) -> str:
 
 def _setting_differences(published: Row, here: Row) -> Iterator[Difference]:
     for field_name in changed_fields(here.fields, published.fields):
-        values = published.fields.get(field_name), here.fields.get(field_name)
-        yield Difference(f"Setting {field_name}", None, *values)
+        published_value, value = published.fields.get(field_name), here.fields.get(field_name)
+        yield Difference(f"Setting {field_name}", None, published_value, value)
 
 
 def _curve_differences(published: Row, here: Row) -> Iterator[Difference]:
     for column in _compared_columns(published, here):
         if COLUMN_TYPES[column] != CURVE:
             continue
-        curves = published.cell(column) or [], here.cell(column) or []
+        published_curve, curve = published.cell(column) or [], here.cell(column) or []
         # a published curve may have any number of points
-        for step, published_value, value in zip_longest(here.grid.tolist(), *curves):
+        for step, published_value, value in zip_longest(here.grid.tolist(), published_curve, curve):
             if not is_same(published_value, value):
                 yield Difference(_title(column), step, published_value, value)
 
@@ -121,32 +127,35 @@ def _evaluation_differences(published: Row, here: Row) -> Iterator[Difference]:
     for published_row, row in zip_longest(published_rows, rows, fillvalue=no_cells):
         step = row.get("step", published_row.get("step"))
         for column in {**row, **published_row}:
-            values = published_row.get(column), row.get(column)
-            if not is_same(*values):
-                yield Difference(_EVALUATION_TITLES.get(column, f"Evaluation: {column}"), step, *values)
+            published_value, value = published_row.get(column), row.get(column)
+            if not is_same(published_value, value):
+                title = _EVALUATION_TITLES.get(column, f"Evaluation: {column}")
+                yield Difference(title, step, published_value, value)
 
 
 def _sign_differences(published: Row, here: Row) -> Iterator[Difference]:
     """Yield, of each sign of collapse, the first stretch in which it differs."""
     for sign in {**here.signs, **published.signs}:
-        stretches = published.signs.get(sign, []), here.signs.get(sign, [])
-        for published_stretch, stretch in zip_longest(*stretches):
+        published_stretches, stretches = published.signs.get(sign, []), here.signs.get(sign, [])
+        for published_stretch, stretch in zip_longest(published_stretches, stretches):
             if published_stretch != stretch:
                 first_step = min(steps[0] for steps in (published_stretch, stretch) if steps)
-                texts = _stretch_text(published_stretch), _stretch_text(stretch)
-                yield Difference(f"Sign of collapse: {sign}", first_step, *texts)
+                published_text, text = _stretch_text(published_stretch), _stretch_text(stretch)
+                yield Difference(f"Sign of collapse: {sign}", first_step, published_text, text)
                 break
 
 
 def _stretch_text(stretch: Stretch | None) -> str | None:
-    return None if stretch is None else f"steps {stretch[0]:,.0f} to {stretch[1]:,.0f}"
+    if stretch is None:
+        return None
+    return f"steps {stretch[0]:,.0f} to {stretch[1]:,.0f}"
 
 
 def _number_differences(published: Row, here: Row) -> Iterator[Difference]:
     for column in _compared_columns(published, here):
-        values = published.cell(column), here.cell(column)
-        if COLUMN_TYPES[column] != CURVE and not is_same(*values):
-            yield Difference(_title(column), None, *values)
+        published_value, value = published.cell(column), here.cell(column)
+        if COLUMN_TYPES[column] != CURVE and not is_same(published_value, value):
+            yield Difference(_title(column), None, published_value, value)
 
 
 def _compared_columns(published: Row, here: Row) -> Iterator[str]:
@@ -164,4 +173,6 @@ def _title(column: str) -> str:
     if quantity not in TRAINING_QUANTITIES:
         return column.capitalize()
     title = QUANTITIES[quantity].title
-    return f"{title} ({_STATISTICS.get(detail, detail)})" if detail else title
+    if detail:
+        title += f" ({_STATISTICS.get(detail, detail)})"
+    return title

@@ -263,7 +263,7 @@ def changed_fields(fields: Mapping[str, Any], stored_fields: Mapping[str, Any]) 
 def _with_bare_names(value: Any) -> Any:
     """Return a field's value with the user's own files by their names alone."""
     if isinstance(value, list | tuple):
-        return tuple(_with_bare_names(element) for element in value)
+        return tuple(map(_with_bare_names, value))
     if isinstance(value, str):
         file, colon, inside = value.partition(":")
         if file.startswith("/") or file.endswith(".py"):  # published fields have no folders

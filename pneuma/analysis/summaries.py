@@ -97,7 +97,7 @@ def _summary_rows(study_data: StudyData, condition: str, outcomes: Sequence[str]
 
 def _share(outcome: str, statistic: str, events: ArrayLike) -> SummaryRow:
     event_count, run_count = int(np.sum(events)), np.size(events)
-    share = event_count / run_count if run_count else float("nan")
+    share = event_count / (run_count or np.nan)
     return outcome, statistic, share, intervals.incidence_interval(event_count, run_count), run_count
 
 
@@ -202,4 +202,6 @@ def refuse_different_returns(units_of_return: Collection[str], outcome: str) -> 
 
 
 def _mean(run_values: np.ndarray) -> float:
-    return float(run_values.mean()) if len(run_values) else np.nan
+    if not len(run_values):
+        return np.nan
+    return float(run_values.mean())
