@@ -57,14 +57,11 @@ def find_differences(published: Row, here: Row) -> list[Difference]:
 
     Columns that the published table lacks are not compared (`quantities_not_published`).
     """
-    in_training = list(_curve_differences(published, here))
-    in_training += _evaluation_differences(published, here)
-    in_training += _sign_differences(published, here)
-    in_training.sort(key=lambda difference: difference.step or 0)
-    differences = list(_setting_differences(published, here))
-    differences += in_training
-    differences += _number_differences(published, here)
-    return differences
+    differences = list(_column_differences(published, here))
+    differences += _evaluation_differences(published, here)
+    differences += _sign_differences(published, here)
+    differences.sort(key=lambda difference: math.inf if difference.step is None else difference.step)
+    return list(_setting_differences(published, here)) + differences
 
 
 def quantities_not_published(published: Row, here: Row) -> list[str]:
@@ -110,13 +107,17 @@ def _setting_differences(published: Row, here: Row) -> Iterator[Difference]:
         yield Difference(f"Setting {field_name}", None, published_value, value)
 
 
-def _curve_differences(published: Row, here: Row) -> Iterator[Difference]:
-    for column in _compared_columns(published, here):
-        if COLUMN_TYPES[column] != CURVE:
+def _column_differences(published: Row, here: Row) -> Iterator[Difference]:
+    """Yield those of curves and single values that the published table has."""
+    for column, column_type in COLUMN_TYPES.items():
+        if column not in published.table.column_names or column in _NOT_SINGLE:
             continue
-        published_curve, curve = published.cell(column) or [], here.cell(column) or []
-        # a published curve may have any number of points
-        for step, published_value, value in zip_longest(here.grid.tolist(), published_curve, curve):
+        steps: list[float | None] = [None]
+        published_values, values = [published.cell(column)], [here.cell(column)]
+        if column_type == CURVE:  # a published one may have any number of points
+            steps = here.grid.tolist()
+            published_values, values = published_values[0] or [], values[0] or []
+        for step, published_value, value in zip_longest(steps, published_values, values):
             if not is_same(published_value, value):
                 yield Difference(_title(column), step, published_value, value)
 
@@ -149,20 +150,6 @@ def _stretch_text(stretch: Stretch | None) -> str | None:
     if stretch is None:
         return None
     return f"steps {stretch[0]:,.0f} to {stretch[1]:,.0f}"
-
-
-def _number_differences(published: Row, here: Row) -> Iterator[Difference]:
-    for column in _compared_columns(published, here):
-        published_value, value = published.cell(column), here.cell(column)
-        if COLUMN_TYPES[column] != CURVE and not is_same(published_value, value):
-            yield Difference(_title(column), None, published_value, value)
-
-
-def _compared_columns(published: Row, here: Row) -> Iterator[str]:
-    """Yield the columns of curves and single values that the published table has."""
-    for column in COLUMN_TYPES:
-        if column in published.table.column_names and column not in _NOT_SINGLE:
-            yield column
 
 
 def _title(column: str) -> str:
