@@ -43,6 +43,12 @@ LONGEST_FILE = 1_000_000
 MOST_JOINED_KEYS = 100
 _JOINED_KEYS = re.compile(rf"""(?<![\w"'.-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MOST_JOINED_KEYS}}}""")
 """A dotted key for which `tomllib` takes a time that grows with the square of its length."""
+_CLOSED = re.compile(
+    r"""[^"'#]+|\#[^\n]*|\"{3}(?:\\.|[^\\])*?"{3,5}|'{3}.*?'{3,5}"""
+    r"""|"(?!"")(?:\\.|[^"\\\n])*"|'(?!'')[^'\n]*'""",
+    re.DOTALL,
+)
+"""A comment of TOML, a text with its closing quotes, or what is between them."""
 
 
 class Table(BaseModel):
@@ -191,16 +197,13 @@ def read_toml(path: Path) -> TomlFile:
 
 def _open_quote(toml_text: str, problem: str) -> str:
     """Return which line opens a text that is never closed; empty for another mistake of TOML."""
-    if "Illegal character '\\n'" in problem:
-        return "; the text that this line opens is not closed"
-    if not re.match(r"Unterminated string|Expected \"['\"]+\"", problem):
+    if not re.search(r"Unterminated string|Expected \"'|character '\\n'|in a string \(at end", problem):
         return ""
-    lines = toml_text.splitlines()
-    for quotes in ('"""', "'''", '"', "'"):
-        opened = [number for number, line in enumerate(lines, start=1) if line.count(quotes) % 2]
-        if opened:
-            return f"; the text that line {opened[-1]} opens is not closed"
-    return ""
+    position = 0
+    while match := _CLOSED.match(toml_text, position):
+        position = match.end()
+    line_number = toml_text.count("\n", 0, position) + 1
+    return f"; the text that line {line_number} opens is not closed"
 
 
 def read_model(

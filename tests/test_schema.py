@@ -85,6 +85,26 @@ def test_a_mistake_has_a_message_with_its_line(tmp_path: Path, text: str, line: 
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ('a = """\nx\nb = 5 # 12"\n', 1),
+        ("# it's\na = 'x\nb = \"its\"\n", 2),
+        ("a = \"it's\"\nb = '''\nc = 'y\n", 2),
+        ('a = "x\\"\nb = "y"\n', 1),
+        ('a = """\n\\"""\n"""\nb = ""\nc = ["x, 1]\n', 5),
+        ('a = """"x"""""\nb = "x', 2),
+        ("a = 1\nb = 'x\nc = 'y'\n", 2),
+        ('a = 1\nb = """\nc = 2 \\', 2),
+    ],
+)
+def test_the_line_of_a_text_that_is_not_closed_is_named(tmp_path: Path, text: str, line: int) -> None:
+    """Quotes in comments and in other texts open nothing."""
+    (tmp_path / "x.toml").write_text(text)
+    with pytest.raises(UserError, match=f"; the text that line {line} opens is not closed$"):
+        read_toml(tmp_path / "x.toml")
+
+
 def test_a_line_is_found_behind_a_text_of_several_lines(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="line 5: "):
         _read(tmp_path, 'title = """\ncolour = "blue"\n[inner]\n"""\ncolour = "blue"\n')

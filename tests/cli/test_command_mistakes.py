@@ -178,7 +178,7 @@ def test_only_changes_of_code_and_studies_keep_claims_from_being_trained(tmp_pat
 
 STUDY = 'title = "Cart"\n[run]\nenv = "{}"\n{}\n[conditions.a]\n[presets.quick]\nseeds = 1\nsteps = 64\n'
 FILES = {
-    'title = "Cart\n[run]\n': "at line 1, column 14); the text that this line opens is not closed",
+    'title = "Cart\n[run]\n': "at line 1, column 14); the text that line 1 opens is not closed",
     'title = "a"\nabout = """\nit is\n[run]\n': "the text that line 2 opens is not closed",
     "title = 'it\n": "the text that line 1 opens is not closed",
     STUDY.format("CartPole", ""): "with its version, as CartPole-v1",
