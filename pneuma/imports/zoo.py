@@ -166,12 +166,10 @@ def _convert(
                 run["wrappers"] = [
                     _wrapper(wrapper) for wrapper in (value if isinstance(value, list) else [value])
                 ]
-            elif key in ("noise_type", "noise_std") and str(entry.get("noise_type")) not in ZOO_NOISE:
-                raise UserError(f"noise_type must be {' or '.join(ZOO_NOISE)}")
-            elif key == "noise_std" and not isinstance(value, int | float):
-                raise UserError("it must be a number")
-            elif key == "train_freq" and value == 0:
-                raise UserError("it must be at least 1")
+            elif key in ("noise_type", "noise_std") and not _is_noise(entry):
+                raise UserError(f"noise_type must be {' or '.join(ZOO_NOISE)}, and noise_std a number")
+            elif key == "train_freq" and not _is_frequency(value):
+                raise UserError('it must be a number from 1 on, or such a number and "step" or "episode"')
             elif _is_field(key, algorithm):
                 for field_name, field_value in own_fields({key: value}).items():
                     if field_name in FIELDS:
@@ -198,6 +196,17 @@ def _convert(
     if arguments:
         tables["run.algorithm_kwargs"] = arguments
     return {**tables, f"conditions.{algorithm}": {}}, steps, left_out
+
+
+def _is_noise(entry: Mapping[str, Any]) -> bool:
+    """Return whether an entry has action noise that a learner can take."""
+    return str(entry.get("noise_type")) in ZOO_NOISE and type(entry.get("noise_std")) in (int, float)
+
+
+def _is_frequency(value: Any) -> bool:
+    """Return whether a learner can train so often: a number of steps, or [number, "step" or "episode"]."""
+    number = value[0] if isinstance(value, list) and value else value
+    return type(number) is int and number >= 1
 
 
 def _is_field(key: str, algorithm: str) -> bool:

@@ -102,14 +102,14 @@ def test_the_arguments_of_another_learner_reach_it(tmp_path: Path) -> None:
     assert not learner.replay_buffer.handle_timeout_termination
 
 
-def test_what_no_learner_takes_is_named(tmp_path: Path) -> None:
-    text = "Pendulum-v1:\n  noise_type: normal\n  noise_std: [1]\n  train_freq: 0\n"
-    (tmp_path / "td3.yml").write_text(text)
-    said = printed(
-        "import", "zoo", tmp_path / "td3.yml", "--env", "Pendulum-v1", "--out", tmp_path / "s.toml"
-    )
-    assert "noise_std is not kept: it must be a number" in said
-    assert "train_freq is not kept: it must be at least 1" in said
+@pytest.mark.parametrize("noise", ["[1]", "true", "null", "x"])
+@pytest.mark.parametrize("frequency", ["0", "-1", "[0, step]", "[]"])
+def test_what_no_learner_takes_is_named(noise: str, frequency: str, tmp_path: Path) -> None:
+    text = f"Pendulum-v1:\n  noise_type: normal\n  noise_std: {noise}\n  train_freq: {frequency}\n"
+    run, said = study_of("td3.yml", text, "Pendulum-v1", tmp_path)
+    assert "noise_type is not kept: noise_type must be normal or ornstein-uhlenbeck, and noise_std a" in said
+    assert "train_freq is not kept: it must be a number from 1 on" in said
+    assert run.algorithm_kwargs == ""
 
 
 def test_nothing_of_an_entry_is_evaluated(tmp_path: Path) -> None:
