@@ -41,8 +41,8 @@ from pneuma.training.progress import ProgressDisplay
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from pneuma.analysis.answer import Answer
     from pneuma.analysis.study_data import StudyData
-    from pneuma.answers.answer import Answer
     from pneuma.answers.check import CheckAnswer
     from pneuma.engines.evaluation import Act
     from pneuma.engines.policy import Policy

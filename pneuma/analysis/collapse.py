@@ -1,6 +1,6 @@
 """Diagnosis of collapse: whether, when and by which signs a run collapsed (thesis section 6.1).
 
-    stretches of signs and evaluations of a run → Diagnosis → incidence per condition
+    stretches of signs and evaluations of a run → Diagnosis → incidence per condition → Answer
 
 A run collapses if one of three states lasts (docs/outcomes.md gives the numbers): its policy has no entropy
 and a single action; it kills far less than at its best (or returns less, if there is nobody to kill); or, in
@@ -18,10 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from pneuma.analysis.answer import NO_CELL, Answer
 from pneuma.analysis.intervals import incidence_interval
 from pneuma.analysis.study_data import RUN_KEY_COLUMNS, StudyData
 from pneuma.store.rows import Row
 from pneuma.store.series import FALL, LOSS, NO_ENTROPY, ONE_ACTION, SIGNS, Stretch, stretches
+from pneuma.values import per_cent
 
 SHORTEST = 0.05
 """Share of the budget that a single action, or a return below zero, must last to count as collapse."""
@@ -129,6 +131,35 @@ def incidence(study_data: StudyData, diagnosed: pd.DataFrame) -> pd.DataFrame:
             "unknown": len(runs) - judged_count,
         })  # fmt: skip
     return pd.DataFrame(incidence_rows)
+
+
+def find_collapses(study_data: StudyData) -> Answer:
+    """Diagnose every run of an opened study.
+
+    Returns:
+        The table `runs` has the diagnosis of each run, `incidence` the counts and shares of each condition.
+    """
+    diagnosed_runs = diagnoses(study_data)
+    incidence_table = incidence(study_data, diagnosed_runs)
+    collapsed_runs = diagnosed_runs[diagnosed_runs["collapsed"].fillna(False)]
+    onset_steps = collapsed_runs["onset_step"].map("{:,}".format)
+    sign_table = collapsed_runs[["condition", "seed", "run_id", "signs"]].rename(columns={"run_id": "run"})
+    sign_table.insert(3, "step", onset_steps)
+    count_rows = []
+    for row in incidence_table.to_dict("records"):
+        interval = NO_CELL
+        if row["runs"]:
+            interval = f"{per_cent(round(row['low'], 2))} to {per_cent(round(row['high'], 2))}"
+        count_rows.append(
+            (row["condition"], f"{row['collapsed']} of {row['runs']}", interval, row["unknown"])
+        )
+    count_table = pd.DataFrame(
+        count_rows, columns=["condition", "collapsed", "95 % interval", "without a sign recorded"]
+    )
+    cells = [sign_table, count_table] if len(sign_table) else [count_table]
+    cells = [study_data.with_labels(table) for table in cells]
+    title = f"{study_data.full_title}: collapse"
+    return Answer(title, study_data.about, {"runs": diagnosed_runs, "incidence": incidence_table}, cells)
 
 
 # --- Signs -----------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""When runs come to stay in one action, and how much of training they are in it.
+"""Runs in one action: when they enter it for good, and the share of training that they are in it.
 
 A run is in one action at an evaluation in which that takes more than `ONE_ACTION` of the steps, and comes to
 stay in it at the first of `LATE` such evaluations in a row. In training it is in one action in an update
@@ -14,15 +14,55 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
+from pneuma.analysis.answer import StudyAnswer
 from pneuma.analysis.curves import Curve
 from pneuma.analysis.intervals import LEVEL
-from pneuma.analysis.measures import ONE_ACTION, lasting_one_action, one_action_updates
+from pneuma.analysis.measures import LATE, ONE_ACTION, lasting_one_action, one_action_updates
+from pneuma.analysis.notes import notes_on_runs
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import UserError
+from pneuma.store.series import MOST_OF_ONE
 
 COLUMN = "commonest_action"
 PARTS = 5
 """Parts of training over each of which the time in one action is measured."""
+
+
+def find_one_action(study_data: StudyData) -> StudyAnswer:
+    """Return how many runs of each condition do not yet stay in one action, and the time in one.
+
+    Returns:
+        The table `staying` is Kaplan's and Meier's estimate over steps, by evaluations. Over the fifths of
+        training `time` is the share of evaluations, and `updates` that of training's updates. All have 95 %
+        intervals.
+    """
+    survival_tables, time_tables, update_tables = [], [], []
+    for condition in study_data.conditions:
+        if study_data.of_condition(condition):
+            survival_tables.append(runs_not_staying(study_data, condition).assign(condition=condition))
+            time_tables.append(_shares(time_in_one_action(study_data, condition)))
+            update_tables.append(_shares(updates_in_one_action(study_data, condition)))
+    tables = {
+        "staying": pd.concat(survival_tables, ignore_index=True),
+        "time": pd.concat(time_tables, ignore_index=True),
+        "updates": pd.concat(update_tables, ignore_index=True),
+    }
+    definition = (
+        f"A run is in one action if that action takes over {100 * ONE_ACTION:g} % of an evaluation's steps"
+    )
+    notes = [
+        f"{definition}; it stays there from the first of {LATE} such evaluations in a row. In training it is "
+        f"in one action in updates whose rollout is at least {100 * MOST_OF_ONE:g} % one action.",
+        *notes_on_runs(study_data),
+    ]
+    return StudyAnswer(
+        study_data.full_title, study_data.about, tables, [tables["updates"]], notes, data=study_data
+    )
+
+
+def _shares(curve: Curve) -> pd.DataFrame:
+    """Return the mean over runs of a curve of shares, with its interval."""
+    return curve.frame("ci").assign(condition=curve.condition).rename(columns={"mean": "share"})
 
 
 def runs_not_staying(study_data: StudyData, condition: str) -> pd.DataFrame:

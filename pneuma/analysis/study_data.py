@@ -131,6 +131,16 @@ class StudyData:
 
     # --- In words -------------------------------------------------------------------------------------
 
+    def labelled(self, name: str, factor: str = "") -> str:
+        """Return the study's label of a condition, or of a factor's level, or else the name itself."""
+        return self.study.labels.get(name) or self.study.labels.get(f"{factor}={name}", name)
+
+    def with_labels(self, cells: pd.DataFrame) -> pd.DataFrame:
+        """Return a table for people whose conditions are called by the study's labels for them."""
+        if "condition" not in cells:
+            return cells
+        return cells.assign(condition=[self.labelled(name) for name in cells["condition"]])
+
     @property
     def description(self) -> str:
         """The study with its world and changed fields."""

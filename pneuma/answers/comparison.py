@@ -7,22 +7,22 @@ from dataclasses import replace
 
 import pandas as pd
 
+from pneuma.analysis.answer import Answer
+from pneuma.analysis.cells import comparison_cells, with_cells
 from pneuma.analysis.claims.claim_list import Claim, shipped_claims_on
 from pneuma.analysis.environments import OUTCOME, by_environment, improvements
 from pneuma.analysis.intervals import LEAST_RUNS
-from pneuma.analysis.outcomes import find_outcome, known_values
-from pneuma.analysis.study_data import StudyData
-from pneuma.analysis.summaries import Group, compare_groups, outcomes_to_compare
-from pneuma.answers.answer import Answer
-from pneuma.answers.cells import comparison_cells, labelled, with_cells
-from pneuma.answers.factors import compare_factors, factors_of
-from pneuma.answers.notes import (
+from pneuma.analysis.notes import (
     averaging,
     notes_on_ends,
     notes_on_failing_runs,
     notes_on_few_episodes,
     notes_on_few_runs,
 )
+from pneuma.analysis.outcomes import find_outcome, known_values
+from pneuma.analysis.study_data import StudyData
+from pneuma.analysis.summaries import Group, compare_groups, outcomes_to_compare
+from pneuma.answers.factors import compare_factors, factors_of
 from pneuma.answers.summary import SCALE
 from pneuma.errors import UserError, counted
 from pneuma.study.plan import Query
@@ -101,7 +101,7 @@ def compare(
             f"Claims about these conditions: {claim_names}. Their outcomes come first (see study verify)."
         )
     pairs = {"": (_group(study_data, a), _group(study_data, b))}
-    headings = [labelled(study_data, condition) for condition in (a, b)]
+    headings = [study_data.labelled(condition) for condition in (a, b)]
     answer = _compare_pairs(study_data, pairs, headings, outcomes, claimed_outcomes)
     return replace(answer, notes=list(answer.notes) + claim_notes)
 

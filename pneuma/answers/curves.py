@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from pneuma.analysis import BAND_NAMES
+from pneuma.analysis.answer import Answer
 from pneuma.analysis.curves import (
     BANDS,
     EPISODES,
@@ -26,11 +27,10 @@ from pneuma.analysis.curves import (
     study_curves,
 )
 from pneuma.analysis.environments import in_environment_of
+from pneuma.analysis.notes import BUDGET_AVERAGE, averaging, merge_notes, notes_on_runs, notes_on_windows
 from pneuma.analysis.outcomes import have_one_return, is_foreign
 from pneuma.analysis.quantities import POWERS, QUANTITIES, SHARES
 from pneuma.analysis.study_data import StudyData
-from pneuma.answers.answer import Answer
-from pneuma.answers.notes import BUDGET_AVERAGE, averaging, merge_notes, notes_on_runs, notes_on_windows
 from pneuma.errors import Hint, UserError, counted
 from pneuma.store.quantities import UPDATE_QUANTITIES
 from pneuma.store.series import GRID_POINTS

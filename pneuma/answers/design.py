@@ -8,9 +8,9 @@ from typing import Any
 
 import pandas as pd
 
+from pneuma.analysis.answer import Answer
 from pneuma.analysis.claims.contrasts import LOGARITHMIC
 from pneuma.analysis.claims.design import WITHOUT_UNIT, PlannedContrast, plan_contrasts
-from pneuma.answers.answer import Answer
 from pneuma.answers.verdicts import list_row, selected_claims
 
 LEGEND = (

@@ -9,9 +9,9 @@ from typing import Any
 
 import pandas as pd
 
+from pneuma.analysis.notes import notes_on_ends
 from pneuma.analysis.runs import find_study, finished_rows
 from pneuma.analysis.study_data import StudyCall, StudyData
-from pneuma.answers.notes import notes_on_ends
 from pneuma.answers.settings import compare_settings, setting_text
 from pneuma.answers.summary import summarize
 from pneuma.errors import UserError, counted

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pandas as pd
 
 from pneuma.analysis import EDGED_BANDS, EXPORT_TABLES
+from pneuma.analysis.answer import Answer
 from pneuma.analysis.curves import curve_names, curves_table, study_curves
 from pneuma.analysis.study_data import RUN_KEY_COLUMNS, StudyData
 from pneuma.analysis.summaries import summary_table
-from pneuma.answers.answer import Answer
 from pneuma.errors import Hint, UserError
 from pneuma.store.quantities import EPISODE_QUANTITIES
 from pneuma.store.row_builder import record_frame

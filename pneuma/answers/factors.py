@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pneuma.analysis.answer import StudyAnswer
+from pneuma.analysis.cells import with_cells
 from pneuma.analysis.claims import contrasts
 from pneuma.analysis.environments import columns_of
 from pneuma.analysis.intervals import LEAST_RUNS, Groups, no_interval, within
+from pneuma.analysis.notes import notes_on_ends, notes_on_few_episodes
 from pneuma.analysis.outcomes import find_outcome, kinds_of_return, outcome_values, primary, with_unit
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import refuse_different_returns
-from pneuma.answers.answer import StudyAnswer
-from pneuma.answers.cells import labelled, with_cells
-from pneuma.answers.notes import notes_on_ends, notes_on_few_episodes
 from pneuma.errors import Hint, UserError, unknown_name
 from pneuma.study.spec import CONDITION
 
@@ -98,7 +98,7 @@ def compare_factors(study_data: StudyData, a: str, b: str, outcomes: Sequence[st
 
 def level_label(study_data: StudyData, factor: str, level: str) -> str:
     """Return what a level is called by the study's file, or its factor and value."""
-    label = labelled(study_data, level, factor)
+    label = study_data.labelled(level, factor)
     is_named = factor == CONDITION or level in study_data.study.factors.get(factor, {})
     return label if is_named or label != level else f"{_words(factor)} {level}"
 
@@ -168,7 +168,7 @@ def _effects(study_data: StudyData, a: str, b: str, outcome: str) -> tuple[Rows,
     base_b = base[b] if base[b] in names_b else names_b[0]
     names_a.remove(base_a)
     names_b.remove(base_b)
-    label_a, label_b = partial(labelled, study_data, factor=a), partial(labelled, study_data, factor=b)
+    label_a, label_b = partial(study_data.labelled, factor=a), partial(study_data.labelled, factor=b)
     effects: Rows = []
     for x in names_a:
         words = f"{_words(a)}: {label_a(x)} − {label_a(base_a)}"

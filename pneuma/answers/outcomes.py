@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from pneuma.analysis.answer import Answer
 from pneuma.analysis.curves import curve_names, random_levels, random_returns
 from pneuma.analysis.intervals import LEAST_RUNS
+from pneuma.analysis.notes import merge_notes, notes_on_ends, notes_on_runs
 from pneuma.analysis.outcomes import PRIMARY, find_outcome, is_foreign, known_values, primary
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
-from pneuma.answers.answer import Answer
-from pneuma.answers.notes import merge_notes, notes_on_ends, notes_on_runs
 
 WITHOUT_EVALUATIONS = "final-return"
 SHOWN_STATISTICS = ("mean", "iqm")

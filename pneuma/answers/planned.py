@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import pandas as pd
 
+from pneuma.analysis.answer import Answer
 from pneuma.analysis.environments import by_environment
 from pneuma.analysis.intervals import LEVEL
 from pneuma.analysis.outcomes import primary, with_unit
 from pneuma.analysis.power import ENOUGH_RUNS, POWER, seeds_for_means, seeds_table, seeds_text
 from pneuma.analysis.study_data import StudyData
-from pneuma.answers.answer import Answer
 from pneuma.config import Run
 from pneuma.engines.loop import EPISODES, has_limited_evaluations, planned_evaluations
 from pneuma.errors import Hint, UserError, tallied

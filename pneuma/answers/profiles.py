@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from pneuma.analysis.answer import StudyAnswer
 from pneuma.analysis.environments import OUTCOME, by_environment, profiles, references
+from pneuma.analysis.notes import notes_on_ends
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.study_data import StudyData
-from pneuma.answers.answer import StudyAnswer
-from pneuma.answers.notes import notes_on_ends
 from pneuma.errors import Hint, UserError
 
 

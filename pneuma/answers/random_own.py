@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pneuma.analysis.answer import Answer
 from pneuma.analysis.curves import has_settings, measured_worlds
-from pneuma.answers.answer import Answer
 from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.presets import WORLDS

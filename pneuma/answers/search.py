@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 from optuna.trial import FrozenTrial
 
-from pneuma.answers.answer import Answer
+from pneuma.analysis.answer import Answer
 from pneuma.errors import counted
 from pneuma.search.log import STATES, Record
 from pneuma.search.spec import shown_params

@@ -7,9 +7,9 @@ from typing import Any
 
 import pandas as pd
 
+from pneuma.analysis.answer import Answer
 from pneuma.analysis.runs import plan_to_read, runs_of_plan, studies_here
 from pneuma.analysis.study_data import StudyData
-from pneuma.answers.answer import Answer
 from pneuma.errors import tallied
 from pneuma.store.index import RunIndex
 from pneuma.store.store import FINISHED

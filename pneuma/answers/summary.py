@@ -6,14 +6,14 @@ from collections.abc import Container, Iterable, Mapping, Sequence
 
 import pandas as pd
 
+from pneuma.analysis.answer import NO_CELL, Answer
+from pneuma.analysis.cells import condition_cells, pivot_cells, with_cells
 from pneuma.analysis.environments import OUTCOME, by_environment, over_environments
 from pneuma.analysis.intervals import LEAST_RUNS
+from pneuma.analysis.notes import MOST_NAMED, notes_on_ends, notes_on_few_episodes, notes_on_few_runs
 from pneuma.analysis.outcomes import reason, with_unit
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summary_table
-from pneuma.answers.answer import Answer
-from pneuma.answers.cells import NO_CELL, condition_cells, labelled, pivot_cells, with_cells, with_labels
-from pneuma.answers.notes import MOST_NAMED, notes_on_ends, notes_on_few_episodes, notes_on_few_runs
 from pneuma.errors import Hint, UserError
 
 SHOWN = 3
@@ -69,7 +69,7 @@ def summarize(
         + _missing_values(study_data, summary, outcomes)
         + notes_on_few_episodes(study_data, outcomes)
     )
-    shown_cells = [with_labels(study_data, cells)]
+    shown_cells = [study_data.with_labels(cells)]
     return Answer(study_data.full_title, study_data.about, {"summary": summary}, shown_cells, notes, legend)
 
 
@@ -98,7 +98,7 @@ def _summarize_environments(
     legend = [f"{with_unit(outcome)} in each environment, then scores over all."] + list(SCALE)
     tables = {"summary": summary.drop(columns="cell"), "scores": scores}
     notes = notes_on_ends(study_data) + notes_on_few_runs(data_by_env)
-    shown_cells = [with_labels(study_data, cells.reset_index())]
+    shown_cells = [study_data.with_labels(cells.reset_index())]
     return Answer(study_data.full_title, study_data.about, tables, shown_cells, notes, legend)
 
 
@@ -145,7 +145,7 @@ def _paper_cells(study_data: StudyData, summary: pd.DataFrame, outcomes: Sequenc
         rows = []
         for condition in cell_table.index:
             condition_levels = study_data.study.levels[condition].items()
-            rows.append({factor: labelled(study_data, level, factor) for factor, level in condition_levels})
+            rows.append({factor: study_data.labelled(level, factor) for factor, level in condition_levels})
         levels = pd.DataFrame(rows)
         levels.columns = levels.columns.str.replace("_", " ")
         cell_table.index = pd.MultiIndex.from_frame(levels)

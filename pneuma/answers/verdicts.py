@@ -10,10 +10,10 @@ from typing import Any
 
 import pandas as pd
 
+from pneuma.analysis.answer import Answer
 from pneuma.analysis.claims import words
 from pneuma.analysis.claims.claim_list import RULES, Claim, ClaimList, load_claims, shipped_claims
 from pneuma.analysis.claims.verdicts import ClaimContrast, Verdict, judge
-from pneuma.answers.answer import Answer
 from pneuma.errors import counted, unknown_name
 from pneuma.store.index import RunIndex
 

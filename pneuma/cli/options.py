@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from pneuma.answers.answer import Answer
+from pneuma.analysis.answer import Answer
 from pneuma.cli.examples import EXAMPLES
 from pneuma.cli.output import OUTPUT_FORMATS, Result, answer_result, kept_for_the_result, print_result, say
 from pneuma.config import is_gymnasium_id

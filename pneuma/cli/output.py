@@ -30,7 +30,7 @@ from pneuma.study.shipped import read_head, shipped_names
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pneuma.answers.answer import Answer
+    from pneuma.analysis.answer import Answer
 
 
 # --- For people -----------------------------------------------------------------------------------

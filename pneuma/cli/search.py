@@ -30,7 +30,7 @@ from pneuma.study import shipped, spec
 from pneuma.study.command_words import results_words
 
 if TYPE_CHECKING:
-    from pneuma.answers.answer import Answer
+    from pneuma.analysis.answer import Answer
     from pneuma.search.log import Record
     from pneuma.study.plan import Plan
     from pneuma.training.execute import CellResult

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from pneuma.answers.answer import Answer
+from pneuma.analysis.answer import Answer
 from pneuma.cli import delete, study_answers, study_check, study_files, study_run, study_verify
 from pneuma.cli import options as opt
 from pneuma.cli.output import Result, Table, answer_result, frame_table, listed_result, say, write_file

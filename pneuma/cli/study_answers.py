@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Annotated
 
-from pneuma.answers.answer import Answer
+from pneuma.analysis.answer import Answer
 from pneuma.cli import options as opt
 from pneuma.errors import MOST_LISTED, UserError
 
@@ -72,6 +72,6 @@ def compare(
 def collapse(name: opt.Study, selection: opt.RunFilter) -> Answer:
     """Show which runs collapsed, when and by which signs, and how often in each condition."""
     study_data = selection.open(name)
-    from pneuma.answers.collapse import find_collapses
+    from pneuma.analysis.collapse import find_collapses
 
     return find_collapses(study_data)

@@ -189,7 +189,7 @@ def _draw(study_data: StudyData, drawing: Drawing, beside_data: StudyData | None
     if figure_kind == PROFILE:
         return shares.profile_page(profile_scores(study_data))
     if figure_kind == ONE_ACTION:
-        from pneuma.answers.one_action import find_one_action  # SciPy's statistics take half a second
+        from pneuma.analysis.one_action import find_one_action  # SciPy's statistics take half a second
 
         return shares.one_action_page(find_one_action(study_data))
     if figure_kind == FACTORS:

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
-from pneuma.answers.answer import Answer
+from pneuma.analysis.answer import Answer
 from pneuma.cli import STOPPED
 from pneuma.cli import options as opt
 from pneuma.cli.hints import command

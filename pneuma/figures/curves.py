@@ -19,6 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from pneuma.analysis.curves import BANDS, EPISODES, STEPS, WALL_CLOCK, Curve, reach
+from pneuma.analysis.notes import TRAILING_WINDOW, averaging
 from pneuma.analysis.outcomes import is_foreign
 from pneuma.analysis.quantities import POWERS, QUANTITIES, SHARES, VALUES
 from pneuma.answers.curves import (
@@ -29,7 +30,6 @@ from pneuma.answers.curves import (
     CurveOptions,
     CurvesAnswer,
 )
-from pneuma.answers.notes import TRAILING_WINDOW, averaging
 from pneuma.errors import Hint, UserError
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel

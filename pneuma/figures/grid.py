@@ -25,8 +25,8 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.legend import Legend
 from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 
+from pneuma.analysis.answer import Answer
 from pneuma.analysis.quantities import POWERS, SHARES, VALUES
-from pneuma.answers.answer import Answer
 from pneuma.errors import Hint, UserError, counted
 from pneuma.figures import style
 from pneuma.figures.origin import origin_text

@@ -7,8 +7,8 @@ from functools import partial
 import pandas as pd
 from matplotlib.axes import Axes
 
+from pneuma.analysis.answer import StudyAnswer
 from pneuma.analysis.intervals import decimals, number_text
-from pneuma.answers.answer import StudyAnswer
 from pneuma.answers.factors import level_label
 from pneuma.answers.outcomes import words_of
 from pneuma.figures import style

@@ -9,9 +9,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
+from pneuma.analysis.answer import StudyAnswer
 from pneuma.analysis.environments import by_environment
 from pneuma.analysis.quantities import SHARES
-from pneuma.answers.answer import StudyAnswer
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.origin import lines_of_runs

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pneuma.analysis.notes import notes_on_ends
 from pneuma.analysis.outcomes import OUTCOMES, find_outcome, outcome, outcome_values
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
-from pneuma.answers.notes import notes_on_ends
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.imports.tensorboard import import_tensorboard
 from pneuma.store.index import RunIndex

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from pneuma.analysis.one_action import time_in_one_action, updates_in_one_action
-from pneuma.answers.one_action import find_one_action
+from pneuma.analysis.one_action import find_one_action, time_in_one_action, updates_in_one_action
 from pneuma.errors import UserError
 from pneuma.figures.grid import save_page
 from pneuma.figures.shares import one_action_page

@@ -1,4 +1,4 @@
-"""Notes without which a figure of a study may mislead."""
+"""Notes without which an answer or its figure may mislead."""
 
 from __future__ import annotations
 

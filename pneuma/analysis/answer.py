@@ -11,6 +11,9 @@ if TYPE_CHECKING:
 
     from pneuma.analysis.study_data import StudyData
 
+NO_CELL = "–"
+"""A cell of text without a value."""
+
 
 @dataclass(frozen=True)
 class Answer:

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pneuma.analysis.answer import NO_CELL
 from pneuma.analysis.intervals import decimals, number_text, number_with_interval
 from pneuma.analysis.outcomes import with_unit
 from pneuma.analysis.study_data import StudyData
 
-NO_CELL = "–"
 CELL_FORMS = ("sd", "interval")
 """Means with the standard deviation of runs, as 0.68 ± 0.11, or with their interval."""
 
@@ -47,19 +47,6 @@ def pivot_cells(
     """
     cell_table = summary.pivot(index=list(rows), columns=list(columns), values="cell")
     return cell_table.reindex(index=row_labels, columns=column_labels).astype(object).fillna(NO_CELL)
-
-
-def with_labels(study_data: StudyData, cells: pd.DataFrame) -> pd.DataFrame:
-    """Return a table for people whose conditions are called by the study's labels for them."""
-    if "condition" not in cells:
-        return cells
-    return cells.assign(condition=[labelled(study_data, name) for name in cells["condition"]])
-
-
-def labelled(study_data: StudyData, name: str, factor: str = "") -> str:
-    """Return the study's label of a condition, or of a factor's level, or else the name itself."""
-    labels = study_data.study.labels
-    return labels.get(name) or labels.get(f"{factor}={name}", name)
 
 
 def condition_cells(
