@@ -149,5 +149,6 @@ class Doubled(gymnasium.RewardWrapper[Any, Any]):
         return 2 * float(reward)
 
 
-gymnasium.register("Masked-v0", "tests.engines.own_envs:Masked", max_episode_steps=30)
+if "Masked-v0" not in gymnasium.registry:  # tests import copies of this file
+    gymnasium.register("Masked-v0", "tests.engines.own_envs:Masked", max_episode_steps=30)
 gymnasium.register("Corridor-v0", "tests.engines.own_envs:Corridor", max_episode_steps=30)

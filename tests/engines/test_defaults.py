@@ -22,6 +22,7 @@ GIVEN = {"env": "CartPole-v1", "engine": "sb3", "evaluation_episodes": 1}
 OTHERS: dict[str, dict[str, Any]] = {
     **dict.fromkeys(("sac", "td3", "ddpg", "tqc", "crossq"), {"env": "Pendulum-v1"}),
     "recurrent-ppo": {"policy": "MlpLstmPolicy"},
+    "maskable-ppo": {"env": "Masked-v0", "env_module": "tests.engines.own_envs"},
 }
 
 
