@@ -67,7 +67,7 @@ def plan_answer(index: RunIndex, plan: Plan, workers: int) -> Answer:
         counts = ", ".join(f"{count} in {env_id}" for env_id, count in points.items())
         notes.append(f"Note: runs so short have another number of evaluations in each environment: {counts}.")
     if any(has_limited_evaluations(run) for run in plan.configurations.values()):
-        limit = "fewer where all evaluations would take more than a fifth of a run's steps"
+        limit = "fewer where episodes of a random player's length would take over a fifth of a run's steps"
         notes.append(
             f"Note: an evaluation plays up to {EPISODES} episodes, and {limit}; see evaluation_episodes."
         )

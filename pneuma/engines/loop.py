@@ -233,8 +233,8 @@ def evaluation_episodes(run: Run) -> int:
 def _most_evaluations(run: Run) -> int:
     """Return how many evaluations a run has if it has as many updates: 20, unless it is short.
 
-    A short run has one, and one more for each 8,000 steps (20,000 in others' environments), so that they take
-    at most about a fifth of its time. One of under 5,000 steps in Pneuma's worlds, which takes a second in
+    A short run has one, and one more for each 8,000 steps (20,000 in others' environments), so that they
+    take little of its time. One of under 5,000 steps in Pneuma's worlds, which takes a second in
     any case, has ten.
     """
     if not _is_short(run):
@@ -250,7 +250,8 @@ def _most_evaluations(run: Run) -> int:
 def _most_steps(run: Run) -> float:
     """Return how many steps one evaluation may take where the length of episodes is not known.
 
-    All of them take at most a fifth of a run's steps, unless a study sets their episodes.
+    All of them take at most a fifth of a run's steps if its episodes remain as long as the random player's,
+    unless a study sets their episodes. Of its time they take less, because nothing is learned in them.
     """
     if not has_limited_evaluations(run):
         return math.inf

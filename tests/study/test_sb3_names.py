@@ -115,6 +115,31 @@ def test_n_steps_is_refused_where_it_would_not_reach_the_learner(
         runs(path, **settings)
 
 
+@pytest.mark.parametrize(
+    ("algorithm", "n_steps"), [("td3", []), ("recurrent-ppo", ["n_steps = 64"]), ("mine:Mine", [])]
+)
+def test_learners_without_own_fields_take_what_their_page_lists(
+    algorithm: str, n_steps: list[str], tmp_path: Path
+) -> None:
+    """`docs/environments.md`: all else belongs into `algorithm_kwargs`."""
+    entries = [
+        "n_envs = 2", "n_steps = 64", "batch_size = 64", "n_epochs = 3", "ent_coef = 0.1", "vf_coef = 0.1",
+        "max_grad_norm = 1", "learning_rate = 'lin_3e-4'", "clip_range = 'lin_0.2'", "normalize = true",
+        "policy_kwargs = { net_arch = [8] }", "n_timesteps = 1000", "gamma = 0.9",
+    ]  # fmt: skip
+    path = tmp_path / "replay.toml"
+    accepted = []
+    for entry in entries:
+        path.write_text(f"{REPLAY}algorithm = '{algorithm}'\n{entry}\n[conditions.one]\n{PRESETS}")
+        try:
+            runs(path)
+        except UserError as error:
+            assert "\n" not in str(error) and "`pneuma import zoo`" in str(error)
+        else:
+            accepted.append(entry)
+    assert accepted == ["n_envs = 2", *n_steps, "normalize = true", "n_timesteps = 1000"]
+
+
 def test_n_steps_is_an_argument_of_a_learner_with_replay(tmp_path: Path) -> None:
     path = tmp_path / "replay.toml"
     path.write_text(
