@@ -314,7 +314,7 @@ def summarize(study: StudyData | Where, outcomes: Sequence[str] = (), results: W
     Returns:
         An answer whose `table` has a row for each condition, outcome and statistic.
     """
-    from pneuma.answers.summary import summarize
+    from pneuma.analysis.summaries import summarize
 
     return summarize(_opened(study, results), _names(outcomes))
 
@@ -341,7 +341,7 @@ def plot(
     Raises:
         UserError: for a quantity, band or axis that the study's data do not have.
     """
-    from pneuma.answers.curves import find_curves
+    from pneuma.analysis.curves import find_curves
     from pneuma.figures.curves import plot_curves
 
     quantities = [quantity] if quantity else []

@@ -14,10 +14,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from pneuma.analysis.collapse import diagnose
+from pneuma.analysis.export import export_records
 from pneuma.analysis.outcomes import OUTCOMES, outcome
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
-from pneuma.answers.export import export_records
 from pneuma.errors import UserError
 from pneuma.files import checksum
 from pneuma.store.index import RunIndex

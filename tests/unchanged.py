@@ -20,9 +20,8 @@ from typing import Any
 
 import pyarrow as pa
 
-from pneuma.analysis.export import encode_frame
+from pneuma.analysis.export import encode_frame, export_records
 from pneuma.analysis.runs import open_study
-from pneuma.answers.export import export_records
 from pneuma.errors import UserError
 from pneuma.store.index import RunIndex
 from pneuma.store.store import Store

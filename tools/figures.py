@@ -25,12 +25,12 @@ from PIL import Image
 from pneuma.analysis.claims.claim_list import shipped_claims
 from pneuma.analysis.claims.verdicts import judge
 from pneuma.analysis.claims.words import verdicts_by_claim
+from pneuma.analysis.curves import find_curves
 from pneuma.analysis.export import encode_frame
 from pneuma.analysis.one_action import find_one_action
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
-from pneuma.answers.curves import find_curves
-from pneuma.answers.outcomes import show_outcomes
+from pneuma.analysis.summaries import show_outcomes
 from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.figures.curves import curves_page

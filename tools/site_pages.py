@@ -28,12 +28,9 @@ MODULES = {
     "Studies": ["pneuma.api"],
     "Reading": [
         "pneuma.analysis.study_data", "pneuma.analysis.outcomes", "pneuma.analysis.curves",
-        "pneuma.analysis.claims.contrasts", "pneuma.analysis.environments",
+        "pneuma.analysis.summaries", "pneuma.analysis.claims.contrasts", "pneuma.analysis.environments",
     ],
-    "Figures": [
-        "pneuma.answers.curves", "pneuma.answers.outcomes", "pneuma.figures.curves", "pneuma.figures.grid",
-        "pneuma.figures.summary",
-    ],
+    "Figures": ["pneuma.figures.curves", "pneuma.figures.grid", "pneuma.figures.summary"],
     "Policies": ["pneuma.engines.policy"],
 }  # fmt: skip
 """The public modules, grouped as a user meets them."""

@@ -1,7 +1,7 @@
 """Studies of several environments: their runs in each, and scores over all (Agarwal et al. 2021).
 
     StudyData → `by_environment` → StudyData of each environment, with conditions of the same names
-    → scores on a common scale → `over_environments`, `improvements`, `profiles`
+    → scores on a common scale → `over_environments`, `improvements`, `profile_scores`
 
 A run's score is its outcome on the scale of its environment, on which 0 and 1 are two reference scores.
 Statistics are rliable's; they take the scores of one condition, or of many resamples of them. Intervals are
@@ -17,10 +17,12 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
+from pneuma.analysis.answer import StudyAnswer
 from pneuma.analysis.intervals import LEVEL, interquartile_mean, probability_of_improvement
-from pneuma.analysis.outcomes import known_values
+from pneuma.analysis.notes import notes_on_ends
+from pneuma.analysis.outcomes import find_outcome, known_values
 from pneuma.analysis.study_data import StudyData
-from pneuma.errors import UserError
+from pneuma.errors import Hint, UserError
 
 OUTCOME = "evaluated-return"
 """The outcome that scores are made of by default."""
@@ -232,3 +234,39 @@ def bootstrap(statistic: Statistic, *groups: Scores, resamples: int = RESAMPLES)
             run_indices = generator.integers(len(runs), size=(resamples, len(runs)))
             resampled[-1].append(runs[run_indices])
     return np.quantile(statistic(*resampled), [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
+
+
+# --- Performance profiles ---------------------------------------------------------------------------
+
+
+def profile_scores(study_data: StudyData) -> StudyAnswer:
+    """Return the share of runs above each score, over all environments together.
+
+    Returns:
+        The table `profiles` has condition, x, share, low, high and runs.
+
+    Raises:
+        UserError: for a study of one environment, or scores without a scale.
+    """
+    data_by_env = by_environment(study_data)
+    if len(data_by_env) == 1:
+        raise UserError(
+            Hint("figure", "profile"), f": is over several environments; {study_data.study.name} has one"
+        )
+    profile_table = profiles(data_by_env)
+    scale_texts: list[str] = []
+    for env, (low, high) in references(data_by_env).items():
+        scale_text = f"{low:.3g} and {high:.3g}".replace("-", "−") + f" in {env}"
+        if env not in study_data.study.scores:
+            scale_text += " (random player, best condition)"
+        scale_texts.append(scale_text)
+    scale_note = f"Score: {find_outcome(OUTCOME).words}; 0 and 1 are {', '.join(scale_texts)}."
+    cells = profile_table[["condition", "runs"]].drop_duplicates()
+    return StudyAnswer(
+        study_data.full_title,
+        study_data.about,
+        {"profiles": profile_table},
+        [cells],
+        [scale_note] + notes_on_ends(study_data),
+        data=study_data,
+    )

@@ -21,9 +21,8 @@ from pneuma.analysis.notes import (
 )
 from pneuma.analysis.outcomes import find_outcome, known_values
 from pneuma.analysis.study_data import StudyData
-from pneuma.analysis.summaries import Group, compare_groups, outcomes_to_compare
+from pneuma.analysis.summaries import SCALE, Group, compare_groups, outcomes_to_compare
 from pneuma.answers.factors import compare_factors, factors_of
-from pneuma.answers.summary import SCALE
 from pneuma.errors import UserError, counted
 from pneuma.study.plan import Query
 from pneuma.study.spec import CONDITION, load_study, named_condition

@@ -30,7 +30,7 @@ def summary(
     if cells and format not in PAPER_FORMATS:
         raise UserError(f"--cells requires --format {' or '.join(PAPER_FORMATS)}")
     study_data = selection.open(name)
-    from pneuma.answers.summary import summarize
+    from pneuma.analysis.summaries import summarize
 
     return summarize(study_data, outcome or (), format in PAPER_FORMATS, cells)
 

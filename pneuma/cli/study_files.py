@@ -172,10 +172,9 @@ def _draw_all(selection: opt.RunFilter, drawing: Drawing, beside_data: StudyData
 
 def _draw(study_data: StudyData, drawing: Drawing, beside_data: StudyData | None) -> Page:
     """Return the figure of a study."""
-    from pneuma.analysis.environments import columns_of
-    from pneuma.answers.curves import find_curves
-    from pneuma.answers.outcomes import show_outcomes
-    from pneuma.answers.profiles import profile_scores
+    from pneuma.analysis.curves import find_curves
+    from pneuma.analysis.environments import columns_of, profile_scores
+    from pneuma.analysis.summaries import show_outcomes
     from pneuma.figures import shares
     from pneuma.figures.curves import curves_page
     from pneuma.figures.origin import lines_of_runs
@@ -281,8 +280,7 @@ def export(
     if not is_printed:
         check_file(out, EXPORT_SUFFIXES)
     study_data = selection.open(name)
-    from pneuma.analysis.export import encode_frame
-    from pneuma.answers.export import export_records
+    from pneuma.analysis.export import encode_frame, export_records
 
     answer = export_records(study_data, table, selection.store, window, band or EDGED_BANDS[0])
     if is_printed:

@@ -18,18 +18,23 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from pneuma.analysis.curves import BANDS, EPISODES, STEPS, WALL_CLOCK, Curve, reach
+from pneuma.analysis.curves import (
+    BANDS,
+    DEFAULT_BAND,
+    EPISODES,
+    EVALUATED,
+    INTERVAL,
+    STEPS,
+    WALL_CLOCK,
+    Column,
+    Curve,
+    CurveOptions,
+    CurvesAnswer,
+    reach,
+)
 from pneuma.analysis.notes import TRAILING_WINDOW, averaging
 from pneuma.analysis.outcomes import is_foreign
 from pneuma.analysis.quantities import POWERS, QUANTITIES, SHARES, VALUES
-from pneuma.answers.curves import (
-    DEFAULT_BAND,
-    EVALUATED,
-    INTERVAL,
-    Column,
-    CurveOptions,
-    CurvesAnswer,
-)
 from pneuma.errors import Hint, UserError
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel

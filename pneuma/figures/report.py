@@ -23,12 +23,11 @@ from pneuma import __version__
 from pneuma.analysis.claims import words
 from pneuma.analysis.claims.claim_list import shipped_claims
 from pneuma.analysis.claims.verdicts import Verdict, judge
-from pneuma.analysis.curves import curve_names
+from pneuma.analysis.curves import curve_names, find_curves
 from pneuma.analysis.runs import find_study, studies_here
 from pneuma.analysis.study_data import StudyData
-from pneuma.answers.curves import find_curves
+from pneuma.analysis.summaries import show_outcomes
 from pneuma.answers.evidence import evidence_of, without_folder
-from pneuma.answers.outcomes import show_outcomes
 from pneuma.errors import Hint, Say, UserError, counted
 from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import save_page

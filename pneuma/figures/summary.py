@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.analysis.quantities import SHARES, VALUES
-from pneuma.answers.outcomes import OutcomeColumn, OutcomesAnswer
+from pneuma.analysis.summaries import OutcomeColumn, OutcomesAnswer
 from pneuma.figures import grid, style
 from pneuma.figures.grid import LEAST_ROW_INCHES, LONGEST_INCHES, ROW_INCHES, Page, Panel
 from pneuma.figures.origin import lines_of_runs

@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 
 from pneuma.analysis.curves import study_curves
+from pneuma.analysis.export import export_records
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
-from pneuma.answers.export import export_records
 from pneuma.errors import UserError
 from pneuma.imports.tensorboard import import_tensorboard
 from pneuma.store.index import RunIndex

@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from pneuma.analysis.environments import by_environment, profiles
-from pneuma.answers.curves import find_curves
-from pneuma.answers.outcomes import show_outcomes
-from pneuma.answers.profiles import profile_scores
+from pneuma.analysis.curves import find_curves
+from pneuma.analysis.environments import by_environment, profile_scores, profiles
+from pneuma.analysis.summaries import show_outcomes
 from pneuma.api import open_data
 from pneuma.cli.study_files import FACTORS, FIGURE_KINDS
 from pneuma.config import as_fields

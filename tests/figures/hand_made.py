@@ -9,9 +9,9 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from pneuma.analysis.curves import find_curves
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
-from pneuma.answers.curves import find_curves
 from pneuma.engines.records import METRIC_COLUMNS
 from pneuma.figures.curves import curves_page
 from pneuma.figures.grid import Page, save_page

@@ -18,10 +18,10 @@ from PIL import Image
 from scipy import stats
 
 from pneuma import __version__
+from pneuma.analysis.curves import Column, _notes_on_random_levels, find_curves
 from pneuma.analysis.notes import notes_on_windows
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
-from pneuma.answers.curves import Column, _notes_on_random_levels, find_curves
 from pneuma.errors import UserError
 from pneuma.figures import FIGURE_FORMATS
 from pneuma.figures.curves import curves_page

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from pneuma.answers.curves import find_curves
+from pneuma.analysis.curves import find_curves
 from pneuma.api import plot
 from pneuma.errors import UserError
 from pneuma.figures.curves import curves_page

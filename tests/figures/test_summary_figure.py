@@ -9,7 +9,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pneuma.answers.outcomes import show_outcomes
+from pneuma.analysis.summaries import show_outcomes
 from pneuma.figures.grid import save_page
 from pneuma.figures.summary import summary_page
 
