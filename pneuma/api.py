@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from pneuma.analysis.answer import Answer
+    from pneuma.analysis.check import CheckAnswer
     from pneuma.analysis.study_data import StudyData
-    from pneuma.answers.check import CheckAnswer
     from pneuma.engines.evaluation import Act
     from pneuma.engines.policy import Policy
     from pneuma.engines.sb3_open import LearnedPolicy
@@ -223,7 +223,7 @@ def compare(
     Raises:
         UserError: for unknown names, or outcomes that cannot be compared.
     """
-    from pneuma.answers.comparison import compare
+    from pneuma.analysis.comparison import compare
 
     second_data = None if other is None else _opened(other, results)
     return compare(_opened(study, results), a, b, _names(outcomes), second_data)
@@ -277,7 +277,7 @@ def check_runs(
     query: plan.Query, store: Store, most_runs: int, *, quiet: bool = False, say: Say = silent
 ) -> CheckAnswer:
     """Train some published runs of a query's cells again, and compare them; see `check_study`."""
-    from pneuma.answers.check import choose_runs, compare_runs
+    from pneuma.analysis.check import choose_runs, compare_runs
     from pneuma.store.index import RunIndex
     from pneuma.store.row_builder import stored_row
 

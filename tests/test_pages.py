@@ -63,7 +63,7 @@ def test_commands_and_links_of_a_page_lead_somewhere(page: Path) -> None:
 
 def test_files_that_contributing_names_exist() -> None:
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    names = {*re.findall(r"`((?:\w+/)*\w+\.(?:py|toml|md))`", text)} - {"answers/NAME.py", "figures/NAME.py"}
+    names = {*re.findall(r"`((?:\w+/)*\w+\.(?:py|toml|md))`", text)} - {"analysis/NAME.py", "figures/NAME.py"}
     assert len(names) > 30
     for name in names:
         assert [*ROOT.glob(name), *ROOT.glob(f"pneuma/**/{name}"), *ROOT.glob(f"tests/**/{name}")], name

@@ -1,4 +1,4 @@
-"""Analysis: from rows to curves, outcomes, contrasts and verdicts. Trains nothing."""
+"""Analysis: from rows to curves, outcomes, contrasts, verdicts and answers. Trains nothing."""
 
 EDGED_BANDS = ("sd", "variance", "ci", "minmax")
 """Bands with a lower and an upper edge, the default first; `variance` is another name of `sd`."""

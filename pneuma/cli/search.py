@@ -88,7 +88,7 @@ def show(name: SearchName, world: opt.World = None) -> Result:
 def status(name: SearchName, location: Location) -> Result:
     """Show the progress of a search, and its best trials."""
     search_record = location.read(name)
-    from pneuma.answers.search import list_trials
+    from pneuma.search.trial_list import list_trials
 
     result = answer_result(list_trials(search_record))
     next_commands = [f"Look closer with: {location.command('plot', name)}"]
@@ -134,8 +134,8 @@ def run(
 ) -> Result:
     """Run a hyperparameter search, or resume it. Several processes can share the work."""
     from pneuma import api
-    from pneuma.answers.search import list_trials
     from pneuma.search.spec import load_search
+    from pneuma.search.trial_list import list_trials
     from pneuma.search.trials import Unfinished, run_search
 
     search = load_search(name, location.world)
@@ -203,7 +203,7 @@ def promote(
 ) -> Result:
     """Compare a search's best trial with its base on fresh seeds: write that study and run it."""
     from pneuma import api
-    from pneuma.answers.planned import plan_answer
+    from pneuma.analysis.planned import plan_answer
     from pneuma.search.promote import BASE, TUNED, find_trial, promotion_study, write_study
     from pneuma.store.index import RunIndex
     from pneuma.study.plan import Query

@@ -97,7 +97,7 @@ def _amounts(study: spec.Study, preset: str) -> dict[str, dict[str, Any]]:
 def _show(
     study: spec.Study, fields_by_condition: Mapping[str, Mapping[str, Any]], is_in_own_worlds: bool
 ) -> Iterator[str | Table]:
-    from pneuma.answers.settings import compare_settings
+    from pneuma.analysis.settings import compare_settings
 
     differing, shared_fields = compare_settings(fields_by_condition)
     yield study.title + (f" (thesis section {study.section})" if study.section else "")
@@ -147,7 +147,7 @@ def status(
 ) -> Answer | Result:
     """Show how many runs of a study have ended, by preset and condition; with --runs, list them."""
     from pneuma.analysis.runs import find_study
-    from pneuma.answers.status import runs_status, studies_status, study_status
+    from pneuma.analysis.status import runs_status, studies_status, study_status
 
     if name is None:
         return replace(answer_result(studies_status(selection.index, selection.world)), numbers=None)

@@ -54,7 +54,7 @@ def compare(
     of several environments, A and B are compared in each, and by their scores over all. Of two factors of a
     crossed study it shows means at each pair of levels, main effects and interactions.
     """
-    from pneuma.answers import comparison
+    from pneuma.analysis import comparison
 
     if with_ and a is None:
         second = replace(selection, condition=None, set_=None)

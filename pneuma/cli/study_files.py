@@ -192,7 +192,7 @@ def _draw(study_data: StudyData, drawing: Drawing, beside_data: StudyData | None
 
         return shares.one_action_page(find_one_action(study_data))
     if figure_kind == FACTORS:
-        from pneuma.answers.factors import compare_factors, factors_of
+        from pneuma.analysis.factors import compare_factors, factors_of
         from pneuma.figures.heat_map import heat_map_page
 
         factors = factors_of(next(iter(columns.values())))

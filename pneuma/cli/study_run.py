@@ -48,8 +48,8 @@ def plan_(
     ] = None,
 ) -> Answer:
     """Show which runs are stored, which would be trained, and how long that would take."""
+    from pneuma.analysis import planned
     from pneuma.analysis.intervals import LEVEL
-    from pneuma.answers import planned
 
     if detect is not None:
         level = LEVEL

@@ -14,7 +14,7 @@ from pneuma.presets import WORLDS
 from pneuma.store.store import Store
 
 if TYPE_CHECKING:
-    from pneuma.answers.verdicts import VerdictsAnswer
+    from pneuma.analysis.claims.verify import VerdictsAnswer
 
 WIDTH = 100
 """Characters in a line of text."""
@@ -38,11 +38,11 @@ def verify(
     what a random player earns in the thesis's own game, beside all published runs there.
     """
     if design:
-        from pneuma.answers.design import design as show_design
+        from pneuma.analysis.claims.design import design as show_design
 
         return answer_result(show_design(file, claims or (), world))
-    from pneuma.answers.random_own import NAME, compare_with_random
-    from pneuma.answers.verdicts import verify
+    from pneuma.analysis.claims.random_own import NAME, compare_with_random
+    from pneuma.analysis.claims.verify import verify
     from pneuma.store.index import RunIndex
 
     if claims == [NAME]:

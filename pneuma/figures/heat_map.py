@@ -8,9 +8,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from pneuma.analysis.answer import StudyAnswer
+from pneuma.analysis.factors import level_label
 from pneuma.analysis.intervals import decimals, number_text
 from pneuma.analysis.summaries import words_of
-from pneuma.answers.factors import level_label
 from pneuma.figures import style
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.origin import lines_of_runs

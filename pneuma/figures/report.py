@@ -27,9 +27,9 @@ from pneuma.analysis.curves import curve_names, find_curves
 from pneuma.analysis.runs import find_study, studies_here
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import show_outcomes
-from pneuma.answers.evidence import evidence_of, without_folder
 from pneuma.errors import Hint, Say, UserError, counted
 from pneuma.figures.curves import curves_page
+from pneuma.figures.evidence import evidence_of, without_folder
 from pneuma.figures.grid import save_page
 from pneuma.figures.style import clean
 from pneuma.figures.summary import summary_page

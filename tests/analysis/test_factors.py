@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from scipy import stats
 
-from pneuma.answers.factors import compare_factors
+from pneuma.analysis.factors import compare_factors
 from pneuma.api import compare, open_data
 from pneuma.config import as_fields
 from pneuma.errors import UserError

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from pneuma.answers.random_own import compare_with_random
+from pneuma.analysis.claims.random_own import compare_with_random
 from pneuma.config import as_fields, make_run
 from pneuma.errors import UserError
 from pneuma.presets import BASES

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pneuma.analysis.check import as_published
 from pneuma.analysis.row_differences import find_differences, is_same, quantities_not_published, value_texts
-from pneuma.answers.check import as_published
 from pneuma.store.row_builder import stored_row
 from pneuma.store.rows import Row, decode_row, encode_row
 from pneuma.store.series import pack_signs

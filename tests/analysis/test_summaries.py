@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from pneuma.analysis.comparison import compare
 from pneuma.analysis.export import encode_frame
 from pneuma.analysis.intervals import number_with_interval
 from pneuma.analysis.outcomes import reason
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import summarize, summary_table
-from pneuma.answers.comparison import compare
 from pneuma.store.index import RunIndex
 from pneuma.store.store import Store
 from pneuma.study.plan import Query

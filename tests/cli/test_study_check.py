@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from pneuma.answers.check import choose_runs
+from pneuma.analysis.check import choose_runs
 from pneuma.api import check_study
 from pneuma.cli import STOPPED
 from pneuma.config import ENGINE_VERSIONS

@@ -8,9 +8,9 @@ from unittest import mock
 
 import pytest
 
-from pneuma.answers.evidence import Evidence
 from pneuma.errors import Hint
 from pneuma.figures import report
+from pneuma.figures.evidence import Evidence
 from pneuma.figures.report import report_page
 
 from ..web_page import Page

@@ -11,6 +11,7 @@ from pneuma.analysis.answer import Answer
 from pneuma.analysis.cells import comparison_cells, with_cells
 from pneuma.analysis.claims.claim_list import Claim, shipped_claims_on
 from pneuma.analysis.environments import OUTCOME, by_environment, improvements
+from pneuma.analysis.factors import compare_factors, factors_of
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.notes import (
     averaging,
@@ -22,7 +23,6 @@ from pneuma.analysis.notes import (
 from pneuma.analysis.outcomes import find_outcome, known_values
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import SCALE, Group, compare_groups, outcomes_to_compare
-from pneuma.answers.factors import compare_factors, factors_of
 from pneuma.errors import UserError, counted
 from pneuma.study.plan import Query
 from pneuma.study.spec import CONDITION, load_study, named_condition

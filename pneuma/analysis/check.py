@@ -15,8 +15,8 @@ import pandas as pd
 from pneuma.analysis.answer import Answer
 from pneuma.analysis.row_differences import find_differences, quantities_not_published
 from pneuma.analysis.runs import find_study
+from pneuma.analysis.settings import setting_text
 from pneuma.analysis.study_data import StudyData
-from pneuma.answers.settings import setting_text
 from pneuma.config import ENGINES, is_resumable
 from pneuma.errors import UserError, counted
 from pneuma.store.index import RunIndex

@@ -11,9 +11,9 @@ import pandas as pd
 
 from pneuma.analysis.notes import notes_on_ends
 from pneuma.analysis.runs import find_study, finished_rows
+from pneuma.analysis.settings import compare_settings, setting_text
 from pneuma.analysis.study_data import StudyCall, StudyData
 from pneuma.analysis.summaries import summarize
-from pneuma.answers.settings import compare_settings, setting_text
 from pneuma.errors import UserError, counted
 from pneuma.presets import WORLDS
 from pneuma.store.index import RunIndex

@@ -1,1 +1,0 @@
-"""Answers: what each question about a study gives, as one value for terminal, JSON, notebook and report."""
