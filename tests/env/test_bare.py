@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -91,6 +92,22 @@ def test_what_needs_more_says_what_to_install(
     lines = done.stderr.splitlines()
     assert lines[-1].removeprefix("ModuleNotFoundError: ") == message
     assert (len(lines) == 1) == ("-m" in words) and "During handling" not in done.stderr
+
+
+@pytest.mark.parametrize("version", [(3, 10), (3, 14)])
+def test_another_python_is_refused_in_one_line(version: tuple[int, int]) -> None:
+    code = f"import runpy, sys; sys.version_info = {version}; runpy.run_module('pneuma', run_name='__main__')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    message = "pneuma: Python 3.{} is not supported: use 3.11, 3.12 or 3.13\n"
+    assert (done.returncode, done.stderr) == (2, message.format(version[1]))
+
+
+def test_a_copys_tables_are_its_own(tmp_path: Path) -> None:
+    """Another copy is installed; one that is run from its folder does not mix its code with those tables."""
+    shutil.copytree(ROOT / "pneuma", tmp_path / "pneuma", ignore=shutil.ignore_patterns("__pycache__", "art"))
+    code = "from pneuma.study.shipped import *; print(shipped_tables(), studies_folder())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert done.stdout.split() == [str(tmp_path / "results" / "published"), str(tmp_path / "studies")]
 
 
 def test_every_package_is_either_of_the_environments_or_of_studies() -> None:
