@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -226,10 +227,11 @@ def _runs_of_earlier_versions(
     rounded_steps = -(-cells["steps"] // update_steps) * update_steps
     cells = pd.concat([cells, cells.assign(steps=rounded_steps)]).drop_duplicates()
     candidates = cells.merge(finished_runs, on=["seed", "steps"])
+    fields_by_condition = {name: as_fields(run) for name, run in configurations.items()}
     same_fields = []
     for (condition, _), runs in candidates.groupby(["condition", "config_id"], sort=False):
         stored_fields = index.document("fields", str(runs["run_id"].iloc[0]))
-        if have_same_fields(as_fields(configurations[str(condition)]), stored_fields):
+        if have_same_fields(fields_by_condition[str(condition)], stored_fields):
             origins = [index.document("provenance", run_id) for run_id in runs["run_id"]]
             same_fields.append(runs.assign(started=[str(origin.get("started", "")) for origin in origins]))
     if not same_fields:
@@ -243,12 +245,17 @@ def have_same_fields(fields: Mapping[str, Any], stored_fields: Mapping[str, Any]
     return bool(stored_fields) and next(changed_fields(fields, stored_fields), None) is None
 
 
+@cache
+def _default_fields() -> dict[str, Any]:
+    return as_fields(Run())
+
+
 def changed_fields(fields: Mapping[str, Any], stored_fields: Mapping[str, Any]) -> Iterator[str]:
     """Yield the fields in which a stored run differs from a run, apart from seed and steps.
 
     Files and modules of the user's own count by their names.
     """
-    complete_fields = {**as_fields(Run()), **stored_fields}
+    complete_fields = {**_default_fields(), **stored_fields}
     for field_name, value in without_amount(complete_fields).items():
         if field_name in fields:
             is_same = _with_bare_names(value) == _with_bare_names(fields[field_name])

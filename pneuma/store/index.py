@@ -45,6 +45,7 @@ class RunIndex:
         self._shipped = shipped
         self.problems: list[str] = []
         self._rows: dict[str, Row | None] = {}
+        self._documents: dict[tuple[str, str], Mapping[str, Any]] = {}
 
     @cached_property
     def frame(self) -> pd.DataFrame:
@@ -102,6 +103,11 @@ class RunIndex:
 
     def document(self, column: str, run_id: str) -> Mapping[str, Any]:
         """Return the fields or the provenance of a run; empty if they cannot be read."""
+        if (column, run_id) not in self._documents:
+            self._documents[column, run_id] = self._read_document(column, run_id)
+        return self._documents[column, run_id]
+
+    def _read_document(self, column: str, run_id: str) -> Mapping[str, Any]:
         for table in self.tables.values():
             if run_id in table.row_numbers:
                 return table.document(column, run_id)
