@@ -63,6 +63,7 @@ MISTAKES = {
     f"{RUN} --workers 0": "--workers 0: must be a whole number of at least 1",
     f"{RUN} --workers 1e30": "must be a whole number of at least 1, and at most 1,000,000",
     "study plan cartpole --set wolrds=3": "unknown key 'wolrds'; known are env_kwargs",
+    "study verify activation": "activation is a study; name claims, such as its tanh-",
     "search run activation": "activation is a study, not a search: `pneuma study run activation`",
     "search plot tune-ppo --world godot": "`pneuma search run tune-ppo --world godot`",
     "study compare activation": "no condition and --with STUDY: tanh; relu; leaky-relu",

@@ -14,7 +14,7 @@ from pneuma.analysis.answer import Answer
 from pneuma.analysis.claims import words
 from pneuma.analysis.claims.claim_list import RULES, Claim, ClaimList, load_claims, shipped_claims
 from pneuma.analysis.claims.verdicts import ClaimContrast, Verdict, judge
-from pneuma.errors import counted, unknown_name
+from pneuma.errors import UserError, counted, unknown_name
 from pneuma.store.index import RunIndex
 
 _LEGEND = (
@@ -107,6 +107,10 @@ def selected_claims(
     known_names = [claim_name for claim_list in claim_lists for claim_name in claim_list.claims]
     for claim_name in claim_names:
         if claim_name not in known_names:
+            every_claim = [claim for claims in claim_lists for claim in claims.claims.values()]
+            about = [claim.name for claim in every_claim if claim.study == claim_name]
+            if about:
+                raise UserError(f"{claim_name} is a study; name claims, such as its {', '.join(about[:5])}")
             raise unknown_name("claim", claim_name, known_names)
 
     def is_selected(claim: Claim, judged_world: str) -> bool:
