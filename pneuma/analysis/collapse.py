@@ -124,7 +124,7 @@ def incidence(study_data: StudyData, diagnosed: pd.DataFrame) -> pd.DataFrame:
             "runs": judged_count,
             "diverged": int((judged_runs["status"] == "diverged").sum()),
             "collapsed": collapsed_count,
-            "share": collapsed_count / (judged_count or np.nan),
+            "share": collapsed_count / judged_count if judged_count else np.nan,
             "low": interval.low,
             "high": interval.high,
             "interval": interval.method,

@@ -106,11 +106,13 @@ def find_class(argument_name: str, class_text: str) -> Any:
     else:
         class_name = class_text.rpartition(".")[2]
         for module in CLASSES_OF:
-            found = found or getattr(module, class_name, None)
-        if not isinstance(found, type):
-            raise UserError(
-                f"{wanted}: is not a class of torch or Stable-Baselines3; your own is module:Class"
-            )
+            candidate = getattr(module, class_name, None)
+            if isinstance(candidate, type):
+                found = candidate
+                break
+        if found is None:
+            own = "your own is module:Class"
+            raise UserError(f"{wanted}: is not a class of torch or Stable-Baselines3; {own}")
     base = BASES.get(argument_name, object)
     if not isinstance(found, type) or not issubclass(found, base):
         raise UserError(f"{wanted}: must be a class of {base.__name__}'s kind")

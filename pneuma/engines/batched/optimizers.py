@@ -87,7 +87,7 @@ def take_step(
 
 @inlined
 def _normal(x: Any) -> Any:
-    """Return a number of float32, or 0 for one so small that processors take a hundred times as long for it.
+    """Return a number of float32, or 0 for a subnormal one, for which processors take far longer.
 
     Where a gradient stays 0, such as of an input that is seen once, its means would fall to such numbers and
     never to 0. A weight's step from them is below 1e-30.

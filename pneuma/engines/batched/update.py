@@ -51,13 +51,13 @@ METRICS = (
 
 An update's are means over all its minibatches; that of `approx_kl` is over the last epoch's.
 """
+KL, NORMS = METRICS.index("approx_kl"), METRICS.index("grad_norm")
 _LEAST_SLOPE = np.float32(2.0**-75)
 """The least gradient of a logit that counts: the square of a smaller one is 0 in float32.
 
-Where a policy is almost sure of its action, products with such numbers would leave the normal range, in which
-a processor computes a hundred times as fast.
+Where a policy is almost sure of its action, products with smaller ones would be subnormal numbers, for which
+processors take far longer.
 """
-KL, NORMS = METRICS.index("approx_kl"), METRICS.index("grad_norm")
 
 _LEARNING_NUMBERS = (
     "learning_rate",
