@@ -19,14 +19,15 @@ def compare_settings(
 ) -> tuple[pd.DataFrame, dict[str, str]]:
     """Return the fields in which conditions differ, a row for each condition; and the fields they share."""
     differing = differing_fields(fields_by_condition)
-    settings_table = pd.DataFrame(
-        differing, index=pd.Index(list(fields_by_condition), name="condition"), dtype=object
-    )
+    settings_table = pd.DataFrame(index=pd.Index(list(fields_by_condition), name="condition"))
+    # Texts, because a column of numbers would make 64.0 of 64, and nan of none.
+    for field_name, values_by_condition in differing.items():
+        settings_table[field_name] = [setting_text(value) for value in values_by_condition.values()]
     shared_texts = {}
     for field_name, value in next(iter(fields_by_condition.values()), {}).items():
         if field_name not in list(differing) + ["seed", "steps"]:
             shared_texts[field_name] = setting_text(value)
-    return settings_table.map(setting_text).reset_index(), shared_texts
+    return settings_table.reset_index(), shared_texts
 
 
 def setting_text(value: Any) -> str:

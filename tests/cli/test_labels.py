@@ -63,3 +63,27 @@ def test_a_label_is_drawn_as_mathematics_where_it_parses(text: str, is_formula: 
         save_figure(figure, tmp_path, "label", ["png", "svg", "pdf"], "origin")
     (label,) = figure.findobj(Text)
     assert isinstance(label, Text) and label.get_parse_math() == is_formula
+
+
+def test_settings_that_differ_are_written_as_a_study_sets_them(tmp_path: Path) -> None:
+    """Not as numbers of a column: no limit is none, and a whole number stays whole."""
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        """title = "Mine"
+[conditions.free]
+gradient_limit = "none"
+minibatch = 32
+[conditions.limited]
+gradient_limit = 0.25
+minibatch = 64
+[presets.quick]
+seeds = 1
+steps = 2_048
+"""
+    )
+    lines = printed("study", "show", path).splitlines()
+    assert [line.split() for line in lines[3:6]] == [
+        ["condition", "minibatch", "gradient_limit", "clip"],
+        ["free", "32", "none", "none"],
+        ["limited", "64", "0.25", "joint"],
+    ]
