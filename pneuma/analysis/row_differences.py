@@ -9,10 +9,10 @@ from itertools import zip_longest
 from typing import Any
 
 from pneuma.analysis.quantities import QUANTITIES
-from pneuma.analysis.runs import changed_fields
 from pneuma.store.quantities import EVALUATION_QUANTITIES, TRAINING_QUANTITIES, evaluation_column
 from pneuma.store.rows import COLUMN_TYPES, CURVE, PEAK, PEAKS, POLICY, Row
 from pneuma.store.series import Stretch
+from pneuma.study.identity import comparable_fields
 from pneuma.values import format_value
 
 _NOT_SINGLE = ("run_id", "config_id", "provenance", "fields", "signs")
@@ -102,7 +102,10 @@ def _value_text(value: Any, digits: int) -> str:
 
 
 def _setting_differences(published: Row, here: Row) -> Iterator[Difference]:
-    for field_name in changed_fields(here.fields, published.fields):
+    fields_here, published_fields = comparable_fields(here.fields), comparable_fields(published.fields)
+    for field_name in {**fields_here, **published_fields}:
+        if fields_here.get(field_name) == published_fields.get(field_name):
+            continue
         published_value, value = published.fields.get(field_name), here.fields.get(field_name)
         yield Difference(f"Setting {field_name}", None, published_value, value)
 

@@ -10,11 +10,10 @@ run that another study trained for itself. Studies without a file (imported logs
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -23,19 +22,13 @@ from pneuma.analysis.study_data import StudyData
 from pneuma.config import Run, as_fields
 from pneuma.errors import Say, UserError, silent, unknown_name
 from pneuma.presets import TEXT
-from pneuma.store.index import RunIndex
+from pneuma.store.index import COLUMNS, RunIndex, StoredRun
 from pneuma.store.last_queries import last_query, noted_studies, on_top_of_last
 from pneuma.store.store import FINISHED
-from pneuma.study.identity import config_id
-from pneuma.study.plan import Plan, Query, configure, default_preset, make_plan
+from pneuma.study.identity import comparable_fields, config_id
+from pneuma.study.plan import Cell, Plan, Query, configure, default_preset, make_plan
 from pneuma.study.shipped import list_studies
 from pneuma.study.spec import CLAIMS, LAST, PAPER, Study, load_study
-
-UNSET: tuple[Any, ...] = (None, False, 0, "", [], {})
-"""Values of fields that a version of Pneuma knew which this one does not, if they were not set."""
-FORMER_DEFAULTS = {"weapons": ["own"], "bodies": "block", "coast": "wall", "slow_factor": 0.5}
-"""The same, of fields that had another default."""
-CELL_COLUMNS = ["condition", "seed", "steps", "config_id"]
 
 # --- Which plan ----------------------------------------------------------------------------------------
 
@@ -162,120 +155,54 @@ def without_amount(fields: Mapping[str, Any]) -> dict[str, Any]:
 # --- Of a plan -----------------------------------------------------------------------------------------
 
 
-def runs_of_plan(index: RunIndex, plan: Plan) -> StudyData:
+def runs_of_plan(index: RunIndex, plan: Plan, registered: bool = False) -> StudyData:
     """Return the runs of a plan's cells, finished or not.
 
     Of a cell that has no run of the present version of rules, engine and the user's own files, the newest one
     of an earlier version counts.
+
+    Args:
+        index: the runs of a results folder, and published ones.
+        plan: the cells; some may have no run.
+        registered: whether the runs on which claims were registered count first: of a cell that was published
+            by earlier versions, the earliest. A later one is a replication, which cannot change a verdict.
     """
-    cell_frame = _cell_frame(plan)
-    stored_runs = index.frame[["run_id", "config_id", "seed", "steps", "status", "end", "where"]]
-    stored_runs = stored_runs.reset_index(drop=True)
-    runs = cell_frame.merge(stored_runs, on=["config_id", "seed", "steps"], how="left")
-    is_missing = runs["run_id"].isna()
-    if is_missing.any():
-        older_runs = _runs_of_earlier_versions(index, stored_runs, runs[is_missing], plan.configurations)
-        runs = pd.concat([runs[~is_missing], older_runs]).astype({"end": int})
-        runs = cell_frame[["condition", "seed"]].merge(runs, on=["condition", "seed"])
-    return StudyData(plan.study, _fields_by_condition(plan.configurations), runs, plan.configurations, plan)
-
-
-def registered_runs_of_plan(index: RunIndex, plan: Plan) -> StudyData:
-    """Return the runs of a plan's cells on which a claim was registered.
-
-    Of a cell whose run was published by several versions, the earliest one counts: a later version's is a
-    replication, which cannot change a verdict. Other cells are as in `runs_of_plan`.
-    """
-    data = runs_of_plan(index, plan)
-    published_runs = index.frame[index.frame["where"] != ""].reset_index(drop=True)
-    earlier_runs = _runs_of_earlier_versions(
-        index, published_runs, _cell_frame(plan), plan.configurations, is_earliest=True
-    )
-    if not len(earlier_runs):
-        return data
-    columns = data.runs.columns
-    runs = pd.concat([earlier_runs, data.runs])[columns].drop_duplicates(["condition", "seed"])
-    runs = _cell_frame(plan)[["condition", "seed"]].merge(runs, on=["condition", "seed"])
-    return replace(data, runs=runs.astype({"end": int}))
-
-
-def _cell_frame(plan: Plan) -> pd.DataFrame:
-    config_ids = {condition: config_id(run) for condition, run in plan.configurations.items()}
-    cell_rows = [
-        (cell.condition, cell.seed, cell.run.steps, config_ids[cell.condition]) for cell in plan.cells
-    ]
-    return pd.DataFrame(cell_rows, columns=CELL_COLUMNS)
+    configurations = plan.configurations
+    config_ids = {condition: config_id(run) for condition, run in configurations.items()}
+    fields = {condition: comparable_fields(as_fields(run)) for condition, run in configurations.items()}
+    run_rows = []
+    for cell in plan.cells:
+        cell_id = config_ids[cell.condition]
+        runs = [run for run in index.runs_at(cell.seed, cell.run.steps) if run.config_id == cell_id]
+        if registered or not runs:
+            older_runs = _runs_of_earlier_versions(index, cell, cell_id, fields[cell.condition])
+            runs += reversed(older_runs)
+            if registered:
+                runs = [run for run in older_runs if run.where] + runs
+        if runs:
+            run_rows.append((cell.condition, *runs[0]))
+    run_frame = pd.DataFrame(run_rows, columns=["condition", *COLUMNS])
+    return StudyData(plan.study, _fields_by_condition(configurations), run_frame, configurations, plan)
 
 
 def _runs_of_earlier_versions(
-    index: RunIndex,
-    stored_runs: pd.DataFrame,
-    missing_cells: pd.DataFrame,
-    configurations: Mapping[str, Run],
-    is_earliest: bool = False,
-) -> pd.DataFrame:
-    """Return finished runs that have the fields of cells, but were trained by other versions.
-
-    Of several versions the newest counts, or the earliest.
+    index: RunIndex, cell: Cell, cell_id: str, fields: Mapping[str, Any]
+) -> list[StoredRun]:
+    """Return finished runs that have a cell's fields, but were trained by other versions, oldest first.
 
     Versions before batched 4 and sb3 3 rounded a budget up to whole updates: to what now is trained for it.
     """
-    is_of_other_version = ~stored_runs["config_id"].isin(missing_cells["config_id"])
-    finished_runs = stored_runs[stored_runs["status"].isin(FINISHED) & is_of_other_version]
-    cells = missing_cells[["condition", "seed", "steps"]]
-    update_steps = cells["condition"].map(lambda condition: configurations[condition].steps_per_update)
-    rounded_steps = -(-cells["steps"] // update_steps) * update_steps
-    cells = pd.concat([cells, cells.assign(steps=rounded_steps)]).drop_duplicates()
-    candidates = cells.merge(finished_runs, on=["seed", "steps"])
-    fields_by_condition = {name: as_fields(run) for name, run in configurations.items()}
-    same_fields = []
-    for (condition, _), runs in candidates.groupby(["condition", "config_id"], sort=False):
-        stored_fields = index.document("fields", str(runs["run_id"].iloc[0]))
-        if have_same_fields(fields_by_condition[str(condition)], stored_fields):
-            origins = [index.document("provenance", run_id) for run_id in runs["run_id"]]
-            same_fields.append(runs.assign(started=[str(origin.get("started", "")) for origin in origins]))
-    if not same_fields:
-        return candidates.iloc[:0]
-    by_version = pd.concat(same_fields).sort_values("started", ascending=is_earliest, kind="stable")
-    return by_version.drop_duplicates(["condition", "seed"]).drop(columns="started")
-
-
-def have_same_fields(fields: Mapping[str, Any], stored_fields: Mapping[str, Any]) -> bool:
-    """Return whether a stored run has the fields of a run, apart from seed and steps."""
-    return bool(stored_fields) and next(changed_fields(fields, stored_fields), None) is None
-
-
-@cache
-def _default_fields() -> dict[str, Any]:
-    return as_fields(Run())
-
-
-def changed_fields(fields: Mapping[str, Any], stored_fields: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the fields in which a stored run differs from a run, apart from seed and steps.
-
-    Files and modules of the user's own count by their names.
-    """
-    complete_fields = {**_default_fields(), **stored_fields}
-    for field_name, value in without_amount(complete_fields).items():
-        if field_name in fields:
-            is_same = _with_bare_names(value) == _with_bare_names(fields[field_name])
-        else:
-            is_same = (
-                field_name not in stored_fields or value in UNSET or value == FORMER_DEFAULTS.get(field_name)
-            )
-        if not is_same:
-            yield field_name
-
-
-def _with_bare_names(value: Any) -> Any:
-    """Return a field's value with the user's own files by their names alone."""
-    if isinstance(value, list | tuple):
-        return tuple(map(_with_bare_names, value))
-    if isinstance(value, str):
-        file, colon, inside = value.partition(":")
-        if file.startswith("/") or file.endswith(".py"):  # published fields have no folders
-            return Path(file).name.removesuffix(".py") + colon + inside
-    return value
+    steps, update_steps = cell.run.steps, cell.run.steps_per_update
+    rounded_steps = math.ceil(steps / update_steps) * update_steps
+    older_runs = []
+    for stored_steps in dict.fromkeys((steps, rounded_steps)):
+        for stored_run in index.runs_at(cell.seed, stored_steps):
+            is_older = stored_run.config_id != cell_id and stored_run.status in FINISHED
+            if is_older and index.comparable_fields(stored_run) == fields:
+                older_runs.append(stored_run)
+    if len(older_runs) > 1:
+        older_runs.sort(key=lambda run: str(index.document("provenance", run.run_id).get("started", "")))
+    return older_runs
 
 
 def _count_other_presets(index: RunIndex, plan: Plan) -> dict[str, int]:
@@ -283,16 +210,23 @@ def _count_other_presets(index: RunIndex, plan: Plan) -> dict[str, int]:
     run_counts: dict[str, int] = {}
     if plan.query.settings:
         return run_counts
-    finished_runs = index.frame[index.frame["status"].isin(FINISHED)][["config_id", "seed", "steps"]]
     for preset in plan.study.presets:
         if preset != plan.preset:
-            cell_frame = _cell_frame(make_plan(plan.study, Query(preset=preset), index.engine_of))
-            run_count = len(
-                cell_frame.merge(finished_runs.drop_duplicates(), on=["config_id", "seed", "steps"])
-            )
+            run_count = _count_finished(index, make_plan(plan.study, Query(preset=preset), index.engine_of))
             if run_count:
                 run_counts[preset] = run_count
     return run_counts
+
+
+def _count_finished(index: RunIndex, plan: Plan) -> int:
+    """Return how many cells have a finished run of the present version."""
+    config_ids = {condition: config_id(run) for condition, run in plan.configurations.items()}
+    finished_count = 0
+    for cell in plan.cells:
+        for run in index.runs_at(cell.seed, cell.run.steps):
+            if run.config_id == config_ids[cell.condition] and run.status in FINISHED:
+                finished_count += 1
+    return finished_count
 
 
 # --- Of a list -----------------------------------------------------------------------------------------

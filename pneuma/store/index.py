@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pandas as pd
 import pyarrow as pa
@@ -20,13 +20,25 @@ from pneuma.store.row_builder import UNKNOWN, stored_row
 from pneuma.store.rows import Row, in_one_table
 from pneuma.store.store import FINISHED, Identity, Store, checked_listing
 from pneuma.store.stored_runs import stored_settings
-from pneuma.study.identity import config_id
+from pneuma.study.identity import comparable_fields, config_id
 from pneuma.study.shipped import list_studies, read_published_file
 
-COLUMNS = ["run_id", "config_id", "seed", "steps", "status", "end", "where"]
-"""Columns of `RunIndex.frame`; `where` is a run's published table, or empty if it is stored in the folder."""
-
 TABLE_ROWS = 100
+
+
+class StoredRun(NamedTuple):
+    """A row of `RunIndex.frame`; `where` is its published table, or empty if it is stored in the folder."""
+
+    run_id: str
+    config_id: str
+    seed: int
+    steps: int
+    status: str
+    end: int
+    where: str
+
+
+COLUMNS = list(StoredRun._fields)
 
 
 class RunIndex:
@@ -46,6 +58,7 @@ class RunIndex:
         self.problems: list[str] = []
         self._rows: dict[str, Row | None] = {}
         self._documents: dict[tuple[str, str], Mapping[str, Any]] = {}
+        self._comparable_fields: dict[str, Mapping[str, Any]] = {}
 
     @cached_property
     def frame(self) -> pd.DataFrame:
@@ -74,6 +87,18 @@ class RunIndex:
             except UserError as error:
                 self.problems.append(f"{error}; take it from version control again, or publish it again")
         return tables_by_name
+
+    @cached_property
+    def _runs_at(self) -> dict[tuple[int, int], list[StoredRun]]:
+        runs_at: dict[tuple[int, int], list[StoredRun]] = {}
+        for run_values in self.frame.itertuples(index=False, name=None):
+            run = StoredRun(*run_values)
+            runs_at.setdefault((run.seed, run.steps), []).append(run)
+        return runs_at
+
+    def runs_at(self, seed: int, steps: int) -> Sequence[StoredRun]:
+        """Return the runs of any configuration with a seed and a budget."""
+        return self._runs_at.get((seed, steps), ())
 
     @cached_property
     def positions(self) -> Mapping[Any, Any]:
@@ -106,6 +131,13 @@ class RunIndex:
         if (column, run_id) not in self._documents:
             self._documents[column, run_id] = self._read_document(column, run_id)
         return self._documents[column, run_id]
+
+    def comparable_fields(self, run: StoredRun) -> Mapping[str, Any]:
+        """Return the fields of a run's configuration in comparable form; empty if they cannot be read."""
+        if run.config_id not in self._comparable_fields:
+            fields = self.document("fields", run.run_id)
+            self._comparable_fields[run.config_id] = comparable_fields(fields) if fields else {}
+        return self._comparable_fields[run.config_id]
 
     def _read_document(self, column: str, run_id: str) -> Mapping[str, Any]:
         for table in self.tables.values():

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,10 @@ _IS_OWN: dict[str, Callable[[str], bool]] = {
 _CLASSES = ("reward", "wrappers", "algorithm", ALGORITHM_KWARGS)
 """Fields that name something in a module."""
 _NOUNS = {"env_module": "module", "wrappers": "wrapper", ALGORITHM_KWARGS: "class"}
+_UNSET: tuple[Any, ...] = (None, False, 0, "", [], {})
+"""Values of fields that a version of Pneuma knew which this one does not, if they were not set."""
+_FORMER_DEFAULTS = {"weapons": ["own"], "bodies": "block", "coast": "wall", "slow_factor": 0.5}
+"""The same, of fields that had another default."""
 
 
 def run_id(run: Run) -> str:
@@ -70,6 +75,39 @@ def _digest(run: Run, without: Sequence[str] = ()) -> str:
         "engine": [run.engine, ENGINE_VERSIONS[run.engine]],
     }
     return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
+
+
+@cache
+def _default_fields() -> dict[str, Any]:
+    return as_fields(Run())
+
+
+def comparable_fields(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields of this version or another one in a form that is equal for runs that do the same.
+
+    Seed and steps are left out, and fields that this version does not know, if they were not set. Files and
+    modules of the user's own count by their names, as published fields have no folders.
+    """
+    defaults = _default_fields()
+    comparable = {}
+    for field_name, value in {**defaults, **fields}.items():
+        is_former = field_name not in defaults
+        if is_former and (value in _UNSET or value == _FORMER_DEFAULTS.get(field_name)):
+            continue
+        if field_name not in ("seed", "steps"):
+            comparable[field_name] = _with_bare_names(value)
+    return comparable
+
+
+def _with_bare_names(value: Any) -> Any:
+    """Return a field's value with the user's own files by their names alone."""
+    if isinstance(value, list | tuple):
+        return tuple(map(_with_bare_names, value))
+    if isinstance(value, str):
+        file, colon, inside = value.partition(":")
+        if file.startswith("/") or file.endswith(".py"):
+            return Path(file).name.removesuffix(".py") + colon + inside
+    return value
 
 
 def _by_file(class_text: str) -> str:

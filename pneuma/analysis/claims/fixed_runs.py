@@ -13,7 +13,7 @@ import numpy as np
 from pneuma.analysis.claims.claim_list import RULES, Claim
 from pneuma.analysis.intervals import mean_interval
 from pneuma.analysis.outcomes import find_outcome, outcome_values, reason, unit_of_return
-from pneuma.analysis.runs import finished_rows, registered_runs_of_plan
+from pneuma.analysis.runs import finished_rows, runs_of_plan
 from pneuma.analysis.study_data import StudyData
 from pneuma.seeds import seeds_option
 from pneuma.store.index import RunIndex
@@ -168,5 +168,5 @@ def find_claim_runs(index: RunIndex, study: Study, claim: Claim) -> ClaimRuns:
     for condition, run in configurations.items():
         for seed in claim.seeds_of(condition):
             cells.append(Cell(condition, seed, replace(run, seed=seed, steps=claim.steps)))
-    study_data = finished_rows(index, registered_runs_of_plan(index, Plan(study, tuple(cells))))
+    study_data = finished_rows(index, runs_of_plan(index, Plan(study, tuple(cells)), registered=True))
     return ClaimRuns(claim, study_data, index.store.root)
