@@ -129,13 +129,6 @@ def test_a_learners_policy_is_loaded_and_exported(here: Path) -> None:
     assert (env_id, settings) == ("CartPole-v1", {})
 
 
-@pytest.mark.usefixtures("here")
-def test_a_picture_that_needs_pygame_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    message = refused("env", "render", "CartPole-v1", "--out", "a.png")
-    assert message == "CartPole-v1 is drawn by pygame: pip install 'pneuma-rl[play]'"
-
-
 def test_each_shipped_agent_plays_and_is_that_of_its_row(here: Path) -> None:
     """Together they take at most 1 MB, and are cells of published plans by the present engine."""
     shipped = shipped_runs()
