@@ -167,9 +167,11 @@ class GymnasiumSlots:
     def random_action(self, slot: int = 0) -> Any:
         """Sample an action by the space's own generator; discrete ones count from 0."""
         mask: Any = None
-        if is_masked(self.run.algorithm) and isinstance(self.action_space, spaces.Discrete):
-            mask = np.asarray(self.envs[slot].get_wrapper_attr("action_masks")(), np.int8)
-        return self.action_space.sample(mask) - getattr(self.action_space, "start", 0)
+        with errors_from(f"{self.run.env} in its action masks"):
+            if is_masked(self.run.algorithm):
+                allowed = np.ravel(self.envs[slot].get_wrapper_attr("action_masks")()).astype(np.bool_)
+                mask = _mask_of_space(self.action_space, allowed.astype(np.int8))
+            return self.action_space.sample(mask) - getattr(self.action_space, "start", 0)
 
     def step_one(self, slot: int, action: Any) -> tuple[float, bool, bool, Mapping[str, Any]]:
         """Step one environment; return its reward, whether it terminated or was truncated, and its info."""
@@ -273,6 +275,16 @@ def actions_in_space(space: spaces.Space[Any], actions: np.ndarray) -> Sequence[
     if isinstance(space, spaces.MultiDiscrete):
         return [action + space.start for action in shaped_actions]
     return shaped_actions
+
+
+def _mask_of_space(space: spaces.Space[Any], allowed: np.ndarray) -> Any:
+    """Return a mask as `space.sample` takes it, of a row with a 1 for each allowed value of each choice."""
+    if isinstance(space, spaces.MultiDiscrete):
+        return tuple(np.split(allowed, np.cumsum(choice_counts(space))[:-1]))
+    if isinstance(space, spaces.MultiBinary):  # 2 where both values are allowed
+        may_be_off, may_be_on = allowed.reshape(-1, 2).T
+        return may_be_on * (1 + may_be_off)
+    return allowed
 
 
 def choice_counts(space: spaces.Space[Any]) -> np.ndarray:

@@ -103,6 +103,10 @@ def check_learner(run: Run) -> None:
         warnings.catch_warnings(action="ignore"),  # the run itself warns
         closed_after(run, _environments(run, run.slots)) as environments,
     ):
+        first_action = getattr(environments.action_space, "start", 0)
+        if np.any(first_action):  # these learners act from 0 on in any space
+            problem = f"its actions count from {first_action}, which {run.algorithm} cannot handle"
+            raise UserError(f"{run.env}: {problem}: wrap it to count from 0")
         learner = _make_learner(run, environments)
         own_callbacks(run)
         with errors_from(f"{run.env} in its first step"):

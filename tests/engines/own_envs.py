@@ -48,6 +48,8 @@ def action_space(kind: str, first: int) -> spaces.Space[Any]:
     match kind:
         case "pairs":  # the first of four decides, as where there is one
             return spaces.MultiDiscrete(np.array([[2, 3], [2, 2]]), start=np.array([[first, 0], [5, 1]]))
+        case "row":
+            return spaces.MultiDiscrete([2, 3], start=[first, first])
         case "bits":
             return spaces.MultiBinary(3)
         case "tuple":
@@ -98,13 +100,19 @@ class Corridor(gymnasium.Env[Any, Any]):
 
 
 class Masked(Corridor):
-    """It allows only the step to the right."""
+    """It allows the actions of a mask, by default only the step to the right; any other is an error."""
+
+    def __init__(self, kind: str = "box", mask: list[int] | None = None) -> None:
+        super().__init__(kind=kind)
+        self.mask = np.array([0, 1] if mask is None else mask, np.bool_)
 
     def action_masks(self) -> np.ndarray:
-        return np.array([False, True])
+        return self.mask
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        assert action == 1, "a masked action"
+        choices = np.ravel(action - getattr(self.action_space, "start", 0))
+        values = np.ravel(getattr(self.action_space, "nvec", np.full(len(choices), 2)))
+        assert self.mask[np.cumsum(values) - values + choices].all(), "a masked action"
         return super().step(action)
 
 

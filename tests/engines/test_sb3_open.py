@@ -7,6 +7,7 @@ import json
 import re
 import zipfile
 from contextlib import nullcontext
+from dataclasses import replace
 from inspect import signature
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,7 +26,7 @@ from torch import nn
 from pneuma.config import Run, effective_fields, make_run
 from pneuma.engines import gymnasium_frames, stopping
 from pneuma.engines.environment import check_environment
-from pneuma.engines.gymnasium_env import load_class, make_env, refuse_flat_pictures
+from pneuma.engines.gymnasium_env import GymnasiumSlots, load_class, make_env, refuse_flat_pictures
 from pneuma.engines.loop import train_run
 from pneuma.engines.sb3_arguments import read_arguments
 from pneuma.engines.sb3_open import (
@@ -255,6 +256,28 @@ def test_a_callback_cannot_end_a_run(tmp_path: Path) -> None:
     run = make_run({**SHORT, "algorithm_kwargs": {"callback": f"{file}:Impatient"}})
     with pytest.raises(UserError, match="a callback ended training at step 100, but a run trains all its"):
         train_run(run, lambda _: True)
+
+
+@pytest.mark.parametrize(
+    ("kind", "mask", "actions"),
+    [
+        ("box", [0, 1], [[1]]),
+        ("row", [0, 1, 1, 0, 1], [[1, 0], [1, 2]]),
+        ("bits", [0, 1, 1, 1, 1, 0], [[1, 0, 0], [1, 1, 0]]),
+    ],
+)
+def test_the_random_player_takes_all_allowed_actions_and_no_other(
+    kind: str, mask: list[int], actions: list[list[int]]
+) -> None:
+    masked = {"env": "Masked-v0", "env_module": "tests.engines.own_envs", "algorithm": "maskable-ppo"}
+    run = make_run({**masked, "horizon": 64, "steps": 128, "env_kwargs": {"kind": kind, "mask": mask}})
+    slots = GymnasiumSlots(run, [0])
+    taken = [np.ravel(slots.random_action()).tolist() for _ in range(40)]
+    assert sorted(map(list, {*map(tuple, taken)})) == actions
+    assert train_run(run, lambda _: True).status == "done"  # a masked action is an error there
+    wrong = replace(run, env_kwargs=json.dumps({"kind": kind, "mask": mask[1:]}))
+    with pytest.raises(UserError, match=r"^Masked-v0 in its action masks: "):
+        GymnasiumSlots(wrong, [0]).random_action()
 
 
 def test_masked_actions_are_never_taken() -> None:
@@ -551,6 +574,10 @@ def test_what_is_not_used_does_not_move_an_id() -> None:
         (
             {"algorithm": f"{__name__}:OwnRollouts"},
             "horizon = 64 .* has n_steps = 100; set horizon = 100, or n_steps = 64 in algorithm_kwargs",
+        ),
+        (
+            {"algorithm": "qr-dqn", **CORRIDOR, "env_kwargs": {"first": 3}},
+            "^Corridor-v0: its actions count from 3, which qr-dqn cannot handle: wrap it to count from 0$",
         ),
         ({"algorithm": "sb3_contrib:ARS"}, "must be an OnPolicyAlgorithm or an OffPolicyAlgorithm"),
         (
