@@ -94,7 +94,7 @@ def compared(
             is_complete &= len(groups[name]) == len(seeds)
         what = "verdicts" if is_complete else what
         for key, verdicts in by_margin.items():
-            verdict = "untestable"
+            verdict = "not tested"
             if is_complete and "not_tested" not in claim:
                 margin = margin_of(claim, outcome, world, key)
                 is_before = key == "registered_margin" and claim["list"] in LISTS_BEFORE
@@ -205,7 +205,7 @@ def seeds_of(claim: Claim, condition: str) -> list[int]:
 # --- One contrast ----------------------------------------------------------------------------------
 
 Judged = tuple[float | None, tuple[float | None, ...], tuple[float | None, ...], str]
-NOTHING: Judged = (None, (None, None), (None, None), "untestable")
+NOTHING: Judged = (None, (None, None), (None, None), "not tested")
 
 
 def judged(
@@ -288,13 +288,13 @@ def rule(way: str, ends: Ends, margin: float | None, unlike_only: bool, is_befor
     if way == "described":
         return "described"
     if ends is None:
-        return "inconclusive"
+        return "undecided"
     low, high = ends
     near = -1.0 if margin is None else margin  # nothing is nearer to 0 than a margin that there is not
     far = np.inf if margin is None else margin
     small = max(abs(low), abs(high)) < near
     if small and unlike_only and not is_before:
-        return "inconclusive"
+        return "undecided"
     small = small and not unlike_only
     yes, no = {
         "greater": (low > 0, high < 0),
@@ -305,20 +305,20 @@ def rule(way: str, ends: Ends, margin: float | None, unlike_only: bool, is_befor
     }[way]
     if small and way in ("greater", "less", "different"):
         yes, no = False, True
-    return "supported" if yes else "refuted" if no else "inconclusive"
+    return "holds" if yes else "does not hold" if no else "undecided"
 
 
 def all_of(verdicts: Sequence[str]) -> str:
-    decisive = ("refuted", "untestable", "inconclusive", "supported", "described")
+    decisive = ("does not hold", "not tested", "undecided", "holds", "described")
     return next(word for word in decisive if word in verdicts)
 
 
 def of_claim(verdicts: Sequence[str], claim: Claim) -> str:
     if claim["need"] == "all":
         return all_of(verdicts)
-    if {"supported", "refuted"} <= {*verdicts}:
-        return "mixed"
-    decisive = ("supported", "refuted", "inconclusive", "described", "untestable")
+    if {"holds", "does not hold"} <= {*verdicts}:
+        return "undecided"
+    decisive = ("holds", "does not hold", "undecided", "described", "not tested")
     return next(word for word in decisive if word in verdicts)
 
 

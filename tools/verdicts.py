@@ -18,20 +18,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from pneuma.analysis.claims.verdicts import DESCRIBED, ClaimContrast, Verdict
-from pneuma.analysis.claims.words import (
+from pneuma.analysis.claims.verdicts import (
+    DESCRIBED,
     FAILS,
     HOLDS,
     NOT_TESTED,
     UNDECIDED,
-    ByClaim,
-    letter,
-    rows_of_claims,
-    verdict_table,
-    word,
-    word_of,
-    worlds_of,
+    ClaimContrast,
+    Verdict,
 )
+from pneuma.analysis.claims.words import ByClaim, letter, rows_of_claims, verdict_table, worlds_of
 from pneuma.figures.origin import line_of_runs, origin_text
 from pneuma.figures.style import GREY, characters, house_style, save_figure
 from pneuma.presets import WORLDS
@@ -111,8 +107,8 @@ def _drawn_words(claims: ByClaim) -> set[str]:
     words: set[str] = set()
     for by_world in claims.values():
         for verdict in by_world.values():
-            words.update(word_of(contrast.verdict) for contrast in _drawn(verdict))
-            if word(verdict) == NOT_TESTED:
+            words.update(contrast.verdict for contrast in _drawn(verdict))
+            if verdict.verdict == NOT_TESTED:
                 words.add(NOT_TESTED)
     return words
 
@@ -172,10 +168,10 @@ def _draw_verdicts(axes: Axes, row: Row, verdicts: Sequence[Verdict]) -> None:
     """Draw intervals below each other, each as its own outcome decides, and the letters of labels."""
     middle = (row.top + row.bottom) / 2
     drawn = [(verdict, contrast) for verdict in verdicts for contrast in _drawn(verdict)]
-    if all(word(verdict) == NOT_TESTED for verdict in verdicts):
+    if all(verdict.verdict == NOT_TESTED for verdict in verdicts):
         axes.plot(0, middle, markersize=4, **LOOKS[NOT_TESTED])
     for line, (_, contrast) in enumerate(drawn, start=1):
-        look = LOOKS[word_of(contrast.verdict)]
+        look = LOOKS[contrast.verdict]
         height = row.top + (row.bottom - row.top) * line / (len(drawn) + 1)
         low, centre, high = _in_margins(contrast)
         axes.plot([low, high], [height, height], color=look["color"], linewidth=1.0, zorder=2)
@@ -192,7 +188,7 @@ def _draw_verdicts(axes: Axes, row: Row, verdicts: Sequence[Verdict]) -> None:
 
 def _drawn(verdict: Verdict) -> list[ClaimContrast]:
     """Return the contrasts of a verdict that are drawn: those with an effect and a margin."""
-    if word(verdict) == NOT_TESTED:
+    if verdict.verdict == NOT_TESTED:
         return []
     return [
         contrast

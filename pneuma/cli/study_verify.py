@@ -76,7 +76,7 @@ def _show(answer: VerdictsAnswer, in_detail: bool) -> Iterator[str | Table]:
             else:  # another claim on the same sentence
                 yield from _indented(f"{words.list_and_name(claim)}: {claim.context}", "  ")
             for world, verdict in by_world.items():
-                verdict_head = f"{worlds[world]:16}{words.word(verdict)}"
+                verdict_head = f"{worlds[world]:16}{verdict.verdict}"
                 for verdict_line in words.lines(verdict) + [words.registration(verdict)]:
                     yield f"    {verdict_head:32}{verdict_line}".rstrip()
                     verdict_head = ""

@@ -14,7 +14,7 @@ import pytest
 from pneuma.analysis.claims import history
 from pneuma.analysis.claims.claim_list import RULES, RULES_BEFORE, Claim, load_claims, shipped_claims
 from pneuma.analysis.claims.history import THE_CLAIM, find_changes, refuse_changed
-from pneuma.analysis.claims.verdicts import AMENDED, INCONCLUSIVE, PREREGISTERED, REFUTED
+from pneuma.analysis.claims.verdicts import AMENDED, FAILS, PREREGISTERED, UNDECIDED
 from pneuma.errors import UserError
 from pneuma.store.index import RunIndex
 from pneuma.store.store import Store
@@ -82,7 +82,7 @@ def test_rules_by_which_nothing_can_be_judged_any_more_are_a_change(
 
 @pytest.mark.parametrize(
     ("rules", "registered", "label", "changed"),
-    [(RULES, REFUTED, PREREGISTERED, []), (RULES_BEFORE, INCONCLUSIVE, AMENDED, ["rules"])],
+    [(RULES, FAILS, PREREGISTERED, []), (RULES_BEFORE, UNDECIDED, AMENDED, ["rules"])],
 )
 def test_the_rules_before_are_a_change_where_they_come_to_another_verdict(
     tmp_path: Path, rules: int, registered: str, label: str, changed: list[str]
@@ -93,7 +93,7 @@ def test_the_rules_before_are_a_change_where_they_come_to_another_verdict(
     save_runs(Store(results), tmp_path, {"high": [0.0] * 8}, commit=commit(tmp_path, rules))
     words = ["study", "verify", "--claims", path, "--results", results]
     (verdict,) = described(*words, "--json")["claims"]
-    assert (verdict["verdict"], verdict["registered_verdict"]) == (REFUTED, registered)
+    assert (verdict["verdict"], verdict["registered_verdict"]) == (FAILS, registered)
     assert (verdict["label"], verdict["changed"]) == (label, changed)
     assert verdict["contrasts"][0]["simultaneous_high"] == pytest.approx(1 - 0.025 ** (1 / 8) - 0.6)
 

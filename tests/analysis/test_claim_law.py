@@ -18,7 +18,7 @@ import pytest
 from pneuma.analysis.claims.claim_list import Claim, shipped_claims
 from pneuma.analysis.claims.contrasts import DIFFERENCE_OF_SPREADS, compare
 from pneuma.analysis.claims.fixed_runs import ClaimRuns, find_claim_runs
-from pneuma.analysis.claims.verdicts import DESCRIBED, REFUTED, SUPPORTED, decide
+from pneuma.analysis.claims.verdicts import DESCRIBED, FAILS, HOLDS, decide
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.store.index import RunIndex
 from pneuma.store.store import Store
@@ -170,10 +170,10 @@ def test_every_claim_can_hold_and_can_fail(contrasts: list[Planned], run_count: 
     assert len(contrasts) > 110
     for planned in contrasts:
         verdicts = {planned.verdict(groups) for groups in planned.possible(run_count)}
-        expected = {SUPPORTED, REFUTED}
+        expected = {HOLDS, FAILS}
         if run_count == 30 and planned.claim.name in CANNOT_FAIL_WITH_30:
-            expected = {SUPPORTED}
-        assert expected == verdicts & {SUPPORTED, REFUTED}, planned.name
+            expected = {HOLDS}
+        assert expected == verdicts & {HOLDS, FAILS}, planned.name
 
 
 def test_margins_of_means_are_larger_than_spreads(contrasts: list[Planned]) -> None:
@@ -184,4 +184,4 @@ def test_margins_of_means_are_larger_than_spreads(contrasts: list[Planned]) -> N
         verdicts = [
             planned.verdict(groups, DIFFERENCE_OF_SPREADS, margin) for groups in planned.possible(run_count)
         ]
-        assert verdicts[1] == REFUTED and SUPPORTED not in verdicts, run_count
+        assert verdicts[1] == FAILS and HOLDS not in verdicts, run_count

@@ -32,7 +32,7 @@ SharesByCondition = dict[str, Shares]
 Changes = Sequence[tuple[str, str]]
 
 NAN = float("nan")
-SUPPORTED, REFUTED, INCONCLUSIVE, UNTESTABLE = "supported", "refuted", "inconclusive", "untestable"
+HOLDS, FAILS, UNDECIDED, NOT_TESTED = "holds", "does not hold", "undecided", "not tested"
 LESSER = [share - 0.15 for share in LOW]
 GREATER = [share + 0.1 for share in LOW]
 AROUND = [0.02 * (-1) ** k * (1 + k % 4) for k in range(8)]
@@ -64,35 +64,35 @@ def direction(name: str) -> tuple[str, str]:
 
 CASES: dict[str, tuple[SharesByCondition, Changes, str, list[str]]] = {
     # name: (shares killed by condition, changes of the claim, verdict, those of its contrasts)
-    "greater, and it is": ({"high": HIGH, "low": LOW}, [], SUPPORTED, [SUPPORTED]),
-    "greater, and it is equal": ({"high": NEAR, "low": LOW}, [], REFUTED, [REFUTED]),
+    "greater, and it is": ({"high": HIGH, "low": LOW}, [], HOLDS, [HOLDS]),
+    "greater, and it is equal": ({"high": NEAR, "low": LOW}, [], FAILS, [FAILS]),
     "described": ({"high": HIGH, "low": LOW}, [direction("described")], "described", ["described"]),
-    "more often above": ({"high": HIGH, "low": LOW}, [INCIDENCE, NO_MARGIN], SUPPORTED, [SUPPORTED]),
+    "more often above": ({"high": HIGH, "low": LOW}, [INCIDENCE, NO_MARGIN], HOLDS, [HOLDS]),
     "never there counts as not in time": (
         {"high": [SOON] * 8, "low": [NEVER] * 8},
-        [outcome('"steps-to:0.5"'), (INCIDENCE[0], '"incidence"\nbelow = 1000')], SUPPORTED, [SUPPORTED],
+        [outcome('"steps-to:0.5"'), (INCIDENCE[0], '"incidence"\nbelow = 1000')], HOLDS, [HOLDS],
     ),
     # a number refutes from its other side alone: it is itself what counts, without a margin
-    "at a number": ({"high": HIGH}, [value(0.735)], INCONCLUSIVE, [INCONCLUSIVE]),
-    "far below a number": ({"high": HIGH}, [value(0.77)], REFUTED, [REFUTED]),
+    "at a number": ({"high": HIGH}, [value(0.735)], UNDECIDED, [UNDECIDED]),
+    "far below a number": ({"high": HIGH}, [value(0.77)], FAILS, [FAILS]),
     "one outcome against a number": (
         {"high": HIGH, "low": LOW}, [TWO, ('b = "low"', 'b = "low"\nvalue = { final-return = 0.5 }')],
-        SUPPORTED, [SUPPORTED, SUPPORTED],
+        HOLDS, [HOLDS, HOLDS],
     ),
-    "pairs": ({"high": LOW, "low": LESSER, "other": HIGH, "middle": NEAR}, [PAIR, PAIRED], SUPPORTED,
-              [SUPPORTED] * 2),
-    "each with each": ({"high": LOW, "low": LESSER, "other": HIGH, "middle": NEAR}, [PAIR, CROSSED], REFUTED,
-                       [SUPPORTED, REFUTED, SUPPORTED, SUPPORTED]),
-    "one pair without runs": ({"high": LOW, "low": HIGH}, [PAIR, PAIRED], REFUTED, [REFUTED, UNTESTABLE]),
-    "ranges": ({"high": HIGH, "low": LOW, "middle": GREATER}, RANGES, SUPPORTED, [SUPPORTED]),
+    "pairs": ({"high": LOW, "low": LESSER, "other": HIGH, "middle": NEAR}, [PAIR, PAIRED], HOLDS,
+              [HOLDS] * 2),
+    "each with each": ({"high": LOW, "low": LESSER, "other": HIGH, "middle": NEAR}, [PAIR, CROSSED], FAILS,
+                       [HOLDS, FAILS, HOLDS, HOLDS]),
+    "one pair without runs": ({"high": LOW, "low": HIGH}, [PAIR, PAIRED], FAILS, [FAILS, NOT_TESTED]),
+    "ranges": ({"high": HIGH, "low": LOW, "middle": GREATER}, RANGES, HOLDS, [HOLDS]),
     # one outcome that cannot be tested voids nothing unless all are needed
     "rough where nobody learned": ({"high": ROUGH, "low": ROUGH[::-1]},
-                                   [outcome('["curve-roughness", "final-return"]')], INCONCLUSIVE,
-                                   [UNTESTABLE, INCONCLUSIVE]),
+                                   [outcome('["curve-roughness", "final-return"]')], UNDECIDED,
+                                   [NOT_TESTED, UNDECIDED]),
     "rough, all needed": ({"high": ROUGH, "low": ROUGH[::-1]},
-                          [outcome('["curve-roughness", "final-return"]'), ALL], UNTESTABLE,
-                          [UNTESTABLE, INCONCLUSIVE]),
-    "beside": ({"high": HIGH, "low": LOW}, [('"low"', '"low"\nbeside = "middle"')], SUPPORTED, [SUPPORTED]),
+                          [outcome('["curve-roughness", "final-return"]'), ALL], NOT_TESTED,
+                          [NOT_TESTED, UNDECIDED]),
+    "beside": ({"high": HIGH, "low": LOW}, [('"low"', '"low"\nbeside = "middle"')], HOLDS, [HOLDS]),
 }  # fmt: skip
 
 
@@ -102,7 +102,16 @@ def test_every_verdict(case: str, store: Store, tmp_path: Path) -> None:
     ids = save_runs(store, tmp_path, shares)
     one = judge_one(store, tmp_path, changed(*changes))
     assert (one.verdict, [row.verdict for row in one.contrasts]) == (verdict, of_contrasts)
-    assert {*one.run_ids} == {*ids} and (one.reason == "") == (verdict != UNTESTABLE)
+    assert {*one.run_ids} == {*ids} and (one.reason == "") == (verdict != NOT_TESTED)
+
+
+def test_two_measures_that_disagree_decide_nothing(store: Store, tmp_path: Path) -> None:
+    """One is above its number and the other far below; which of them counts the judge cannot say."""
+    save_runs(store, tmp_path, {"high": HIGH})
+    numbers = ('b = "low"', "value = { final-share-killed = 0.5, final-return = 50 }")
+    one = judge_one(store, tmp_path, changed(TWO, numbers))
+    assert [row.verdict for row in one.contrasts] == [HOLDS, FAILS]
+    assert (one.verdict, one.reason) == (UNDECIDED, "its two measures disagree")
 
 
 def test_the_worlds_are_judged_side_by_side_each_as_a_family_of_its_own(store: Store, tmp_path: Path) -> None:
@@ -111,7 +120,7 @@ def test_the_worlds_are_judged_side_by_side_each_as_a_family_of_its_own(store: S
     save_runs(store, tmp_path, {"high": LOW, "low": HIGH}, world="arena")
     text = CLAIMS.replace('["text"]', '["text", "godot"]') + like
     here, nowhere, there = judge_claims(store, tmp_path, text)
-    assert [verdict.verdict for verdict in (here, nowhere, there)] == [SUPPORTED, UNTESTABLE, REFUTED]
+    assert [verdict.verdict for verdict in (here, nowhere, there)] == [HOLDS, NOT_TESTED, FAILS]
     assert (there.claim.row, there.claim.quote, len(there.run_ids)) == ("better", "a quote", 10)
     assert there.contrasts[0].contrast.effect == pytest.approx(np.mean(LOW[3:]) - np.mean(HIGH[3:]))
     claims = load_claims(write_files(tmp_path, text + BETTER.replace("better", "other")))
@@ -134,10 +143,10 @@ def test_the_outcome_that_supports_the_claim_decides(store: Store, tmp_path: Pat
         save_runs(store, tmp_path, {condition: shares}, returns=returns)
     verdict = judge_one(store, tmp_path, changed(TWO, CROSSED))
     verdicts = [contrast.verdict for contrast in verdict.contrasts]
-    assert verdicts == [SUPPORTED, INCONCLUSIVE, SUPPORTED, SUPPORTED]
-    assert verdict.verdict == SUPPORTED
+    assert verdicts == [HOLDS, UNDECIDED, HOLDS, HOLDS]
+    assert verdict.verdict == HOLDS
     assert [(contrast.outcome, contrast.names[1], contrast.verdict) for contrast in verdict.deciding] == [
-        ("final-share-killed", "middle", INCONCLUSIVE), ("final-return", "low", SUPPORTED),
+        ("final-share-killed", "middle", UNDECIDED), ("final-return", "low", HOLDS),
     ]  # fmt: skip
 
 
@@ -149,17 +158,17 @@ def test_where_a_margin_was_changed_both_verdicts_are_shown(store: Store, tmp_pa
     save_runs(store, tmp_path, {"high": NEAR, "low": LOW})
     text = changed(("margin = 0.04", "margin = 0.04\nregistered_margin = 0.01"))
     verdict = judge_one(store, tmp_path, text)
-    assert (verdict.verdict, verdict.registered_verdict) == (REFUTED, INCONCLUSIVE)
+    assert (verdict.verdict, verdict.registered_verdict) == (FAILS, UNDECIDED)
     assert "as registered: undecided" in lines(verdict)
     alike = judge_one(store, tmp_path)
-    assert (alike.verdict, alike.registered_verdict) == (REFUTED, REFUTED)
+    assert (alike.verdict, alike.registered_verdict) == (FAILS, FAILS)
     assert not any("registered" in line for line in lines(alike))
 
 
 def test_unlike_numbers_of_runs_are_shown(store: Store, tmp_path: Path) -> None:
     save_runs(store, tmp_path, {"high": HIGH[:4], "low": LOW})
     verdict = judge_one(store, tmp_path, changed(("seeds = 8", "seeds = { high = 4, low = 8 }")))
-    assert verdict.verdict == SUPPORTED and "4 against 8 runs" in lines(verdict)
+    assert verdict.verdict == HOLDS and "4 against 8 runs" in lines(verdict)
 
 
 def test_what_is_never_reached_counts_as_the_runs_budget(store: Store, tmp_path: Path) -> None:
@@ -167,7 +176,7 @@ def test_what_is_never_reached_counts_as_the_runs_budget(store: Store, tmp_path:
     save_runs(store, tmp_path, {"high": [SOON] * 4 + [LATE] * 2 + [NEVER] * 2, "low": [NEVER] * 8})
     (row,) = judge_one(store, tmp_path, changed(outcome('"steps-to:0.5"'), NO_MARGIN)).contrasts
     assert [*row.contrast.means] == pytest.approx([(4 * 512 + 2 * (512 + 0.8 * 512) + 2 * 1024) / 8, 1024])
-    assert "equal" in row.contrast.reason and row.verdict == INCONCLUSIVE
+    assert "equal" in row.contrast.reason and row.verdict == UNDECIDED
 
 
 # --- What cannot be tested: every reason for which there is no verdict ----------------------------
@@ -218,13 +227,11 @@ def test_what_no_run_can_test(case: str, store: Store, tmp_path: Path) -> None:
     runs, changes, reason = REASONS[case]
     save_runs(store, tmp_path, runs)
     verdict = judge_one(store, tmp_path, changed(*changes))
-    assert verdict.verdict == UNTESTABLE and reason in verdict.reason
+    assert verdict.verdict == NOT_TESTED and reason in verdict.reason
     assert load_claims(tmp_path / "claims.toml").family_size("text", "mine.toml") == 1
 
 
-@pytest.mark.parametrize(
-    ("way", "expected"), [("greater", REFUTED), ("equal", SUPPORTED), ("no-less", SUPPORTED)]
-)
+@pytest.mark.parametrize(("way", "expected"), [("greater", FAILS), ("equal", HOLDS), ("no-less", HOLDS)])
 def test_at_the_floor_of_play_only_a_shown_difference_counts(
     way: str, expected: str, store: Store, tmp_path: Path
 ) -> None:
@@ -232,7 +239,7 @@ def test_at_the_floor_of_play_only_a_shown_difference_counts(
     text = changed(direction(way), ("margin = 0.04", "margin = 1"))
     save_runs(store, tmp_path, {"high": AROUND, "low": AROUND[::-1]})
     (row,) = judge_one(store, tmp_path, text).contrasts
-    assert (row.verdict, row.none_learned) == (INCONCLUSIVE, True)
+    assert (row.verdict, row.none_learned) == (UNDECIDED, True)
     learned = Store(tmp_path / "learned")
     save_runs(learned, tmp_path, {"high": HIGH, "low": AROUND})
     (row,) = judge_one(learned, tmp_path, text).contrasts
@@ -247,9 +254,9 @@ def test_at_the_floor_of_play_a_shown_difference_within_the_margin_decides_nothi
     save_runs(store, tmp_path, {"high": [share + 0.05 for share in worse], "low": worse})
     text = changed(("margin = 0.04", "margin = 0.1"))
     (row,) = judge_one(store, tmp_path, text).contrasts
-    assert (row.contrast.interval.low > 0, row.verdict, row.none_learned) == (True, INCONCLUSIVE, True)
+    assert (row.contrast.interval.low > 0, row.verdict, row.none_learned) == (True, UNDECIDED, True)
     (row,) = judge_one(store, tmp_path).contrasts  # a difference that may be more than 0.04 counts
-    assert (row.verdict, row.none_learned) == (SUPPORTED, True)
+    assert (row.verdict, row.none_learned) == (HOLDS, True)
 
 
 def test_equal_runs_of_an_outcome_with_known_ends_have_an_interval(store: Store, tmp_path: Path) -> None:
@@ -262,5 +269,5 @@ def test_equal_runs_of_an_outcome_with_known_ends_have_an_interval(store: Store,
     expected = np.mean(HIGH) - np.hypot(half_width, bound), np.mean(HIGH) + half_width
     interval = shares.contrast.simultaneous
     assert (interval.low, interval.high) == pytest.approx(expected)
-    assert shares.verdict == SUPPORTED
+    assert shares.verdict == HOLDS
     assert returns.contrast.interval.exists  # whose runs differ

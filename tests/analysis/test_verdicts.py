@@ -15,7 +15,7 @@ from pneuma.analysis.intervals import Interval, no_interval
 from .two_groups import compare
 
 DIRECTIONS = ("greater", "less", "different", "equal", "no-less")
-S, R, I, U = "supported", "refuted", "inconclusive", "untestable"  # noqa: E741
+S, R, I, U = "holds", "does not hold", "undecided", "not tested"  # noqa: E741
 
 
 @pytest.mark.parametrize(
@@ -68,14 +68,14 @@ def test_by_the_rules_before_a_small_difference_of_agents_that_learned_nothing_c
         ((S, S), S, S),
         ((S, I), S, I),
         ((R, I), R, R),
-        ((S, R), "mixed", R),
+        ((S, R), "undecided", R),
         ((I, I), I, I),
         ((S, U), S, U),  # what cannot be tested decides nothing and voids nothing …
         ((R, U), R, R),
         ((I, U), I, U),
         ((U, U), U, U),
-        ((S, S, R), "mixed", R),
-        ((S, U, R), "mixed", R),
+        ((S, S, R), "undecided", R),
+        ((S, U, R), "undecided", R),
     ],
 )
 def test_outcomes_together(verdicts: tuple[str, ...], one: str, every: str) -> None:

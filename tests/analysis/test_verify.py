@@ -27,7 +27,7 @@ def test_all_views_have_every_claim_in_its_worlds(tmp_path: Path, monkeypatch: p
     assert (listed["alpha"], listed["claims_hash"]) == (0.05, load_claims(path).digest)
     first, missing = document["claims"]
     verdicts = [(verdict["claim"], verdict["world"], verdict["verdict"]) for verdict in document["claims"]]
-    assert verdicts == [("better", "text", "supported"), ("other", "text", "untestable")]
+    assert verdicts == [("better", "text", "holds"), ("other", "text", "not tested")]
     assert first["effect"] == pytest.approx(0.5) and first["low"] < 0.5 < first["high"]
     assert (first["alpha"], first["margin"], first["reason"]) == (0.025, 0.04, "")
     assert (first["seeds_a"], first["seeds_b"], len(first["run_ids"])) == (8, 8, 16)

@@ -105,9 +105,9 @@ def is_wrong(draw: Draw, seeds: int, setting: Setting, generator: np.random.Gene
             a, b, margin = make_arms(kind, draw, seeds, setting, generator)
             ends = compare(kind, a, b, level).simultaneous
             if setting.is_at_margin:
-                is_false |= decide(ends, "greater", margin) == "refuted"
+                is_false |= decide(ends, "greater", margin) == "does not hold"
             else:
-                is_false |= "supported" in (decide(ends, "greater", margin), decide(ends, "less", None))
+                is_false |= "holds" in (decide(ends, "greater", margin), decide(ends, "less", None))
     return is_false
 
 

@@ -60,7 +60,7 @@ def test_without_any_run_studies_say_how_to_get_them_and_verdicts_are_those_of_s
         ]
         assert claims.digest in words
     document = described("study", "verify", *claim_names, "--results", store.root, "--json")
-    counted = Counter((claim["world"], claim["word"]) for claim in document["claims"])
+    counted = Counter((claim["world"], claim["verdict"]) for claim in document["claims"])
     rows = [each.text for each in page.elements if each.tag == "td"][: len(WORDS) * len(WORLDS)]
     assert [int(cell) for cell in rows] == [counted[world, word] for world in WORLDS for word in WORDS]
     anchors = [anchor for anchor in page.anchors if anchor.startswith("claim-")]

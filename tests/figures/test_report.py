@@ -24,12 +24,12 @@ def _page(name: str = "tanh") -> bytes:
     """Return a page with every kind of thing in it: a run that two studies share, a study without runs."""
     ids = "0" * 16, "f" * 16
     better = claim(f"better {name}", quote=name, study=f"activation {name}", note=name)
-    won = comparison("supported", 0.12, (0.05, 0.19), runs={"tanh": ids})
+    won = comparison("holds", 0.12, (0.05, 0.19), runs={"tanh": ids})
     steadier = claim("steadier", study="sizes")
-    ratio = comparison("inconclusive", 1.3, (0.7, 2.4), (3, 3), steadier)
+    ratio = comparison("undecided", 1.3, (0.7, 2.4), (3, 3), steadier)
     claims = {
-        better.name: judged(better, text=("supported", "", (won, won)), arena=("untestable", name, ())),
-        "steadier": judged(steadier, text=("inconclusive", "", (ratio,)), godot=("described", "", (ratio,))),
+        better.name: judged(better, text=("holds", "", (won, won)), arena=("not tested", name, ())),
+        "steadier": judged(steadier, text=("undecided", "", (ratio,)), godot=("described", "", (ratio,))),
     }
     numbers = (name, ("Condition", *(f"outcome {k}\nmean" for k in range(9))), [[name, *["0.5"] * 9]])
     data: Any = SimpleNamespace(call=Hint)

@@ -14,7 +14,7 @@ from PIL import Image
 
 from pneuma.analysis.claims import words
 from pneuma.analysis.claims.claim_list import shipped_claims
-from pneuma.analysis.claims.verdicts import AS_CLAIMED_BUT_SMALL, Verdict
+from pneuma.analysis.claims.verdicts import AS_CLAIMED_BUT_SMALL, DISAGREE, Verdict
 from pneuma.analysis.claims.words import cell, compared_text, effect, sentence, short_sentence, verdict_table
 from tools.verdicts import draw_verdicts
 
@@ -74,41 +74,41 @@ STAY = {"kind": "hazard", "outcome": "lasting-one-action-step", "direction": "le
     ],
 )  # fmt: skip
 def test_effects_are_told_in_plain_units(fields: dict[str, Any], means: Pair, ends: Pair, text: str) -> None:
-    row = comparison("supported", means[0] - means[1], ends, of=claim(**fields), means=means)
+    row = comparison("holds", means[0] - means[1], ends, of=claim(**fields), means=means)
     assert effect(row) == text
 
 
 @pytest.mark.parametrize(
     ("verdict", "reason", "text"),
     [
-        ("supported", "", f"holds [p]\n{KILLS}"),
-        ("refuted", AS_CLAIMED_BUT_SMALL, f"does not hold [p]\n{KILLS}\n{AS_CLAIMED_BUT_SMALL}"),
-        ("mixed", "", f"undecided [p]\n{KILLS}\nits two measures disagree"),
-        ("inconclusive", "", f"undecided [p]\n{KILLS}"),
+        ("holds", "", f"holds [p]\n{KILLS}"),
+        ("does not hold", AS_CLAIMED_BUT_SMALL, f"does not hold [p]\n{KILLS}\n{AS_CLAIMED_BUT_SMALL}"),
+        ("undecided", DISAGREE, f"undecided [p]\n{KILLS}\n{DISAGREE}"),
+        ("undecided", "", f"undecided [p]\n{KILLS}"),
         ("described", "", f"described [p]\n{KILLS}"),
-        ("untestable", "runs missing: tanh; train with: pneuma", "not tested [p]\nnot trained yet"),
-        ("untestable", "a run has no value: tanh seed 7", "not tested [p]\na run has no value"),
+        ("not tested", "runs missing: tanh; train with: pneuma", "not tested [p]\nnot trained yet"),
+        ("not tested", "a run has no value: tanh seed 7", "not tested [p]\na run has no value"),
     ],
 )
 def test_a_cell_is_a_word_and_the_effect_or_why_there_is_none(verdict: str, reason: str, text: str) -> None:
-    row = comparison("inconclusive" if verdict == "mixed" else verdict, 0.02, ENDS, means=MEANS)
+    row = comparison(verdict, 0.02, ENDS, means=MEANS)
     assert cell(judged(claim(), text=(verdict, reason, (row,)))["text"]) == text
 
 
 def test_every_outcome_is_told_and_that_nobody_learned() -> None:
     one_claim = claim(outcome="final-share-killed final-return", called=("tanh", "ReLU"))
     rows = (
-        comparison("inconclusive", 0.02, ENDS, of=one_claim, means=MEANS, none_learned=True),
-        comparison("supported", 1.1, (0.3, 2.0), of=one_claim, means=(8.6, 7.5), outcome="final-return"),
+        comparison("undecided", 0.02, ENDS, of=one_claim, means=MEANS, none_learned=True),
+        comparison("holds", 1.1, (0.3, 2.0), of=one_claim, means=(8.6, 7.5), outcome="final-return"),
     )
     returns = "return 8.6 against 7.5 (0.3 to 2.0)"
     text = ["holds [p]", KILLS, returns, "none beats random"]
-    assert cell(judged(one_claim, text=("supported", "", rows))["text"]).split("\n") == text
+    assert cell(judged(one_claim, text=("holds", "", rows))["text"]).split("\n") == text
 
 
 def test_pairs_are_named_and_arms_are_called_once_a_row() -> None:
     one_claim = claim(**TWO, paired=True)
-    row = comparison("supported", 0.02, ENDS, of=one_claim, means=MEANS, a=("y",), b=("w",))
+    row = comparison("holds", 0.02, ENDS, of=one_claim, means=MEANS, a=("y",), b=("w",))
     assert effect(row) == f"wide, {KILLS}"
     assert compared_text(one_claim) == "new against old"
     assert compared_text(claim(a=("tanh", "wide"), b=(), value=0.2)) == "tanh and wide"
@@ -128,12 +128,12 @@ def test_the_table_is_by_section_and_says_a_sentence_once() -> None:
     """What is like another claim stands in its row, unless it is about the same world or another sentence."""
     sections = {"first": "5.10", "second": "5.9", "third": "6"}
     verdicts = [
-        Verdict(claim(name, section=section, short=name, context=name), "text", "inconclusive", "")
+        Verdict(claim(name, section=section, short=name, context=name), "text", "undecided", "")
         for name, section in sections.items()
     ]
     there = claim("there", like="third", section="6", short="third")
     again = claim("again", like="third", section="6", short="again")
-    verdicts += [Verdict(there, "arena", "refuted", ""), Verdict(again, "text", "supported", "")]
+    verdicts += [Verdict(there, "arena", "does not hold", ""), Verdict(again, "text", "holds", "")]
     ordered = words.verdicts_by_claim(verdicts)
     assert {name: [*worlds] for name, worlds in ordered.items()} == {
         "second": ["text"], "first": ["text"], "third": ["text", "arena"], "again": ["text"],
@@ -154,7 +154,7 @@ def test_one_sentence_has_one_row_with_what_each_list_says_of_it() -> None:
         claim("described", quote=""),
         claim("other", quote="", b=("x",)),
     ]
-    verdicts = [Verdict(one, "text", "supported", "", label="preregistered") for one in claims]
+    verdicts = [Verdict(one, "text", "holds", "", label="preregistered") for one in claims]
     by_claim = words.verdicts_by_claim(verdicts)
     assert words.rows_of_claims(by_claim) == [["first", "again", "described"], ["other"]]
     table = verdict_table(by_claim)
@@ -168,18 +168,18 @@ def test_one_sentence_has_one_row_with_what_each_list_says_of_it() -> None:
 
 def test_a_registered_verdict_is_shown_with_why_it_differs() -> None:
     one_claim = claim(kind="spread")
-    row = comparison("inconclusive", 0.02, ENDS, of=one_claim, means=MEANS, registered_verdict="refuted")
+    row = comparison("undecided", 0.02, ENDS, of=one_claim, means=MEANS, registered_verdict="does not hold")
     for rule_changes, text in (
         ((), ["as registered: does not hold"]),
         (("spread",), ["as registered: does not hold; since then spreads are compared by their ratio"]),
     ):
         contrasts = (replace(row, rule_changes=rule_changes),)
-        verdict = Verdict(one_claim, "text", "inconclusive", "", contrasts, registered_verdict="refuted")
+        verdict = Verdict(one_claim, "text", "undecided", "", contrasts, registered_verdict="does not hold")
         assert words.lines(verdict)[1:] == text
 
 
 def test_the_letter_of_a_label_has_a_star_if_the_claim_was_changed() -> None:
-    verdict = Verdict(claim(), "text", "supported", "", label="same runs as list 3", changed=("seeds",))
+    verdict = Verdict(claim(), "text", "holds", "", label="same runs as list 3", changed=("seeds",))
     assert (words.letter(verdict), words.letter(replace(verdict, changed=()))) == ("3*", "3")
     assert words.registration(verdict) == "same runs as list 3; changed since the first run: seeds"
     assert words.letter(replace(verdict, label="amended")) == "a"
@@ -195,13 +195,11 @@ def test_an_interval_is_drawn_in_margins_and_as_claimed_to_the_right(
     claims = {}
     for name, way in (("one", "greater"), ("two", "less")):
         one_claim = claim(name, section="6.1", short=name, direction=way, margin=0.04)
-        row = comparison("supported", 0.02, ENDS, of=one_claim, means=MEANS)
-        claims[name] = judged(
-            one_claim, text=("supported", "", (row,)), arena=("untestable", "A/A: same", ())
-        )
+        row = comparison("holds", 0.02, ENDS, of=one_claim, means=MEANS)
+        claims[name] = judged(one_claim, text=("holds", "", (row,)), arena=("not tested", "A/A: same", ()))
     one_claim = claim("three", section="6.1", **{**STAY, "margin": np.log(3)})
-    row = comparison("supported", -np.log(3), (-np.log(9), 0.0), of=one_claim, means=(0.2, 0.5))
-    claims["three"] = judged(one_claim, text=("supported", "", (row,)))
+    row = comparison("holds", -np.log(3), (-np.log(9), 0.0), of=one_claim, means=(0.2, 0.5))
+    claims["three"] = judged(one_claim, text=("holds", "", (row,)))
     figures: list[Figure] = []
     monkeypatch.setattr(plt, "close", figures.append)
     (path,), (again,) = (draw_verdicts(claims, tmp_path / name) for name in ("first", "again"))

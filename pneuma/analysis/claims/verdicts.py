@@ -27,20 +27,21 @@ from pneuma.analysis.intervals import NO_BOUNDS, Interval, is_constant
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.store.index import RunIndex
 
-SUPPORTED, REFUTED, MIXED = "supported", "refuted", "mixed"
-INCONCLUSIVE, UNTESTABLE = "inconclusive", "untestable"
+HOLDS, FAILS, UNDECIDED, NOT_TESTED = "holds", "does not hold", "undecided", "not tested"
 DESCRIBED = "described"
 """The verdict on a claim that states no direction."""
 DECIDING_ORDER = {
-    "all": (REFUTED, UNTESTABLE, INCONCLUSIVE, SUPPORTED, DESCRIBED),
-    "one": (SUPPORTED, REFUTED, INCONCLUSIVE, DESCRIBED, UNTESTABLE),
+    "all": (FAILS, NOT_TESTED, UNDECIDED, HOLDS, DESCRIBED),
+    "one": (HOLDS, FAILS, UNDECIDED, DESCRIBED, NOT_TESTED),
 }
 """The first of these that one of several verdicts is decides, if all must be as claimed, or one."""
 
 RARE = 0.1
 """If at most this share of runs has an event, or has it not, that counts as none."""
 AS_CLAIMED_BUT_SMALL = "in the direction claimed, but too small to count"
-"""The reason if a claim is refuted although its interval lies wholly on the claimed side of 0."""
+"""The reason if a claim does not hold although its interval lies wholly on the claimed side of 0."""
+DISAGREE = "its two measures disagree"
+"""The reason if a claim is undecided because one measure speaks for it and another against it."""
 
 PREREGISTERED, AMENDED, DESCRIPTIVE = "preregistered", "amended", "descriptive"
 UNVERIFIED = "unverified"
@@ -85,8 +86,8 @@ class ClaimContrast:
     registered_margin: float | None = None
     runs: Mapping[str, Sequence[str]] = field(default_factory=dict)
     contrast: Contrast = Contrast()
-    verdict: str = UNTESTABLE
-    registered_verdict: str = UNTESTABLE
+    verdict: str = NOT_TESTED
+    registered_verdict: str = NOT_TESTED
     rule_changes: tuple[str, ...] = ()
     none_learned: bool = False
 
@@ -108,8 +109,9 @@ class Verdict:
     """The verdict on a claim in one of `WORLDS`.
 
     Attributes:
-        verdict: supported, refuted, mixed, inconclusive, untestable or described.
-        reason: why it is untestable, what is missing, or `AS_CLAIMED_BUT_SMALL`; empty for a plain result.
+        verdict: `HOLDS`, `FAILS`, `UNDECIDED`, `NOT_TESTED`, or `DESCRIBED` of a claim without a direction.
+        reason: why it is not tested, what is missing, `AS_CLAIMED_BUT_SMALL` or `DISAGREE`; empty for a plain
+            result.
         contrasts: its rows of the table.
         registered_verdict: the verdict by the margins, and the rules, that were registered.
         label: whether it tests: `PREREGISTERED`, `AMENDED`, `DESCRIPTIVE`, `UNVERIFIED`, or on which list's
@@ -190,14 +192,15 @@ def _judge_claim(claim_list: ClaimList, claim_runs: ClaimRuns) -> Verdict:
     for outcome in claim.outcome:
         for pair in claim.pairs(outcome):
             claim_contrasts.append(_judge_contrast(claim_runs, outcome, pair, alpha, changes.rules))
-    word = _of_claim(claim, claim_contrasts, "verdict")
+    verdicts_by_outcome = _verdicts_by_outcome(claim_contrasts, "verdict")
+    word = combine(verdicts_by_outcome, claim.need)
     verdict = Verdict(
         claim=claim,
         world=world,
         verdict=word,
-        reason=_reason(word, claim_contrasts),
+        reason=_reason(word, claim_contrasts, verdicts_by_outcome),
         contrasts=tuple(claim_contrasts),
-        registered_verdict=_of_claim(claim, claim_contrasts, "registered_verdict"),
+        registered_verdict=combine(_verdicts_by_outcome(claim_contrasts, "registered_verdict"), claim.need),
         changed=changes.changed,
         condition_labels=claim_list.studies[claim.study].labels,
     )
@@ -210,12 +213,12 @@ def _judge_claim(claim_list: ClaimList, claim_runs: ClaimRuns) -> Verdict:
     return replace(verdict, label=_label(claim_list, verdict, has_runs=bool(claim_runs.commits)))
 
 
-def _of_claim(claim: Claim, claim_contrasts: Iterable[ClaimContrast], column: str) -> str:
-    """Return the verdict on a claim, by one of the columns of its rows that have verdicts."""
+def _verdicts_by_outcome(claim_contrasts: Iterable[ClaimContrast], column: str) -> list[str]:
+    """Return the verdict on each outcome of a claim, by one of the columns of its rows that have verdicts."""
     verdicts_by_outcome: dict[str, list[str]] = {}
     for claim_contrast in claim_contrasts:
         verdicts_by_outcome.setdefault(claim_contrast.outcome, []).append(getattr(claim_contrast, column))
-    return combine([combine(verdicts, "all") for verdicts in verdicts_by_outcome.values()], claim.need)
+    return [combine(verdicts, "all") for verdicts in verdicts_by_outcome.values()]
 
 
 def _label(claim_list: ClaimList, verdict: Verdict, has_runs: bool) -> str:
@@ -230,13 +233,17 @@ def _label(claim_list: ClaimList, verdict: Verdict, has_runs: bool) -> str:
     return AMENDED if changed else PREREGISTERED
 
 
-def _reason(verdict: str, claim_contrasts: Sequence[ClaimContrast]) -> str:
-    if verdict == UNTESTABLE:  # each part of the reasons once, the command that trains what is missing last
+def _reason(
+    verdict: str, claim_contrasts: Sequence[ClaimContrast], verdicts_by_outcome: Sequence[str]
+) -> str:
+    if verdict == NOT_TESTED:  # each part of the reasons once, the command that trains what is missing last
         reasons = dict.fromkeys(
             "; ".join(claim_contrast.contrast.reason for claim_contrast in claim_contrasts).split("; ")
         )
         return "; ".join(sorted(filter(None, reasons), key=lambda reason: reason.startswith(TRAIN_WITH)))
-    if verdict != REFUTED:
+    if verdict == UNDECIDED and {HOLDS, FAILS} <= {*verdicts_by_outcome}:
+        return DISAGREE
+    if verdict != FAILS:
         return ""
     for claim_contrast in claim_contrasts:
         without_margin = decide(
@@ -244,7 +251,7 @@ def _reason(verdict: str, claim_contrasts: Sequence[ClaimContrast]) -> str:
             claim_contrast.claim.direction_of(claim_contrast.outcome),
             margin=None,
         )
-        if claim_contrast.verdict == REFUTED and without_margin != SUPPORTED:
+        if claim_contrast.verdict == FAILS and without_margin != HOLDS:
             return ""
     return AS_CLAIMED_BUT_SMALL
 
@@ -291,7 +298,7 @@ def _judge_contrast(
         verdict=verdict,
         registered_verdict=registered_verdict,
         rule_changes=tuple(rule_changes),
-        none_learned=verdict != UNTESTABLE and _have_none_learned(claim_runs, outcome, conditions, RULES),
+        none_learned=verdict != NOT_TESTED and _have_none_learned(claim_runs, outcome, conditions, RULES),
     )
 
 
@@ -316,7 +323,7 @@ def _compare(
         kind = DIFFERENCE_OF_SPREADS if claim.kind == "spread" else claim.kind
     contrast = compare(kind, groups_a, groups_b, 1 - planned.alpha, constant, bounds)
     if reason:
-        return Contrast(seeds=contrast.seeds, reason=reason), UNTESTABLE
+        return Contrast(seeds=contrast.seeds, reason=reason), NOT_TESTED
     none_learned = _have_none_learned(claim_runs, outcome, tuple(groups), rules)
     way = claim.direction_of(outcome)
     return contrast, decide(contrast.simultaneous, way, margin, not none_learned, rules)
@@ -412,7 +419,7 @@ def decide(
     is_within = -margin < interval.low and interval.high < margin
     if is_within and not alike_counts:
         if rules == RULES:
-            return INCONCLUSIVE
+            return UNDECIDED
         is_within = False  # before, it counted as a difference
     far_above, far_below = interval.low > margin, interval.high < -margin
     no_less = interval.low > -margin and alike_counts
@@ -425,18 +432,18 @@ def decide(
         "no-less": (no_less, far_below),
     }[claimed]
     if fails:
-        return REFUTED
+        return FAILS
     if holds:
-        return SUPPORTED
-    return INCONCLUSIVE
+        return HOLDS
+    return UNDECIDED
 
 
 def combine(verdicts: Sequence[str], need: str) -> str:
     """Return the verdict on several outcomes, or contrasts of one, of which all or one must be as claimed.
 
-    If one is needed, it supports the claim unless another is refuted, which makes the verdict mixed. What
+    If one is needed, it decides unless another speaks against the claim: then nothing is decided. What
     cannot be tested then decides nothing. A verdict is false only if that on one of the outcomes is.
     """
-    if need == "one" and SUPPORTED in verdicts and REFUTED in verdicts:
-        return MIXED
+    if need == "one" and HOLDS in verdicts and FAILS in verdicts:
+        return UNDECIDED
     return min(verdicts, key=DECIDING_ORDER[need].index)

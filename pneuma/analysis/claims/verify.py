@@ -154,7 +154,6 @@ def _verdict_row(verdict: Verdict) -> dict[str, Any]:
     """Return the row that decides first, with the claim's own verdict and reason, and all its rows."""
     return {
         **_contrast_row(verdict.deciding[0]),
-        "word": words.word(verdict),
         "verdict": verdict.verdict,
         "registered_verdict": verdict.registered_verdict,
         "label": verdict.label,

@@ -18,15 +18,13 @@ from pneuma.analysis.claims.claim_list import Claim
 from pneuma.analysis.claims.contrasts import LOGARITHMIC
 from pneuma.analysis.claims.verdicts import (
     AMENDED,
-    DESCRIBED,
     DESCRIPTIVE,
-    INCONCLUSIVE,
-    MIXED,
+    FAILS,
+    HOLDS,
+    NOT_TESTED,
     PREREGISTERED,
-    REFUTED,
     SINCE_THEN,
-    SUPPORTED,
-    UNTESTABLE,
+    UNDECIDED,
     UNVERIFIED,
     ClaimContrast,
     Verdict,
@@ -35,7 +33,6 @@ from pneuma.analysis.intervals import MOST_DECIMALS, decimals, number_text
 from pneuma.analysis.outcomes import find_outcome
 from pneuma.presets import WORLDS
 
-HOLDS, FAILS, UNDECIDED, NOT_TESTED = "holds", "does not hold", "undecided", "not tested"
 WORDS = {
     HOLDS: "The runs show that the sentence is true.",
     FAILS: "The runs show the opposite, or that the difference is too small to matter.",
@@ -59,10 +56,6 @@ LABELS = {
 }
 """What each label means."""
 _LETTERS = {PREREGISTERED: "p", AMENDED: "a", DESCRIPTIVE: "d", UNVERIFIED: "u"}
-_WORD_OF = {
-    SUPPORTED: HOLDS, REFUTED: FAILS, MIXED: UNDECIDED, INCONCLUSIVE: UNDECIDED, UNTESTABLE: NOT_TESTED,
-    DESCRIBED: DESCRIBED,
-}  # fmt: skip
 
 WORLD_NAMES = {
     name: world.title.removeprefix("the ").removesuffix("'s world") for name, world in WORLDS.items()
@@ -122,7 +115,7 @@ def count_words(by_claim: ByClaim) -> pd.DataFrame:
     words_by_world: dict[str, list[str]] = {world: [] for world in worlds}
     for by_world in by_claim.values():
         for world, verdict in by_world.items():
-            words_by_world[world].append(word(verdict))
+            words_by_world[world].append(verdict.verdict)
     count_rows = [[worlds[world]] + list(map(words_by_world[world].count, WORDS)) for world in worlds]
     return pd.DataFrame(count_rows, columns=[""] + list(WORDS))
 
@@ -195,22 +188,13 @@ def list_and_name(claim: Claim) -> str:
 
 def cell(verdict: Verdict) -> str:
     """Return a verdict's word and label; in the next lines its effects, or why there are none."""
-    return "\n".join([f"{word(verdict)} [{letter(verdict)}]"] + lines(verdict))
-
-
-def word(verdict: Verdict) -> str:
-    return word_of(verdict.verdict)
-
-
-def word_of(verdict: str) -> str:
-    """Return the word for a verdict's code, as of a single contrast."""
-    return _WORD_OF[verdict]
+    return "\n".join([f"{verdict.verdict} [{letter(verdict)}]"] + lines(verdict))
 
 
 def lines(verdict: Verdict) -> list[str]:
     """Return the effect of each outcome if one was tested, then what qualifies it, or why none was tested."""
     cell_lines: list[str] = []
-    if word(verdict) != NOT_TESTED:
+    if verdict.verdict != NOT_TESTED:
         tested_contrasts = [
             claim_contrast for claim_contrast in verdict.deciding if claim_contrast.has_effect
         ]
@@ -223,10 +207,9 @@ def lines(verdict: Verdict) -> list[str]:
                 cell_lines.append(f"{seeds_a} against {seeds_b} runs")
     cell_lines.append(why(verdict))
     if verdict.registered_verdict not in ("", verdict.verdict):
-        registered_word = _WORD_OF[verdict.registered_verdict]
         reasons = " and ".join(SINCE_THEN[rule_change] for rule_change in verdict.rule_changes)
         since_then = f"; since then {reasons}" if reasons else ""
-        cell_lines.append(f"as registered: {registered_word}{since_then}")
+        cell_lines.append(f"as registered: {verdict.registered_verdict}{since_then}")
     return list(filter(None, cell_lines))
 
 
@@ -254,8 +237,6 @@ def why(verdict: Verdict) -> str:
         return "partly trained"
     if verdict.lacks_runs:
         return "not trained yet"
-    if verdict.verdict == MIXED:
-        return "its two measures disagree"
     return verdict.reason.partition(":")[0]
 
 
