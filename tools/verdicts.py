@@ -7,7 +7,7 @@ Its colour is that of its own outcome: a sentence may hold by one outcome and be
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
@@ -27,7 +27,7 @@ from pneuma.analysis.claims.verdicts import (
     ClaimContrast,
     Verdict,
 )
-from pneuma.analysis.claims.words import ByClaim, letter, rows_of_claims, verdict_table, worlds_of
+from pneuma.analysis.claims.words import ByClaim, compared_text, letter, sentence_rows, worlds_of
 from pneuma.figures.origin import line_of_runs, origin_text
 from pneuma.figures.style import GREY, characters, house_style, save_figure
 from pneuma.presets import WORLDS
@@ -64,7 +64,7 @@ class Row:
     sentence: list[str]
     compared: str
     is_apart: bool  # what is compared has a line of its own
-    verdicts: dict[str, list[Verdict]]
+    verdicts: Mapping[str, Sequence[Verdict]]
     top: float
 
     @property
@@ -116,19 +116,14 @@ def _drawn_words(claims: ByClaim) -> set[str]:
 def _rows(claims: ByClaim) -> list[Row]:
     width = characters(TYPE, SENTENCES_INCHES - TEXT_INCHES + 0.15)
     rows: list[Row] = []
-    texts = verdict_table(claims).iloc[:, :2].to_numpy().tolist()
-    for (section, text), claim_names in zip(texts, rows_of_claims(claims), strict=True):
-        verdicts: dict[str, list[Verdict]] = {}
-        for claim_name in claim_names:
-            for world, verdict in claims[claim_name].items():
-                verdicts.setdefault(world, []).append(verdict)
-        sentence, compared = text.rsplit("\n", 1)
+    for sentence_row in sentence_rows(claims):
+        sentence, compared = sentence_row.heading, compared_text(sentence_row.claim)
         top = rows[-1].bottom if rows else 0.0
         while len(wrap(sentence, width)) > MOST_LINES and ". " in sentence:
             sentence = sentence.rpartition(". ")[0] + "."
         wrapped = wrap(sentence, width, max_lines=MOST_LINES, placeholder=" …")
         is_apart = len(wrapped) == 1 or len(f"{wrapped[-1]}  {compared}") > width
-        rows.append(Row(section, wrapped, compared, is_apart, verdicts, top))
+        rows.append(Row(sentence_row.claim.section, wrapped, compared, is_apart, sentence_row.verdicts, top))
     return rows
 
 

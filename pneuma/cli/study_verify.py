@@ -59,20 +59,19 @@ def _show(answer: VerdictsAnswer, in_detail: bool) -> Iterator[str | Table]:
     """Yield the claims one below the other, and what must be known to read them."""
     from pneuma.analysis.claims import words
 
-    table, counts = answer.cells
     worlds = words.worlds_of(answer.verdicts)
     for line in answer.heading:
         yield from _indented(line, "")
     yield ""
-    rows = words.rows_of_claims(answer.verdicts)
-    for claim_names, (section, heading) in zip(rows, table.iloc[:, :2].to_numpy(), strict=True):
-        for place, claim_name in enumerate(claim_names):
+    for row in words.sentence_rows(answer.verdicts):
+        for place, claim_name in enumerate(row.claims):
             by_world = answer.verdicts[claim_name]
             claim = next(iter(by_world.values())).claim
             if place == 0:
-                yield f"{claim_name} (section {section})" if section else claim_name
-                for heading_line in heading.removeprefix(f"{claim_name}\n").split("\n"):
-                    yield from _indented(heading_line, "  ")
+                yield f"{claim_name} (section {claim.section})" if claim.section else claim_name
+                if row.heading != claim_name:
+                    yield from _indented(row.heading, "  ")
+                yield from _indented(words.compared_text(claim), "  ")
             else:  # another claim on the same sentence
                 yield from _indented(f"{words.list_and_name(claim)}: {claim.context}", "  ")
             for world, verdict in by_world.items():
@@ -83,7 +82,7 @@ def _show(answer: VerdictsAnswer, in_detail: bool) -> Iterator[str | Table]:
                 for detail in words.details(verdict) if in_detail else words.remedy(verdict):
                     yield from _indented(detail, "      ")
         yield ""
-    yield frame_table(counts)
+    yield frame_table(answer.cells[1])
     yield ""
     yield from answer.legend
 

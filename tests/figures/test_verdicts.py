@@ -156,7 +156,8 @@ def test_one_sentence_has_one_row_with_what_each_list_says_of_it() -> None:
     ]
     verdicts = [Verdict(one, "text", "holds", "", label="preregistered") for one in claims]
     by_claim = words.verdicts_by_claim(verdicts)
-    assert words.rows_of_claims(by_claim) == [["first", "again", "described"], ["other"]]
+    rows = words.sentence_rows(by_claim)
+    assert [row.claims for row in rows] == [("first", "again", "described"), ("other",)]
     table = verdict_table(by_claim)
     assert table["text"].tolist() == [
         "first list, first: holds [p]\nsecond list, again: holds [p]\ndescribed: holds [p]", "holds [p]",

@@ -1,6 +1,6 @@
 """Verdicts in plain words: the thesis's sentence, a word for each world, and the effect in plain units.
 
-    [Verdict] → `verdict_table`, which pages, pictures, the report and `pneuma study verify` show
+    [Verdict] → [SentenceRow] → `verdict_table`; pages, pictures, report and `study verify` show these
 
 `docs/claims.md` explains how the words come from what the judge decides.
 """
@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from textwrap import shorten
 
 import pandas as pd
@@ -120,12 +121,32 @@ def count_words(by_claim: ByClaim) -> pd.DataFrame:
     return pd.DataFrame(count_rows, columns=[""] + list(WORDS))
 
 
-def rows_of_claims(by_claim: ByClaim) -> list[list[str]]:
-    """Return the names of the claims in each row of a table: one row for each sentence, or part of one.
+@dataclass(frozen=True)
+class SentenceRow:
+    """A row of a table of verdicts: a sentence of the thesis, or a part of one, or a claim without a quote.
+
+    Attributes:
+        heading: the sentence, if no row above has it; else what distinguishes the claim.
+        claims: the names of the claims on it.
+        verdicts: those in each world.
+    """
+
+    heading: str
+    claims: tuple[str, ...]
+    verdicts: Mapping[str, Sequence[Verdict]]
+
+    @property
+    def claim(self) -> Claim:
+        """The first of its claims."""
+        return next(iter(self.verdicts.values()))[0].claim
+
+
+def sentence_rows(by_claim: ByClaim) -> list[SentenceRow]:
+    """Return the rows of a table of verdicts.
 
     A claim without a quote stands with an earlier one that compares the same conditions of the same study.
     """
-    rows: dict[tuple[str, ...], list[str]] = {}
+    claims_by_row: dict[tuple[str, ...], list[str]] = {}
     quoted_rows: dict[tuple[object, ...], tuple[str, ...]] = {}
     for claim_name, by_world in by_claim.items():
         claim = next(iter(by_world.values())).claim
@@ -135,34 +156,37 @@ def rows_of_claims(by_claim: ByClaim) -> list[list[str]]:
             quoted_rows.setdefault(compared, row_key)
         else:
             row_key = quoted_rows.get(compared, (claim_name,))
-        rows.setdefault(row_key, []).append(claim_name)
-    return list(rows.values())
+        claims_by_row.setdefault(row_key, []).append(claim_name)
+    rows: list[SentenceRow] = []
+    quoted_sentences = {""}
+    for claim_names in claims_by_row.values():
+        verdicts: dict[str, list[Verdict]] = {}
+        for claim_name in claim_names:
+            for world, verdict in by_claim[claim_name].items():
+                verdicts.setdefault(world, []).append(verdict)
+        claim = next(iter(by_claim[claim_names[0]].values())).claim
+        sentence_text = short_sentence(claim)
+        heading = claim.context or claim_names[0]
+        if sentence_text not in quoted_sentences:
+            heading = f"“{sentence_text}”"
+            quoted_sentences.add(sentence_text)
+        rows.append(SentenceRow(heading, tuple(claim_names), verdicts))
+    return rows
 
 
 def verdict_table(by_claim: ByClaim) -> pd.DataFrame:
     """Return a row for each sentence: section, sentence, conditions, and for each world words and effects."""
-    worlds = worlds_of(by_claim)
+    worlds, rows = worlds_of(by_claim), sentence_rows(by_claim)
     verdict_rows: list[list[str]] = []
-    quoted_sentences: set[str] = set()
-    for claim_names in rows_of_claims(by_claim):
-        claim = next(iter(by_claim[claim_names[0]].values())).claim
-        sentence_text = short_sentence(claim)
-        heading = claim.context or claim_names[0]
-        if sentence_text and sentence_text not in quoted_sentences:
-            heading = f"“{sentence_text}”"
-            quoted_sentences.add(sentence_text)
-        verdict_row = [claim.section, f"{heading}\n{compared_text(claim)}"]
-        for world in worlds:
-            verdicts = [by_claim[name][world] for name in claim_names if world in by_claim[name]]
-            verdict_row.append("\n".join(_cells(verdicts)) or "–")
+    for row in rows:
+        verdict_row = [row.claim.section, f"{row.heading}\n{compared_text(row.claim)}"]
+        verdict_row += ["\n".join(_cells(row.verdicts.get(world, ()))) or "–" for world in worlds]
         verdict_rows.append(verdict_row)
-    columns = ["Section", "The thesis's sentence"] + list(worlds.values())
-    if not quoted_sentences:
-        columns[1] = "Claim"
-    return pd.DataFrame(verdict_rows, columns=columns)
+    heading = "The thesis's sentence" if any(short_sentence(row.claim) for row in rows) else "Claim"
+    return pd.DataFrame(verdict_rows, columns=["Section", heading, *worlds.values()])
 
 
-def _cells(verdicts: list[Verdict]) -> list[str]:
+def _cells(verdicts: Sequence[Verdict]) -> list[str]:
     """Return the cell of each verdict; with the claim's list and name if there are several.
 
     Claims of one list that are not trained yet stand together.
