@@ -207,7 +207,7 @@ def _in_margins(row: ClaimContrast) -> tuple[float, float, float]:
 def _scale(row: ClaimContrast) -> float:
     """Return the margin, negative if the sentence says less; 0 without a margin."""
     margin = row.claim.margin_of(row.world, row.outcome) or 0.0
-    return -margin if row.claim.direction_of(row.outcome) == "less" else margin
+    return -margin if row.direction == "less" else margin
 
 
 def _draw_legend(figure: Figure, words: set[str]) -> None:

@@ -147,17 +147,17 @@ def contrasts() -> list[Planned]:
             for world in claim.worlds:
                 study = claim_list.studies[claim.study].in_world(world)
                 claim_runs = find_claim_runs(index, study, claim)
-                alpha = claim_list.head.alpha / claim_list.family_size(world, claim.study)
-                for outcome in claim.outcome:
-                    low, high = find_outcome(outcome).bounds
-                    if outcome.startswith("steps-to"):
+                for row in claim_list.contrasts_of(claim, world):
+                    low, high = find_outcome(row.outcome).bounds
+                    if row.outcome.startswith("steps-to"):
                         high = float(claim.steps)
-                    if outcome == "late-fall":  # the difference of two shares
+                    if row.outcome == "late-fall":  # the difference of two shares
                         low = -high
-                    for a, b in claim.pairs(outcome):
-                        published = {name: values_of(claim_runs, outcome, name) for name in (*a, *b)}
-                        bounds = (low, high) if np.isfinite([low, high]).all() else (-np.inf, np.inf)
-                        planned.append(Planned(claim, world, outcome, a, b, alpha, published, bounds))
+                    published = {name: values_of(claim_runs, row.outcome, name) for name in row.conditions}
+                    bounds = (low, high) if np.isfinite([low, high]).all() else (-np.inf, np.inf)
+                    planned.append(
+                        Planned(claim, world, row.outcome, row.a, row.b, row.alpha, published, bounds)
+                    )
     return [
         one
         for one in planned

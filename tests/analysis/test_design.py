@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from pneuma.analysis.claims.claim_list import load_claims
-from pneuma.analysis.claims.design import PlannedContrast, plan_contrasts
+from pneuma.analysis.claims.design import ContrastDesign, design_contrast
 from pneuma.analysis.intervals import incidence_interval
 
 from ..cli.calls import described, printed, refused
@@ -18,11 +18,11 @@ from .claim_files import changed, write_files
 EVENT = (('outcome = "final-share-killed"', 'outcome = "collapsed"\nabove = 0.5'), ('"mean"', '"incidence"'))
 
 
-def plan_of(folder: Path, *changes: tuple[str, str], seeds: int | str = 50) -> PlannedContrast:
+def plan_of(folder: Path, *changes: tuple[str, str], seeds: int | str = 50) -> ContrastDesign:
     text = changed(*changes).replace("seeds = 8", f"seeds = {seeds}")
     claim_list = load_claims(write_files(folder, text))
-    (plan,) = plan_contrasts(claim_list, claim_list.claims["better"], "text")
-    return plan
+    (planned,) = claim_list.contrasts_of(claim_list.claims["better"], "text")
+    return design_contrast(planned)
 
 
 def test_the_half_width_of_means_is_welchs(tmp_path: Path) -> None:

@@ -42,7 +42,8 @@ def comparison(
     }
     place = "text", where["outcome"]
     planned: dict[str, Any] = {"value": one_claim.value_of(*place), "margin": one_claim.margin_of(*place)}
-    return ClaimContrast(one_claim, **where, **planned, contrast=contrast, verdict=verdict)
+    planned["direction"] = one_claim.direction_of(where["outcome"])
+    return ClaimContrast(claim=one_claim, **where, **planned, contrast=contrast, verdict=verdict)
 
 
 def judged(one_claim: Claim, **verdicts: tuple[str, str, tuple[ClaimContrast, ...]]) -> dict[str, Verdict]:

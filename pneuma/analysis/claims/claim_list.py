@@ -298,6 +298,45 @@ class ClaimsFile(Table):
     claims: Annotated[dict[str, dict[str, Any]], Field(min_length=1)]
 
 
+@dataclass(frozen=True, kw_only=True)
+class PlannedContrast:
+    """A row of a list's table of contrasts: what a claim compares in a world by one of its outcomes.
+
+    Attributes:
+        a, b: the conditions that are compared, several for a range; b is empty if there is a value.
+        value: a constant, or another outcome of the same runs, that a is compared with.
+        direction: what is claimed of a minus b.
+        alpha: the contrast's part of the list's error rate in the world.
+        margin: the smallest difference that counts; None against a constant, which is itself what counts.
+        registered_margin: the one that was stated before the first run.
+        interim_margin: the one that was stated while runs were trained.
+    """
+
+    claim: Claim
+    world: str
+    outcome: str
+    a: tuple[str, ...]
+    b: tuple[str, ...]
+    value: float | str | None = None
+    direction: str = ""
+    alpha: float = 1.0
+    margin: float | None = None
+    registered_margin: float | None = None
+    interim_margin: float | None = None
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(self.a + self.b))
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """What is compared, as text; b may be a number or an outcome."""
+        b = ", ".join(self.b) or str(self.value)
+        if isinstance(self.value, float):
+            b = f"{self.value:g}"
+        return ", ".join(self.a), b
+
+
 @dataclass(frozen=True)
 class ClaimList:
     """All claims of a file, which are judged together.
@@ -312,6 +351,34 @@ class ClaimList:
     claims: Mapping[str, Claim]
     studies: Mapping[str, Study]
     head: ListHead = ListHead()
+
+    def contrasts_of(self, claim: Claim, world: str) -> list[PlannedContrast]:
+        """Return the rows of a claim in a world: one for each outcome and pair of conditions."""
+        alpha = self.head.alpha / self.family_size(world, claim.study)
+        planned: list[PlannedContrast] = []
+        for outcome in claim.outcome:
+            for a, b in claim.pairs(outcome):
+                value = None if b else claim.value_of(world, outcome)
+                margin = claim.margin_of(world, outcome)
+                registered_margin = claim.registered_margin_of(world, outcome)
+                if value and not isinstance(value, str):
+                    margin = registered_margin = None
+                planned.append(
+                    PlannedContrast(
+                        claim=claim,
+                        world=world,
+                        outcome=outcome,
+                        a=a,
+                        b=b,
+                        value=value,
+                        direction=claim.direction_of(outcome),
+                        alpha=alpha,
+                        margin=margin,
+                        registered_margin=registered_margin,
+                        interim_margin=claim.interim_margin_of(world, outcome),
+                    )
+                )
+        return planned
 
     def family_size(self, world: str, study: str) -> int:
         """Return the number of contrasts that are corrected together, with or without runs (Bonferroni).

@@ -1,6 +1,6 @@
 """What the planned seeds of claims can decide, before there is any run.
 
-    ClaimList → a row for each contrast: the expected half width of its interval, and its margin
+    PlannedContrast → ContrastDesign: the expected half width of its interval, and its margin
 
 The interval is made by the code that judges, of runs that do not differ: normal ones with a standard
 deviation of 1, or runs half of which have the event. A claim states no spread, so that the half width of
@@ -10,7 +10,7 @@ means is in standard deviations; margin / half width is the largest one with whi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ import pandas as pd
 from scipy import special
 
 from pneuma.analysis.answer import Answer
-from pneuma.analysis.claims.claim_list import Claim, ClaimList, Pair
+from pneuma.analysis.claims.claim_list import PlannedContrast
 from pneuma.analysis.claims.contrasts import LOGARITHMIC, compare
 from pneuma.analysis.claims.verify import list_row, selected_claims
 
@@ -30,29 +30,19 @@ WITHOUT_UNIT = ("incidence", *LOGARITHMIC)
 """Kinds whose interval does not depend on how far runs spread."""
 
 
-@dataclass(frozen=True)
-class PlannedContrast:
-    """A contrast of a claim in a world, without runs.
+@dataclass(frozen=True, kw_only=True)
+class ContrastDesign(PlannedContrast):
+    """What the planned seeds can show of a contrast.
 
     Attributes:
-        a, b: the conditions that are compared; b is empty if a is compared with a number or another outcome.
         seeds: planned for each condition of a, then of b.
-        alpha: the contrast's part of the list's error rate in the world.
         half_width: of its interval; in standard deviations of runs, but of an incidence a share of runs, and
             of a hazard or a spread the logarithm of a ratio. NaN if so few runs have no interval.
-        margin: the smallest difference that counts, in the outcome's unit; None without one.
         reason: why the seeds cannot decide it; empty if they can, with runs that spread little enough.
     """
 
-    claim: Claim
-    world: str
-    outcome: str
-    a: tuple[str, ...]
-    b: tuple[str, ...]
     seeds: tuple[int, ...]
-    alpha: float
     half_width: float
-    margin: float | None
     reason: str
 
     @property
@@ -63,48 +53,26 @@ class PlannedContrast:
         return self.margin / self.half_width
 
 
-def plan_contrasts(claim_list: ClaimList, claim: Claim, world: str) -> Iterator[PlannedContrast]:
-    """Yield the contrasts of a claim of a list in a world."""
-    alpha = claim_list.head.alpha / claim_list.family_size(world, claim.study)
-    for outcome in claim.outcome:
-        for pair in claim.pairs(outcome):
-            yield _plan_contrast(claim, world, outcome, pair, alpha)
-
-
-def _plan_contrast(claim: Claim, world: str, outcome: str, pair: Pair, alpha: float) -> PlannedContrast:
-    a, b = pair
+def design_contrast(planned: PlannedContrast) -> ContrastDesign:
+    """Return what the planned seeds of a contrast can show."""
+    claim, a, b, margin = planned.claim, planned.a, planned.b, planned.margin
     seeds = {condition: len(claim.seeds_of(condition)) for condition in a + b}
-    value = None if b else claim.value_of(world, outcome)
-    margin = claim.margin_of(world, outcome)
     constant, share = 0.0, EVENT_SHARE
-    if value and not isinstance(value, str):
-        margin = None  # the constant is itself what counts
-        if claim.is_incidence:
-            constant = share = value
+    if isinstance(planned.value, float) and planned.value and claim.is_incidence:
+        constant = share = planned.value
     expected = {condition: _expected_runs(claim.kind, count, share) for condition, count in seeds.items()}
     contrast = compare(
         claim.kind,
         {condition: expected[condition] for condition in a},
         {condition: expected[condition] for condition in b},
-        1 - alpha,
+        1 - planned.alpha,
         constant,
     )
     half_width = (contrast.simultaneous.high - contrast.simultaneous.low) / 2
     reason = contrast.reason
     if not reason and margin is not None and claim.kind in WITHOUT_UNIT and half_width > margin:
         reason = f"{sum(seeds.values())} runs tell it to ±{half_width:.3g} only"
-    return PlannedContrast(
-        claim=claim,
-        world=world,
-        outcome=outcome,
-        a=a,
-        b=b,
-        seeds=tuple(seeds.values()),
-        alpha=alpha,
-        half_width=half_width,
-        margin=margin,
-        reason=reason,
-    )
+    return ContrastDesign(**vars(planned), seeds=tuple(seeds.values()), half_width=half_width, reason=reason)
 
 
 def _expected_runs(kind: str, count: int, share: float) -> np.ndarray:
@@ -138,22 +106,22 @@ def design(
         The table `design` has a row for each claim, world, outcome and pair of conditions.
     """
     claim_lists, is_selected = selected_claims(claims_path, claim_names, world)
-    planned: list[PlannedContrast] = []
+    designs: list[ContrastDesign] = []
     for claim_list in claim_lists:
         for claim in claim_list.claims.values():
             for claim_world in claim.worlds:
                 if is_selected(claim, claim_world):
-                    planned += plan_contrasts(claim_list, claim, claim_world)
+                    designs += map(design_contrast, claim_list.contrasts_of(claim, claim_world))
     return Answer(
         title="",
         about={"lists": list(map(list_row, claim_lists))},
-        tables={"design": pd.DataFrame(map(_row, planned))},
-        cells=[pd.DataFrame(map(_cells, planned))],
+        tables={"design": pd.DataFrame(map(_row, designs))},
+        cells=[pd.DataFrame(map(_cells, designs))],
         legend=LEGEND,
     )
 
 
-def _row(contrast: PlannedContrast) -> dict[str, Any]:
+def _row(contrast: ContrastDesign) -> dict[str, Any]:
     return {
         "claim": contrast.claim.name,
         "world": contrast.world,
@@ -169,7 +137,7 @@ def _row(contrast: PlannedContrast) -> dict[str, Any]:
     }
 
 
-def _cells(contrast: PlannedContrast) -> dict[str, str]:
+def _cells(contrast: ContrastDesign) -> dict[str, str]:
     half_width = margin = "–"
     decided = contrast.reason
     if contrast.half_width == contrast.half_width:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pneuma.analysis.claims.claim_list import RULES, Claim, ClaimList, Pair
+from pneuma.analysis.claims.claim_list import RULES, Claim, ClaimList, PlannedContrast
 from pneuma.analysis.claims.contrasts import DIFFERENCE_OF_SPREADS, Contrast, compare
 from pneuma.analysis.claims.fixed_runs import TRAIN_WITH, ClaimRuns, find_claim_runs
 from pneuma.analysis.claims.history import AMOUNT_KEYS, RULES_KEY, find_changes
@@ -58,15 +58,11 @@ SINCE_THEN = {
 """How the rules of the judge differ since version 6, by short names."""
 
 
-@dataclass(frozen=True)
-class ClaimContrast:
-    """A row of the table: a contrast of a claim in a world, and the verdict on it alone.
+@dataclass(frozen=True, kw_only=True)
+class ClaimContrast(PlannedContrast):
+    """A row of the table of contrasts with what the runs show, and the verdict on it alone.
 
     Attributes:
-        a, b: the conditions that are compared, several for a range; b is empty if there is a value.
-        value: a constant, or another outcome of the same runs, that a is compared with.
-        alpha: the contrast's part of the list's error rate in the world.
-        margin: the smallest difference that counts; None against a constant, which is itself what counts.
         runs: the ids of the runs that were read, by condition.
         contrast: what the runs show; its reason is not empty if nothing can be concluded.
         registered_verdict: the same by the margin, and the rules, that were registered.
@@ -75,29 +71,12 @@ class ClaimContrast:
             counts for nothing.
     """
 
-    claim: Claim
-    world: str
-    outcome: str
-    a: tuple[str, ...]
-    b: tuple[str, ...]
-    value: float | str | None = None
-    alpha: float = 1.0
-    margin: float | None = None
-    registered_margin: float | None = None
     runs: Mapping[str, Sequence[str]] = field(default_factory=dict)
     contrast: Contrast = Contrast()
     verdict: str = NOT_TESTED
     registered_verdict: str = NOT_TESTED
     rule_changes: tuple[str, ...] = ()
     none_learned: bool = False
-
-    @property
-    def names(self) -> tuple[str, str]:
-        """What is compared, as text; b may be a number or an outcome."""
-        b = ", ".join(self.b) or str(self.value)
-        if isinstance(self.value, float):
-            b = f"{self.value:g}"
-        return ", ".join(self.a), b
 
     @property
     def has_effect(self) -> bool:
@@ -186,12 +165,11 @@ def judge(
 def _judge_claim(claim_list: ClaimList, claim_runs: ClaimRuns) -> Verdict:
     """Return the verdict on a claim of a list in one world by its runs."""
     claim, world = claim_runs.claim, claim_runs.world
-    alpha = claim_list.head.alpha / claim_list.family_size(world, claim.study)
     changes = find_changes(claim_list, claim, world, claim_runs.commits)
-    claim_contrasts: list[ClaimContrast] = []
-    for outcome in claim.outcome:
-        for pair in claim.pairs(outcome):
-            claim_contrasts.append(_judge_contrast(claim_runs, outcome, pair, alpha, changes.rules))
+    claim_contrasts = [
+        _judge_contrast(claim_runs, planned, changes.rules)
+        for planned in claim_list.contrasts_of(claim, world)
+    ]
     verdicts_by_outcome = _verdicts_by_outcome(claim_contrasts, "verdict")
     word = combine(verdicts_by_outcome, claim.need)
     verdict = Verdict(
@@ -246,11 +224,7 @@ def _reason(
     if verdict != FAILS:
         return ""
     for claim_contrast in claim_contrasts:
-        without_margin = decide(
-            claim_contrast.contrast.simultaneous,
-            claim_contrast.claim.direction_of(claim_contrast.outcome),
-            margin=None,
-        )
+        without_margin = decide(claim_contrast.contrast.simultaneous, claim_contrast.direction, margin=None)
         if claim_contrast.verdict == FAILS and without_margin != HOLDS:
             return ""
     return AS_CLAIMED_BUT_SMALL
@@ -259,39 +233,21 @@ def _reason(
 # --- Contrasts -----------------------------------------------------------------------------------
 
 
-def _judge_contrast(
-    claim_runs: ClaimRuns, outcome: str, pair: Pair, alpha: float, registered_rules: int
-) -> ClaimContrast:
-    claim, world, (a, b) = claim_runs.claim, claim_runs.world, pair
-    value = None if b else claim.value_of(world, outcome)
-    margin, registered_margin = claim.margin_of(world, outcome), claim.registered_margin_of(world, outcome)
-    if value and not isinstance(value, str):
-        margin = registered_margin = None  # the constant is itself what counts
-    conditions = tuple(dict.fromkeys(a + b))
+def _judge_contrast(claim_runs: ClaimRuns, planned: PlannedContrast, registered_rules: int) -> ClaimContrast:
+    claim, conditions, outcome, value = planned.claim, planned.conditions, planned.outcome, planned.value
     run_ids: dict[str, list[str]] = {}
     for condition in conditions:
         run_ids[condition] = [row.run_id for row in claim_runs.data.of_condition(condition)]
-    claim_contrast = ClaimContrast(
-        claim=claim,
-        world=world,
-        outcome=outcome,
-        a=a,
-        b=b,
-        value=value,
-        alpha=alpha,
-        margin=margin,
-        registered_margin=registered_margin,
-        runs=run_ids,
-    )
+    claim_contrast = ClaimContrast(**vars(planned), runs=run_ids)
     compared_outcomes = [outcome, value] if isinstance(value, str) else [outcome]
     reason = claim.not_tested or claim_runs.why_incomparable(compared_outcomes, conditions)
     if reason:
         return replace(claim_contrast, contrast=Contrast(reason=reason))
-    contrast, verdict = _compare(claim_runs, claim_contrast, margin, RULES)
-    _, registered_verdict = _compare(claim_runs, claim_contrast, registered_margin, registered_rules)
+    contrast, verdict = _compare(claim_runs, planned, planned.margin, RULES)
+    _, registered_verdict = _compare(claim_runs, planned, planned.registered_margin, registered_rules)
     rule_changes: list[str] = []
     if registered_rules < RULES:
-        rule_changes = _rule_changes(claim_runs, claim_contrast)
+        rule_changes = _rule_changes(claim_runs, planned)
     return replace(
         claim_contrast,
         contrast=contrast,
@@ -303,11 +259,11 @@ def _judge_contrast(
 
 
 def _compare(
-    claim_runs: ClaimRuns, planned: ClaimContrast, margin: float | None, rules: int
+    claim_runs: ClaimRuns, planned: PlannedContrast, margin: float | None, rules: int
 ) -> tuple[Contrast, str]:
     """Return what finished runs show of a planned contrast, and the verdict on it, by some rules."""
     claim, outcome, constant = planned.claim, planned.outcome, planned.value or 0.0
-    groups = {condition: claim_runs.values(outcome, condition, rules) for condition in planned.runs}
+    groups = {condition: claim_runs.values(outcome, condition, rules) for condition in planned.conditions}
     reason = _why_untestable(claim_runs, outcome, groups, margin, rules)
     groups_a = {condition: groups[condition] for condition in planned.a}
     groups_b = {condition: groups[condition] for condition in planned.b}
@@ -325,13 +281,13 @@ def _compare(
     if reason:
         return Contrast(seeds=contrast.seeds, reason=reason), NOT_TESTED
     none_learned = _have_none_learned(claim_runs, outcome, tuple(groups), rules)
-    way = claim.direction_of(outcome)
-    return contrast, decide(contrast.simultaneous, way, margin, not none_learned, rules)
+    decided = decide(contrast.simultaneous, planned.direction, margin, not none_learned, rules)
+    return contrast, decided
 
 
-def _rule_changes(claim_runs: ClaimRuns, planned: ClaimContrast) -> list[str]:
+def _rule_changes(claim_runs: ClaimRuns, planned: PlannedContrast) -> list[str]:
     """Return the keys of `SINCE_THEN` that concern a contrast."""
-    claim, outcome, conditions = planned.claim, planned.outcome, tuple(planned.runs)
+    claim, outcome, conditions = planned.claim, planned.outcome, planned.conditions
     rule_changes: list[str] = []
     if claim.kind == "spread":
         rule_changes.append("spread")

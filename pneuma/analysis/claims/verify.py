@@ -181,9 +181,7 @@ def _contrast_row(claim_contrast: ClaimContrast) -> dict[str, Any]:
         "alpha": claim_contrast.alpha,
         "margin": claim_contrast.margin,
         "registered_margin": claim_contrast.registered_margin,
-        "interim_margin": claim_contrast.claim.interim_margin_of(
-            claim_contrast.world, claim_contrast.outcome
-        ),
+        "interim_margin": claim_contrast.interim_margin,
         "effect": contrast.effect,
         "mean_a": contrast.means[0],
         "mean_b": contrast.means[1],
