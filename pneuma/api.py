@@ -1,5 +1,6 @@
 """The functions that scripts, notebooks and the command line call.
 
+    new_study(name)       copies a shipped study to a file of your own
     run_study(study)      trains what is missing, and opens it: `plan_study`, `train_plan`, `open_data`
     open_data(study)      a study's data, for `pneuma.analysis`
     check_study(study)    trains published runs again and compares them to the last bit: `check_runs`
@@ -17,6 +18,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -25,14 +27,15 @@ from typing import TYPE_CHECKING, Any
 
 from pneuma.config import WORLD_FIELDS, Run, as_fields, is_gymnasium_id, make_run
 from pneuma.env.fields import ENVIRONMENTS, make_env_config, read_field
-from pneuma.errors import Message, Say, UserError, counted, silent
+from pneuma.errors import Message, Say, UserError, counted, silent, unknown_name
+from pneuma.files import create_whole, write_error
 from pneuma.schema import normalize, read_toml
 from pneuma.seeds import read_seeds
 from pneuma.store.last_queries import on_top_of_last
 from pneuma.store.provenance import available_cores, project
 from pneuma.store.store import Store
 from pneuma.store.stored_runs import find_trained, stored_run, trusted_settings
-from pneuma.study import plan, spec
+from pneuma.study import plan, shipped, spec
 from pneuma.study.identity import describe_user_code, user_files
 from pneuma.training import execute
 from pneuma.training.executors.base import ExecutorConfig
@@ -49,6 +52,42 @@ if TYPE_CHECKING:
     from pneuma.engines.sb3_open import LearnedPolicy
 
 Where = str | os.PathLike[str]
+
+
+def new_study(name: str, source: str = "activation") -> Path:
+    """Copy a shipped study to NAME.toml in this folder, to edit, with the module that it needs.
+
+    Args:
+        name: the new study's name.
+        source: the shipped study.
+
+    Returns:
+        The file's path, which `run_study` takes.
+
+    Raises:
+        UserError: for a name that is taken or not allowed, or an unknown source.
+    """
+    if not re.fullmatch(r"[\w-]+", name):
+        raise UserError(f"{name}: a study's name may only have letters, digits, - and _")
+    path, folder = Path(f"{name}.toml"), shipped.studies_folder()
+    shipped.refuse_taken_name(path, folder / path.name, "study")
+    if path.exists():
+        raise UserError(f"{path}: already exists; choose another name")
+    if source not in shipped.list_studies():
+        raise unknown_name("shipped study", source, shipped.list_studies())
+    toml = (folder / f"{source}.toml").read_text(encoding="utf-8")
+    toml = re.sub(r'^about = """(?s:.*?)"""\n|^(section|figure) = .*\n|\A(#.*\n)+', "", toml, flags=re.M)
+    toml = re.sub(r"^title = .*$", f'title = "{name}"', toml, flags=re.M)
+    toml = f"# From the study {source}. docs/studies.md lists what can be set.\n{toml}"
+    try:
+        create_whole(path, toml.encode())
+        for module in re.findall(r'"(\w+):\w+"', toml):  # its files are in its folder
+            source_file = folder / f"{module}.py"
+            if source_file.is_file():
+                create_whole(path.with_name(source_file.name), source_file.read_bytes())
+    except OSError as error:
+        raise write_error(path, error) from None
+    return path
 
 
 def run_study(

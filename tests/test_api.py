@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pneuma.api import evaluate, load_policy
+from pneuma.api import evaluate, load_policy, new_study
 from pneuma.config import make_run, stream_seed
 from pneuma.engines.policy import Policy
 from pneuma.engines.records import EVALUATION_COLUMNS, VALUE_COLUMNS
@@ -83,6 +83,19 @@ def test_the_pages_python_runs_on_stored_runs(tmp_path: Path, monkeypatch: pytes
     exec(code, names)
     assert list(names["curve"].frame("ci")) == ["x", "mean", "low", "high", "runs"]
     assert len([*Path("figures").iterdir()]) == 3
+
+
+def test_a_shipped_study_is_copied_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the module of its reward; a file that is there stays as it is."""
+    monkeypatch.chdir(tmp_path)
+    path = new_study("mine", "betas-and-units")
+    assert str(path) == "mine.toml" and load_study(str(path)).title == "mine"
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["mine.toml", "reward_scale.py"]
+    with pytest.raises(UserError, match="mine.toml: already exists"):
+        new_study("mine")
+    with pytest.raises(UserError, match="activation.toml: this is the name of a shipped study"):
+        new_study("activation")
+    assert path.read_text().startswith("# From the study betas-and-units.")
 
 
 @pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # of the figure that a notebook shows

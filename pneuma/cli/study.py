@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Any
 
 from pneuma.analysis.answer import Answer
 from pneuma.cli import delete, study_answers, study_check, study_files, study_run, study_verify
 from pneuma.cli import options as opt
-from pneuma.cli.output import Result, Table, answer_result, frame_table, listed_result, say, write_file
+from pneuma.cli.output import Result, Table, answer_result, frame_table, listed_result, say
 from pneuma.config import effective_fields, is_gymnasium_id
-from pneuma.errors import UserError, unknown_name
-from pneuma.files import create_whole
 from pneuma.seeds import format_seeds
 from pneuma.store.store import Store
 from pneuma.study import shipped, spec
@@ -47,22 +43,9 @@ def new(
     source: Annotated[str, opt.option("STUDY", "The shipped study to copy.", name="--from")] = "activation",
 ) -> Result:
     """Copy a shipped study to NAME.toml in this folder, to edit."""
-    if not re.fullmatch(r"[\w-]+", name):
-        raise UserError(f"{name}: a study's name may only have letters, digits, - and _")
-    path, folder = Path(f"{name}.toml"), shipped.studies_folder()
-    shipped.refuse_taken_name(path, folder / path.name, "study")
-    if path.exists():
-        raise UserError(f"{path}: already exists; choose another name")
-    if source not in shipped.list_studies():
-        raise unknown_name("shipped study", source, shipped.list_studies())
-    toml = (folder / f"{source}.toml").read_text(encoding="utf-8")
-    toml = re.sub(r'^about = """(?s:.*?)"""\n|^(section|figure) = .*\n|\A(#.*\n)+', "", toml, flags=re.M)
-    toml = re.sub(r"^title = .*$", f'title = "{name}"', toml, flags=re.M)
-    write_file(path, f"# From the study {source}. docs/studies.md lists what can be set.\n{toml}".encode())
-    for module in re.findall(r'"(\w+):\w+"', toml):  # its files are in its folder
-        source_file = folder / f"{module}.py"
-        if source_file.is_file():
-            create_whole(path.with_name(source_file.name), source_file.read_bytes())
+    from pneuma import api
+
+    path = api.new_study(name, source)
     return Result({"file": path}, [f"wrote {path}: edit it, then run: pneuma study run {path}"])
 
 
