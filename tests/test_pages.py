@@ -24,6 +24,7 @@ from pneuma.config import ACTIVATIONS
 from pneuma.errors import UserError
 from pneuma.search.samplers import PRUNERS, SAMPLERS
 from pneuma.search.spec import load_search
+from pneuma.store.quantities import ACTION_QUANTITIES, CURVE_QUANTITIES
 from pneuma.study.spec import load_study
 from tools.pages import PAGES, ROOT, renewed, rewrite
 
@@ -70,7 +71,7 @@ def test_files_that_contributing_names_exist() -> None:
 
 
 NAMED = {
-    "studies.md": [*OPTIMIZERS, *ACTIVATIONS, *FIGURE_KINDS],
+    "studies.md": [*OPTIMIZERS, *ACTIVATIONS, *FIGURE_KINDS, *({*CURVE_QUANTITIES} - {*ACTION_QUANTITIES})],
     "engines.md": [name for name, optimizer in OPTIMIZERS.items() if not optimizer.torch_class],
     "search.md": [*SAMPLERS, *PRUNERS],
     "outcomes.md": [name for name in OUTCOMES if not name.startswith("final-action-")],

@@ -16,7 +16,6 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from pneuma.analysis.outcomes import find_outcome, outcome_values
-from pneuma.analysis.quantities import POWERS, SHARES
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.figures import grid, style
@@ -24,6 +23,7 @@ from pneuma.figures.grid import Page, Panel
 from pneuma.figures.origin import lines_of_runs
 from pneuma.figures.words import capital, headline_of
 from pneuma.store.index import RunIndex
+from pneuma.store.quantities import POWERS, SHARES
 from pneuma.store.store import Store
 from pneuma.study.plan import Query
 

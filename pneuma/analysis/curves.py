@@ -26,13 +26,16 @@ from pneuma.analysis.environments import in_environment_of
 from pneuma.analysis.intervals import LEAST_RUNS, LEVEL
 from pneuma.analysis.notes import BUDGET_AVERAGE, averaging, merge_notes, notes_on_runs, notes_on_windows
 from pneuma.analysis.outcomes import LARGEST, have_one_return, is_foreign
-from pneuma.analysis.quantities import POWERS, QUANTITIES, SHARES
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import Hint, UserError, counted, unknown_name
 from pneuma.schema import normalize
 from pneuma.store.quantities import (
     ACTION_QUANTITIES,
+    EPISODE_QUANTITIES,
     EVALUATION_QUANTITIES,
+    POWERS,
+    QUANTITIES,
+    SHARES,
     UPDATE_QUANTITIES,
     evaluation_column,
 )
@@ -368,13 +371,6 @@ LEAST_EVALUATIONS = 3
 """With fewer, a curve of evaluations is a dot or two."""
 LEAST_POINTS = GRID_POINTS // 2
 """With a mean of all runs at fewer points, a curve of training is stubs."""
-EPISODE_WORDS = {
-    "return": "returns in training",
-    "length": "lengths of episodes",
-    "kills": "kills in training",
-    "hp": "HP left in training",
-}
-"""What notes call the `EPISODE_QUANTITIES`."""
 X_NOTES = {
     EPISODES: "Episodes are counted by their mean length up to each point.",
     WALL_CLOCK: "Within a run, all steps are taken to last equally long.",
@@ -641,8 +637,9 @@ def _notes(column: Column, options: CurveOptions) -> list[str]:
     notes += _notes_on_random_levels(column)
     averaged: dict[str, list[str]] = {}
     for quantity in column.curves:
-        if quantity in EPISODE_WORDS:
-            averaged.setdefault(averaging(study_data, options.window), []).append(EPISODE_WORDS[quantity])
+        if quantity in EPISODE_QUANTITIES:
+            average = averaging(study_data, options.window)
+            averaged.setdefault(average, []).append(QUANTITIES[quantity].words)
         elif quantity in UPDATE_QUANTITIES:
             averaged.setdefault(BUDGET_AVERAGE, []).append("values of updates")
     for average, averaged_words in averaged.items():

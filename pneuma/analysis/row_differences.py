@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any
 
-from pneuma.analysis.quantities import QUANTITIES
-from pneuma.store.quantities import EVALUATION_QUANTITIES, TRAINING_QUANTITIES, evaluation_column
+from pneuma.store.quantities import EVALUATION_QUANTITIES, QUANTITIES, TRAINING_QUANTITIES, evaluation_column
 from pneuma.store.rows import COLUMN_TYPES, CURVE, PEAK, PEAKS, POLICY, Row
 from pneuma.store.series import Stretch
 from pneuma.study.identity import comparable_fields

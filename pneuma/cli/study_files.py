@@ -24,8 +24,8 @@ from pneuma.errors import Message, UserError, counted, unknown_name
 from pneuma.store.quantities import (
     ACTION_QUANTITIES,
     CURVE_QUANTITIES,
-    EPISODE_QUANTITIES,
-    UPDATE_QUANTITIES,
+    PUBLISHED_CURVES,
+    TRAINING_QUANTITIES,
     WINDOWS,
 )
 
@@ -37,11 +37,6 @@ FIGURE_KINDS = ("curves", "summary", "profile", "one-action", "factors")
 CURVES, SUMMARY, PROFILE, ONE_ACTION, FACTORS = FIGURE_KINDS
 EVERY_QUANTITY, ACTIONS = "all", "actions"
 _ENDINGS = ", ".join(EXPORT_SUFFIXES)
-PUBLISHED_CURVES = (
-    "return", "length", "kills", "hp", "entropy", "grad_norm", "approx_kl", "explained_variance",
-    "dead_units", *ACTION_QUANTITIES,
-)  # fmt: skip
-"""The quantities whose curves a published table keeps by default."""
 CURVE_OPTIONS = ("band", "window", "x", "log")
 """Options that only figures of curves have, beside --quantity and --beside."""
 
@@ -297,7 +292,7 @@ def _read_curves(curves_text: str) -> tuple[str, ...]:
     """Return the named quantities, with `actions` expanded."""
     if curves_text == "none":
         return ()
-    allowed = (*EPISODE_QUANTITIES, *UPDATE_QUANTITIES, ACTIONS)
+    allowed = (*TRAINING_QUANTITIES, ACTIONS)
     quantities: list[str] = []
     for quantity in map(str.strip, curves_text.split(",")):
         if quantity not in allowed:

@@ -34,13 +34,13 @@ from pneuma.analysis.curves import (
 )
 from pneuma.analysis.notes import TRAILING_WINDOW, averaging
 from pneuma.analysis.outcomes import is_foreign
-from pneuma.analysis.quantities import POWERS, QUANTITIES, SHARES, VALUES
 from pneuma.errors import Hint, UserError
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.origin import lines_of_runs
 from pneuma.figures.style import MARKERS, MOST_IN_A_PANEL, PANEL_INCHES
 from pneuma.figures.words import after_thesis, headline_of, looks_of
+from pneuma.store.quantities import POWERS, QUANTITIES, SHARES, VALUES
 
 RUNS, NO_BAND = "runs", "none"
 PALE, DARK = 0.13, 0.30

@@ -26,11 +26,11 @@ from matplotlib.legend import Legend
 from matplotlib.ticker import EngFormatter, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 
 from pneuma.analysis.answer import Answer
-from pneuma.analysis.quantities import POWERS, SHARES, VALUES
 from pneuma.errors import Hint, UserError, counted
 from pneuma.figures import style
 from pneuma.figures.origin import origin_text
 from pneuma.figures.style import CAPTION, GREY, INK, LINE_INCHES, WIDTH, Look, characters, clean, text_points
+from pneuma.store.quantities import POWERS, SHARES, VALUES
 from pneuma.values import per_cent
 
 FAR = 2.0

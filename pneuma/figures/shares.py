@@ -11,11 +11,11 @@ from matplotlib.patches import Patch
 
 from pneuma.analysis.answer import StudyAnswer
 from pneuma.analysis.environments import by_environment
-from pneuma.analysis.quantities import SHARES
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.origin import lines_of_runs
 from pneuma.figures.words import headline_of, looks_of
+from pneuma.store.quantities import SHARES
 
 OPACITY = 0.2
 

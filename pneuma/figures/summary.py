@@ -13,13 +13,13 @@ from matplotlib.lines import Line2D
 
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.quantities import SHARES, VALUES
 from pneuma.analysis.summaries import OutcomeColumn, OutcomesAnswer
 from pneuma.figures import grid, style
 from pneuma.figures.grid import LEAST_ROW_INCHES, LONGEST_INCHES, ROW_INCHES, Page, Panel
 from pneuma.figures.origin import lines_of_runs
 from pneuma.figures.style import GREY, INK
 from pneuma.figures.words import capital, headline_of, labels_of, looks_of, short_names
+from pneuma.store.quantities import SHARES, VALUES
 
 DOT_SHARE = 0.012
 """Width of a dot as a share of the axis; runs closer than this lie side by side."""

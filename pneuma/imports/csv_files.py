@@ -29,15 +29,19 @@ from pneuma.imports.logs import (
     file_facts,
     store_logs,
 )
-from pneuma.store.quantities import EPISODE_QUANTITIES, EVALUATION_TAGS, TAGS, TRAINING_QUANTITIES
+from pneuma.store.quantities import (
+    EPISODE_QUANTITIES,
+    EVALUATION_QUANTITIES,
+    QUANTITIES,
+    TAGS,
+    TRAINING_QUANTITIES,
+)
 from pneuma.store.store import Store
 
 SOURCE, IMPORT_VERSION = "csv", 2
 MONITOR = "monitor.csv"
-QUANTITIES = {quantity: TAGS[quantity] for quantity in TAGS if quantity in TRAINING_QUANTITIES}
-QUANTITIES["evaluated_return"] = (EVALUATION_TAGS["return"],) * 2
-QUANTITIES["success"] = (EVALUATION_TAGS["success"],) * 2
-"""Two tags for each quantity: for means over episodes, and for single values."""
+IMPORTED = [name for name in TRAINING_QUANTITIES + EVALUATION_QUANTITIES if QUANTITIES[name].tags]
+"""Quantities that a column may have."""
 SUGGESTED = {
     "step": r"_?(global_)?steps?|(total_)?timesteps|time/total_timesteps",
     "values": r".*(return|reward|ep_rew_mean).*",
@@ -166,9 +170,9 @@ def _read_runs(path: Path, shared_folder: Path, file_text: str, columns: Columns
                 notes.append(f"{lost_rows} of {row_count} have no finite {column} and are left out")
             run_steps = steps[finite_values.index]
             _refuse_two_runs(path, run_steps, run_name)
-            mean_tag, tag = QUANTITIES[quantity]
+            tag = QUANTITIES[quantity].tags[-1]
             if quantity in EPISODE_QUANTITIES and columns.averaged_over != 1:
-                tag = mean_tag
+                tag = QUANTITIES[quantity].tags[0]
             points.append(pd.DataFrame({"tag": tag, "step": run_steps, "value": finite_values}))
         log = _make_log(
             f"{path.name}, {run_name}",
@@ -259,8 +263,8 @@ def _column_and_quantity(table: pd.DataFrame, column_option: str) -> tuple[str, 
     if column_option not in table and "=" in column_option:
         column, _, quantity = column_option.rpartition("=")
     _find_column(table, "values", column)
-    if quantity not in QUANTITIES:
-        raise unknown_name(Message("quantity in ", Hint("values", column_option), ":"), quantity, QUANTITIES)
+    if quantity not in IMPORTED:
+        raise unknown_name(Message("quantity in ", Hint("values", column_option), ":"), quantity, IMPORTED)
     min_column, max_column = f"{column}__MIN", f"{column}__MAX"
     if min_column in table and max_column in table and not table[min_column].equals(table[max_column]):
         raise UserError(

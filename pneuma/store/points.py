@@ -8,7 +8,14 @@ from typing import Any
 
 import pandas as pd
 
-from pneuma.store.quantities import EPISODE_QUANTITIES, EVALUATION_TAGS, NEGATED, TAGS, TRAINING_QUANTITIES
+from pneuma.store.quantities import (
+    EPISODE_QUANTITIES,
+    EVALUATION_TAGS,
+    LOGGED_BY_EPISODE,
+    NEGATED,
+    TAGS,
+    TRAINING_QUANTITIES,
+)
 from pneuma.store.series import TRAILING_EPISODES, Recorded
 
 WALL_CLOCK = ("time/", "charts/SPS")
@@ -53,7 +60,8 @@ def _named_points(scalars: pd.DataFrame, provenance: Mapping[str, Any]) -> tuple
     tags, point_values = scalars["tag"], scalars["value"]
     point_values = point_values.mask(tags == NEGATED, -point_values)
     names_by_tag = {tag: quantity for quantity, name_tags in TAGS.items() for tag in name_tags}
-    for mean_tag, episode_tag in (TAGS["return"], TAGS["length"]):
+    for quantity in LOGGED_BY_EPISODE:
+        mean_tag, episode_tag = TAGS[quantity]
         if (tags == mean_tag).any():
             del names_by_tag[episode_tag]  # a log with both has one curve, that of the means
         for tag, episodes in ((mean_tag, logged_over or TRAILING_EPISODES), (episode_tag, 1)):

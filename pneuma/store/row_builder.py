@@ -26,7 +26,14 @@ from pneuma.errors import UserError
 from pneuma.files import parse_json, stored_file
 from pneuma.store import rows, series
 from pneuma.store.checkpoints import sound_checkpoint, table_files
-from pneuma.store.quantities import EPISODE_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.store.quantities import (
+    EPISODE_QUANTITIES,
+    LOGGED_BY_EPISODE,
+    POWERS,
+    QUANTITIES,
+    UPDATE_QUANTITIES,
+    WINDOWS,
+)
 from pneuma.store.rows import Row, curve_column, decode_row, encode_row
 from pneuma.store.store import ROW_FILE, SCALARS_FILE, Status, Store, run_document, run_identity
 from pneuma.store.tables import from_parquet
@@ -37,8 +44,6 @@ if TYPE_CHECKING:
 UNKNOWN = "0" * 16
 """The configuration's id of runs without one."""
 
-RELATIVE = ("grad_norm", "grad_norm_actor", "grad_norm_critic")
-"""Quantities that are rounded in proportion to each value, as their logarithm is what matters."""
 LEVELS = 512
 """The greatest number of steps in a curve's range; panels of figures are about as many pixels high."""
 
@@ -200,7 +205,7 @@ def _quantity_cells(recorded: series.Recorded, quantity: str, grid: np.ndarray, 
     step, values = series.finite_points(grid, next(iter(curves.values())))
     cells: dict[str, Any] = {}
     if len(values):
-        for statistic in rows.EXACT.get(quantity, ()):
+        for statistic in QUANTITIES[quantity].exact:
             column = f"{quantity} {statistic}"
             cells[column] = series.curve_statistic(statistic, step, values, float(grid[-1]))
     if quantity in series.EXTREMES:
@@ -225,7 +230,7 @@ def _curves(recorded: series.Recorded, quantity: str, grid: np.ndarray, end: int
         return {curve_column(quantity, WINDOWS[1]): series.held_curve(step, single_values, grid, end)}
     mean_curve = partial(series.episode_curve, step, values, grid, from_step=recorded.first_step, end=end)
     curves = {curve_column(quantity, WINDOWS[0]): mean_curve(trailing=False)}
-    if quantity in ("return", "length"):  # as Stable-Baselines3 logs
+    if quantity in LOGGED_BY_EPISODE:
         curves[curve_column(quantity, WINDOWS[1])] = mean_curve(trailing=True)
     return curves
 
@@ -233,14 +238,15 @@ def _curves(recorded: series.Recorded, quantity: str, grid: np.ndarray, end: int
 def _rounded(values: np.ndarray, quantity: str) -> np.ndarray:
     """Round a curve to a five-hundredth of its range, to multiples of a power of two, which compress well.
 
-    A curve over several orders of magnitude, without negative values, is rounded in proportion to each value
-    instead.
+    A curve of powers or over several orders of magnitude, without negative values, is rounded in proportion
+    to each value instead, as its logarithm is what matters.
     """
     finite_values = values[np.isfinite(values)]
     if not len(finite_values) or finite_values.min() == finite_values.max():
         return values
     lowest, highest = float(finite_values.min()), float(finite_values.max())
-    if lowest >= 0 and (quantity in RELATIVE or highest > LEVELS * finite_values[finite_values > 0].min()):
+    is_of_powers = QUANTITIES[quantity].kind == POWERS
+    if lowest >= 0 and (is_of_powers or highest > LEVELS * finite_values[finite_values > 0].min()):
         fraction, exponent = np.frexp(values)
         return np.ldexp(np.round(fraction * LEVELS) / LEVELS, exponent)
     span = highest - lowest

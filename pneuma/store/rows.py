@@ -24,7 +24,7 @@ import pyarrow.compute as pc
 
 from pneuma.config import Run, as_fields
 from pneuma.files import parse_json
-from pneuma.store.quantities import ACTION_QUANTITIES, TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
+from pneuma.store.quantities import QUANTITIES, TRAINING_QUANTITIES, UPDATE_QUANTITIES, WINDOWS
 from pneuma.store.series import (
     EXTREMES,
     GRID_POINTS,
@@ -54,15 +54,6 @@ PEAK, PEAKS = "peak", "extreme"
 """The extreme of a quantity over all updates, and its curve: the extreme since the previous point."""
 CURVE, NUMBER = pa.list_(pa.float32()), pa.float64()
 
-EXACT: dict[str, tuple[str, ...]] = {
-    "return": ("last", "best", "height"),
-    **dict.fromkeys(("length", "hp", "entropy", "dead_units", *ACTION_QUANTITIES), ("last",)),
-    "grad_norm": ("median",),
-    "approx_kl": ("average",),
-    "explained_variance": ("early",),
-}
-"""The statistics of whole curves that are kept with all digits."""
-
 
 def curve_column(quantity: str, window: str) -> str:
     """Return the name of a curve's column; quantities of updates have no window."""
@@ -76,7 +67,7 @@ def _column_types() -> dict[str, pa.DataType]:
     for quantity in TRAINING_QUANTITIES:
         for window in WINDOWS:
             types_by_column[curve_column(quantity, window)] = CURVE
-        for statistic in EXACT.get(quantity, ()):
+        for statistic in QUANTITIES[quantity].exact:
             types_by_column[f"{quantity} {statistic}"] = NUMBER
     for quantity in EXTREMES:
         types_by_column |= {f"{quantity} {PEAKS}": CURVE, f"{quantity} {PEAK}": NUMBER}

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from pneuma.files import parse_json
-from pneuma.store.quantities import ACTION_QUANTITIES
+from pneuma.store.quantities import ACTION_QUANTITIES, QUANTITIES
 
 GRID_POINTS = 200
 WINDOW_POINTS = 10
@@ -29,8 +29,9 @@ SLACK = 1 / 40
 TRAILING_EPISODES = 100
 HUGE = 1e6
 """The largest value for which differences of a running total keep all digits that are drawn."""
-EXTREMES: dict[str, np.ufunc] = {"entropy": np.fmin, "grad_norm": np.fmax, "approx_kl": np.fmax}
-"""Quantities whose extreme is kept, because means would hide it, and the function that finds it."""
+_FUNCTIONS = {"least": np.fmin, "greatest": np.fmax}
+EXTREMES = {name: _FUNCTIONS[row.extreme] for name, row in QUANTITIES.items() if row.extreme}
+"""Quantities whose extreme is kept, and the function that finds it."""
 
 Series = tuple[np.ndarray, np.ndarray]
 """Steps and values, (points,) each; steps do not decrease."""

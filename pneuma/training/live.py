@@ -12,10 +12,9 @@ from typing import Any
 
 from pneuma.engines.loop import Progress
 from pneuma.engines.records import Row
-from pneuma.store.quantities import EVALUATION_TAGS, NEGATED, TAGS
+from pneuma.store.quantities import EVALUATION_TAGS, LOGGED_BY_EPISODE, NEGATED, TAGS
 from pneuma.store.series import TRAILING_EPISODES
 
-LOGGED_BY_EPISODE = ("return", "length")
 MEAN_TAGS = {quantity: TAGS[quantity][0] for quantity in LOGGED_BY_EPISODE}
 TAGS_BY_TABLE = {
     "episodes": {quantity: TAGS[quantity][1] for quantity in LOGGED_BY_EPISODE},
