@@ -46,11 +46,12 @@ $(TESTED): $(INSTALLED) hashes-dev.txt
 PINS = --constraint constraints.txt
 COMPILE = $(UV) pip compile --quiet --universal --upgrade --no-annotate --no-header
 
-# uv asks the index for all files of a version.
+# uv asks the index for all files of a version. Constraints with markers make it look for CUDA on machines that have none.
 constraints: $(TESTED)  ## Write constraints.txt and hashes anew; PINS= takes the newest versions
 	echo uv | $(COMPILE) --python-version 3.11.5 --generate-hashes - --output-file build/uv.txt
 	$(COMPILE) --python-version 3.11.5 --extra dev --generate-hashes $(PINS) pyproject.toml --output-file build/all.txt
-	echo setuptools | $(COMPILE) --python-version 3.11.5 --constraint build/all.txt pyproject.toml - --output-file build/run.txt
+	grep -o '^[^ ]*==[^ ]*' build/all.txt > build/versions.txt
+	echo setuptools | $(COMPILE) --python-version 3.11.5 --constraint build/versions.txt pyproject.toml - --output-file build/run.txt
 	.ci/pins build/all.txt build/run.txt build/uv.txt
 
 study: install  ## Run the activation study (thesis Fig. 6.5) at its quick preset, and draw it
