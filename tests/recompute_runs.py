@@ -91,7 +91,7 @@ def plain(value: Any) -> Any:
 
 READ = {
     "run_id", "provenance", "seed", "steps", "end", "fields", "signs", "evaluations", "return last",
-    "hp last",
+    "hp last", "kills budget-5%",
     "explained_variance early", "grad_norm", "approx_kl peak", "approx_kl extreme",
     *(f"action_{place} last" for place in range(5)),
 }  # fmt: skip

@@ -10,6 +10,7 @@ Figures of an earlier run that are no longer drawn are removed.
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -49,6 +50,7 @@ from pneuma.store.provenance import available_cores
 from pneuma.store.series import MOST_OF_ONE
 from pneuma.store.store import PUBLISHED, Store
 from pneuma.study.plan import Query
+from pneuma.study.shipped import random_returns_file
 from pneuma.values import format_value
 from tools import noise_scale
 from tools.environment_figures import draw_level, draw_mailman, draw_screens
@@ -231,17 +233,20 @@ def _noise(folder: Path, index: RunIndex, study: str) -> list[Path]:
     return _save(folder, [noise_scale.noise_page(noise_scale.open_noise_scale(index))])
 
 
-def _in_training(folder: Path, index: RunIndex, study: str) -> list[Path]:
-    """Draw the figure of returns in training, and of training's updates in one action."""
+def _in_training(folder: Path, index: RunIndex, study: str, quantity: str = "return") -> list[Path]:
+    """Draw the figure of a quantity of training's episodes, and of training's updates in one action."""
     data = study_runs(index, study, "godot")
     if data is None:
         return []
-    returns = curves_page(find_curves({"": data}, OWN_QUANTITIES[:1]), basename=study)
+    curves = curves_page(find_curves({"": data}, [quantity]), basename=study)
     ((_, updates_panel),) = one_action_page(find_one_action(data)).grid
     one_action = f"at least {100 * MOST_OF_ONE:g} % one action"
-    note = f"Right: updates whose rollout is {one_action}, means in 95 % intervals."
-    panels, notes = [*returns.grid[0], updates_panel], [note, *returns.caption]
-    return _save(folder, [replace(returns, grid=[panels], inches=PANEL_INCHES, caption=notes)])
+    first_notes = [f"Right: updates whose rollout is {one_action}, means in 95 % intervals."]
+    if quantity == "kills":
+        random_players = json.loads(random_returns_file().read_text())
+        first_notes.append(f"A random player kills {random_players['godot']['late_kills']:.1f} monsters.")
+    panels, notes = [*curves.grid[0], updates_panel], [*first_notes, *curves.caption]
+    return _save(folder, [replace(curves, grid=[panels], inches=PANEL_INCHES, caption=notes)])
 
 
 def _search(name: str, world: str | None, pictures: Sequence[str] = ()) -> Draw:
@@ -361,8 +366,9 @@ PICTURES: Mapping[str, Sequence[Draw]] = {
     ], "tanh or ReLU, and Adam's betas, in other environments")],
     "betas-by-clip": [_in_training],
     "betas-longer": [_in_training],
-    "xp-scope": [_in_training],
-    "xp-scope-longer": [_in_training],
+    # returns with XP that is never reset and with XP of the episode have other scales
+    "xp-scope": [partial(_in_training, quantity="kills")],
+    "xp-scope-longer": [partial(_in_training, quantity="kills")],
     # others
     "classes": [partial(_study, note="All classes are rewarded for kills.")],
     "noise-scale": [_noise],

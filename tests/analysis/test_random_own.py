@@ -75,6 +75,6 @@ def test_without_published_runs_that_is_said(tmp_path: Path) -> None:
 
 def test_the_command_prints_it_and_gives_its_numbers(tmp_path: Path) -> None:
     text = printed("study", "verify", "random-own", "--results", tmp_path)
-    assert "1,904" in text and "0 of 1,635 runs earn more than the random player" in text
+    assert "1,904" in text and "0 of 1,795 runs earn more than the random player" in text
     returns = described("study", "verify", "random-own", "--json", "--results", tmp_path)["returns"]
     assert {row["settings"] for row in returns} >= {"Adam, learning rate 3e-4", "other inputs"}
