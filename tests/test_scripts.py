@@ -75,6 +75,10 @@ tests = ["test_mine.py"]
 """
 
 
+def test_what_each_mutant_changes_is_in_its_file() -> None:
+    assert mutants.read_mutants()
+
+
 def test_a_mutant_is_noticed_or_survives_and_one_whose_text_is_gone_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
