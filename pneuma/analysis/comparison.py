@@ -17,8 +17,8 @@ from pneuma.analysis.notes import (
     averaging,
     notes_on_ends,
     notes_on_failing_runs,
-    notes_on_few_episodes,
     notes_on_few_runs,
+    notes_on_outcomes,
 )
 from pneuma.analysis.outcomes import find_outcome, known_values
 from pneuma.analysis.study_data import StudyData
@@ -191,7 +191,7 @@ def _compare_pairs(
             f"A condition with fewer than {LEAST_RUNS} runs, or whose runs are all equal, has no interval."
         )
     outcome_names = list(comparison_table["outcome"])
-    notes += notes_on_runs + notes_on_few_episodes(study_data, outcome_names)
+    notes += notes_on_runs + notes_on_outcomes(study_data, outcome_names)
     if any(find_outcome(outcome).is_return for outcome in outcome_names):
         notes += _notes_on_averages(*next(iter(pairs.values())))
     if not shared_column:

@@ -24,7 +24,14 @@ from pneuma.analysis import BAND_NAMES, X_AXES
 from pneuma.analysis.answer import Answer
 from pneuma.analysis.environments import in_environment_of
 from pneuma.analysis.intervals import LEAST_RUNS, LEVEL
-from pneuma.analysis.notes import BUDGET_AVERAGE, averaging, merge_notes, notes_on_runs, notes_on_windows
+from pneuma.analysis.notes import (
+    BUDGET_AVERAGE,
+    averaging,
+    merge_notes,
+    notes_on_runs,
+    notes_on_windows,
+    notes_on_zero_xp,
+)
 from pneuma.analysis.outcomes import LARGEST, have_one_return, is_foreign
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import Hint, UserError, counted, unknown_name
@@ -521,7 +528,8 @@ def default_quantities(study_data: StudyData, beside: StudyData | None = None) -
     """Return the quantities of a study's default figure, which may have another study in it.
 
     The return is that of evaluations, where both have it at three steps or more, in environments that are not
-    Pneuma's, and where episodes are so long for the budget that a training curve has gaps.
+    Pneuma's, and where episodes are so long for the budget that a training curve has gaps. Evaluations that
+    begin with 0 XP, although XP is never reset, are of another game than training.
     """
     recorded = curve_names(study_data)
     first_quantity, *alternatives = DEFAULT_QUANTITIES
@@ -529,6 +537,7 @@ def default_quantities(study_data: StudyData, beside: StudyData | None = None) -
         EVALUATED in recorded
         and (beside is None or EVALUATED in curve_names(beside))
         and not (first_quantity in recorded and _has_few_evaluations(study_data))
+        and not notes_on_zero_xp(study_data)
     )
     if not have_one_return(study_data):
         first_quantity = "length"
@@ -609,6 +618,8 @@ def _notes(column: Column, options: CurveOptions) -> list[str]:
     """Return the notes on a study and on what is drawn of it, the most important first."""
     study_data, beside = column.data, column.beside
     notes = notes_on_runs(study_data, not column.curves.keys().isdisjoint(("return", EVALUATED)), beside)
+    if not column.curves.keys().isdisjoint(EVALUATION_QUANTITIES):
+        notes += notes_on_zero_xp(study_data)
     for quantity, quantity_curves in column.curves.items():
         if options.log and not quantity_curves[0].log:
             notes.append(f"{QUANTITIES[quantity].title}: no value is above 0, so the axis is linear.")

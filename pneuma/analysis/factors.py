@@ -16,7 +16,7 @@ from pneuma.analysis.cells import with_cells
 from pneuma.analysis.claims import contrasts
 from pneuma.analysis.environments import columns_of
 from pneuma.analysis.intervals import LEAST_RUNS, Groups, no_interval, within
-from pneuma.analysis.notes import notes_on_ends, notes_on_few_episodes
+from pneuma.analysis.notes import notes_on_ends, notes_on_outcomes
 from pneuma.analysis.outcomes import find_outcome, kinds_of_return, outcome_values, primary, with_unit
 from pneuma.analysis.study_data import StudyData
 from pneuma.analysis.summaries import refuse_different_returns
@@ -90,7 +90,7 @@ def compare_factors(study_data: StudyData, a: str, b: str, outcomes: Sequence[st
         about={**study_data.about, "a": a, "b": b},
         tables={"means": means_table.drop(columns="cell"), "effects": effects_table.drop(columns="cell")},
         cells=[_plain(cells), _plain(effect_cells)],
-        notes=list(dict.fromkeys(notes + notes_on_few_episodes(study_data, outcome_names))),
+        notes=list(dict.fromkeys(notes + notes_on_outcomes(study_data, outcome_names))),
         legend=LEGEND,
         data=study_data,
     )

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from pneuma.analysis.intervals import LEAST_RUNS, has_two_modes
-from pneuma.analysis.outcomes import kinds_of_return
+from pneuma.analysis.outcomes import find_outcome, kinds_of_return
 from pneuma.analysis.study_data import StudyData
 from pneuma.errors import counted
 from pneuma.store.quantities import WINDOWS
@@ -75,16 +75,40 @@ def notes_on_ends(study_data: StudyData) -> list[str]:
     return [f"Runs end at {least_steps:,} to {most_steps:,} steps, and each counts at its own end."]
 
 
-def notes_on_few_episodes(study_data: StudyData, outcomes: Sequence[str]) -> list[str]:
+def notes_on_outcomes(study_data: StudyData, outcomes: Sequence[str]) -> list[str]:
+    """Return what makes the values of some outcomes doubtful."""
+    notes: list[str] = []
+    if any(find_outcome(outcome).column for outcome in outcomes):
+        notes += notes_on_zero_xp(study_data)
+    if "final-return" in outcomes:
+        notes += notes_on_few_episodes(study_data)
+    return notes
+
+
+def notes_on_few_episodes(study_data: StudyData) -> list[str]:
     """Return how many runs' last returns average few episodes, if any do."""
     last_counts = [run.statistic("episodes", "last") for run in study_data.rows]
     episode_counts = sorted(episodes for episodes in last_counts if 0 < episodes < FEW_EPISODES)
-    if not episode_counts or "final-return" not in outcomes:
+    if not episode_counts:
         return []
     amounts = f"{episode_counts[0]:.0f}"
     if episode_counts[0] < episode_counts[-1]:
         amounts += f" to {episode_counts[-1]:.0f}"
     return [f"final-return of {counted(len(episode_counts), 'run')} averages few episodes: {amounts}."]
+
+
+def notes_on_zero_xp(study_data: StudyData) -> list[str]:
+    """Return which evaluations began with 0 XP although XP is never reset; the engines' earlier versions did.
+
+    They recorded no checksum of the policy.
+    """
+    rows = [run for run in study_data.rows if run.fields.get("xp_scope") == "forever"]
+    zero_count = sum(run.policy is None for run in rows)
+    if not zero_count:
+        return []
+    if zero_count == len(rows):
+        return ["Evaluations begin with 0 XP, unlike training."]
+    return [f"Evaluations of {zero_count} of {len(rows)} runs begin with 0 XP, others with XP of training."]
 
 
 def notes_on_few_runs(data_by_env: Mapping[str, StudyData]) -> list[str]:

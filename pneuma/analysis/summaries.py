@@ -29,9 +29,10 @@ from pneuma.analysis.notes import (
     MOST_NAMED,
     merge_notes,
     notes_on_ends,
-    notes_on_few_episodes,
     notes_on_few_runs,
+    notes_on_outcomes,
     notes_on_runs,
+    notes_on_zero_xp,
 )
 from pneuma.analysis.outcomes import (
     PRIMARY,
@@ -274,10 +275,12 @@ def summarize(
     else:
         cells = _overview_cells(study_data, with_cells(summary))
         legend = _overview_legend(study_data, summary, cells)
+    means = summary["outcome"][summary["statistic"] == "mean"].unique()
+    shown_outcomes = outcomes or [outcome for outcome in means if outcome in cells]
     notes = (
         notes_on_ends(study_data)
         + _missing_values(study_data, summary, outcomes)
-        + notes_on_few_episodes(study_data, outcomes)
+        + notes_on_outcomes(study_data, shown_outcomes)
     )
     shown_cells = [study_data.with_labels(cells)]
     return Answer(study_data.full_title, study_data.about, {"summary": summary}, shown_cells, notes, legend)
@@ -541,7 +544,10 @@ def _random_levels(study_data: StudyData, outcome: str) -> dict[str, float]:
 
 def _notes(column: OutcomeColumn) -> list[str]:
     study_data = column.data
-    notes = notes_on_runs(study_data, find_outcome(column.outcome).is_return) + notes_on_ends(study_data)
+    outcome = find_outcome(column.outcome)
+    notes = notes_on_runs(study_data, outcome.is_return) + notes_on_ends(study_data)
+    if outcome.column:
+        notes += notes_on_zero_xp(study_data)
     value_counts = [len(values) for values in column.values.values()]
     for condition, value_count in zip(column.values, value_counts, strict=True):
         run_count = len(study_data.of_condition(condition))

@@ -22,7 +22,8 @@ from pneuma.store.index import RunIndex
 from pneuma.store.store import Store
 from pneuma.study.plan import Query
 
-from ..hand_made import BUDGET, healthy, learning, save_collapse, study_of
+from ..cli.calls import policy_of
+from ..hand_made import BUDGET, healthy, learning, save_collapse, save_run, study_of
 
 FINALS = {"a": (0.2, 0.4, 0.5, 0.9), "b": (0.3, 0.3, 0.3, 0.3)}
 GROUPS = {"a": (0.2, 0.4, 0.5, 0.9, 0.5), "b": (0.1, 0.3, 0.3, 0.45, 0.35)}
@@ -204,3 +205,29 @@ def test_a_run_without_the_value_that_others_of_its_condition_have_is_named() ->
     notes = summarize(open_study(index, Query(study="author-logs"))).notes
     cause = "the run has nothing that final-return is taken from (return) in a study of imported logs"
     assert f"final-return: policy_big_tanh seed 2, to step 1,024, is left out: {cause}" in notes
+
+
+@pytest.mark.parametrize(
+    ("scopes", "note"),
+    [
+        (("forever", "forever"), "Evaluations of 1 of 2 runs begin with 0 XP, others with XP of training."),
+        (("forever", "episode"), "Evaluations begin with 0 XP, unlike training."),
+        (("episode", "episode"), ""),
+    ],
+)
+def test_evaluations_that_begin_where_training_is_not_are_noted(
+    tmp_path: Path, scopes: tuple[str, str], note: str
+) -> None:
+    """Where XP is never reset, those of runs that lack the checksum of a policy do."""
+    store, evaluations, policy = (
+        Store(tmp_path / "results"),
+        [{"step": 500, "share_killed": 0.5}],
+        policy_of(),
+    )
+    policies: list[Mapping[str, bytes]] = [{}, {policy.file: policy.to_bytes()}]
+    for run_id, xp_scope, policy_files in zip(("a0" * 8, "a1" * 8), scopes, policies, strict=True):
+        fields = {"xp_scope": xp_scope}
+        save_run(store, run_id, [], [], evaluations, 1000, fields=fields, policy_files=policy_files)
+    data = study_of(store, {("a", 0): "a0" * 8, ("a", 1): "a1" * 8})
+    assert [text for text in summarize(data).notes if "XP" in text] == [note][: bool(note)]
+    assert not any("XP" in text for text in summarize(data, ["final-hp"]).notes)
