@@ -8,6 +8,7 @@ and noise_std.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any
 
@@ -27,6 +28,7 @@ from pneuma.sb3_names import (
     WRONG_TEXT,
     ZOO_NOISE,
     annealed_from,
+    own_classes,
     read_arguments_text,
     takes_classes,
 )
@@ -93,6 +95,9 @@ def _read_text(argument_name: str, argument_text: str, action_space: spaces.Spac
         raise UserError(
             f"algorithm_kwargs: {argument_name} = {argument_text!r} is not allowed: a table or dict(…)"
         ) from None
+    if own_classes(json.dumps(argument_table)):  # trust and ids know those in tables alone
+        problem = f"algorithm_kwargs: {argument_name} = {argument_text!r} is not allowed"
+        raise UserError(f"{problem}: write a class of your own in a table, {{ … }}, not in a text")
     return read_arguments(argument_table, action_space)
 
 

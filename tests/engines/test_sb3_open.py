@@ -596,6 +596,10 @@ def test_what_is_not_used_does_not_move_an_id() -> None:
             {"algorithm_kwargs": {"callback": "no_such_module:Diary"}},
             "^module no_such_module cannot be imported: ModuleNotFound",
         ),
+        (  # it is not imported: a stored run would need no trust
+            {"algorithm_kwargs": {"policy_kwargs": "dict(features_extractor_class='no_such_module:Net')"}},
+            "^algorithm_kwargs: policy_kwargs = .* is not allowed: write a class of your own in a table",
+        ),
         (
             {"algorithm_kwargs": {"callback": "PPO"}},
             "callback = 'PPO': must be a class of BaseCallback's kind",
