@@ -40,6 +40,8 @@ Mistake = tuple[Where, str, str]
 CONFIG = ConfigDict(strict=True, frozen=True, allow_inf_nan=False)
 DEEPEST = 50
 LONGEST_FILE = 1_000_000
+LARGEST_BITS = 1024
+"""Of a whole number, as of the largest float."""
 MOST_JOINED_KEYS = 100
 _JOINED_KEYS = re.compile(rf"""(?<![\w"'.-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MOST_JOINED_KEYS}}}""")
 """A dotted key for which `tomllib` takes a time that grows with the square of its length."""
@@ -126,6 +128,8 @@ def normalize(value: Any, levels: int = DEEPEST, floats_to_integers: bool = True
         return fspath(value)
     if floats_to_integers and isinstance(value, float) and value.is_integer():
         return int(value)
+    if isinstance(value, int) and value.bit_length() > LARGEST_BITS:  # messages could not print it
+        raise UserError("a whole number is beyond 1e308")
     return value
 
 

@@ -142,3 +142,13 @@ def test_untrusted_a_key_of_endless_names_is_refused_at_once(tmp_path: Path, tex
     path.write_text(USUAL)
     assert read_toml(path).data["end"] == "." * 10_000
     assert time.process_time() - started < 0.5
+
+
+def test_untrusted_a_number_that_no_message_could_print_is_refused(tmp_path: Path) -> None:
+    """Python prints whole numbers of at most 4,300 digits, but reads longer ones in base 16."""
+    path = tmp_path / "x.toml"
+    path.write_text(f"steps = 0x{'f' * 4_000}")
+    with pytest.raises(UserError, match="x.toml: not TOML: a whole number is beyond 1e308"):
+        read_toml(path)
+    path.write_text("steps = 1e308")
+    assert read_toml(path).data["steps"] == int(1e308)
