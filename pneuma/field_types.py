@@ -10,6 +10,8 @@ from typing import Annotated, Any
 from annotated_types import Interval
 
 MOST_NAMES = 8
+LONGEST_TEXT = 1000
+"""Most letters of what tables and figures show: a title, the name or label of a condition."""
 
 Share = Annotated[float, Interval(ge=0, le=1)]
 

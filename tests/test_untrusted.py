@@ -186,8 +186,12 @@ def test_untrusted_an_invalid_row_is_one_line_that_names_its_file(
         assert problem.startswith(f"{path}: cannot be read ({reason}") and problem.endswith(")")
 
 
-def test_a_damaged_record_of_a_study_is_named(store: Store) -> None:
+@pytest.mark.parametrize("letters", [0, 1001])
+def test_untrusted_a_damaged_record_of_a_study_is_named(store: Store, letters: int) -> None:
+    """A figure with a name of a million letters takes the whole memory."""
     store.listing_path("mine").write_bytes(b"{}")
+    if letters:
+        save_listing(store, {("a" * letters, 0): RUN})
     with pytest.raises(UserError, match="study mine: the record of its runs is damaged; import it again"):
         open_study(RunIndex(store, shipped=False), Query(study="mine"))
 

@@ -17,6 +17,7 @@ from typing import Any
 import pandas as pd
 
 from pneuma.errors import Hint, Message, UserError, counted, print_aside
+from pneuma.field_types import LONGEST_TEXT
 from pneuma.files import checksum, to_json
 from pneuma.store.row_builder import cells_of_files
 from pneuma.store.rows import encode_row
@@ -94,6 +95,8 @@ def store_logs(
         if log.steps == 0:
             notes.append(f"{log.name}: has no values at agent steps, and is left out")
             continue
+        if len(log.condition) > LONGEST_TEXT:
+            raise UserError(f"{log.name}: the name of its condition has more than {LONGEST_TEXT} letters")
         first_log = by_name.setdefault((log.condition, log.seed), log)
         if first_log is not log:
             problem = f"{first_log.name} and {log.name} are two runs of one name, "

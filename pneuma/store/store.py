@@ -38,6 +38,7 @@ from typing_extensions import TypedDict
 
 from pneuma.config import WORLD_FIELDS, Run, as_fields, is_gymnasium_id
 from pneuma.errors import Hint, StorageError, UserError, shortened
+from pneuma.field_types import LONGEST_TEXT
 from pneuma.files import (
     SCHEMA,
     checksum,
@@ -123,18 +124,21 @@ class _Manifest(TypedDict):
     steps: NotRequired[int]
 
 
+_Shown = Annotated[str, StringConstraints(max_length=LONGEST_TEXT)]
+
+
 class _Listed(TypedDict):
     run_id: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
-    condition: str
+    condition: _Shown
     seed: int
 
 
 class _Listing(TypedDict):
     study: Annotated[str, StringConstraints(pattern=r"^[^./\\\x00][^/\\\x00]*$")]
-    title: str
-    baseline: str
+    title: _Shown
+    baseline: _Shown
     runs: Annotated[list[_Listed], MinLen(1)]
-    source: NotRequired[str]
+    source: NotRequired[_Shown]
 
 
 _adapter = cache(TypeAdapter)

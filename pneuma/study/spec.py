@@ -21,14 +21,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any
 
-from annotated_types import MinLen
+from annotated_types import MaxLen, MinLen
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from pneuma.algorithms import has_rollouts
 from pneuma.config import WORLD_FIELDS, Run, Steps, effective_fields, is_gymnasium_id, make_run
 from pneuma.env.fields import ENVIRONMENT_SLOTS, ENVIRONMENTS, read_field
 from pneuma.errors import MOST_LISTED, UserError, unknown_name
-from pneuma.field_types import OneOf, Reads, matching
+from pneuma.field_types import LONGEST_TEXT, OneOf, Reads, matching
 from pneuma.presets import (
     BASES,
     NO_BASE,
@@ -121,7 +121,14 @@ def _read_fields(run_table: dict[str, Any]) -> dict[str, Any]:
     return read_values
 
 
-Name = Annotated[str, matching(r"(?!_)(?s:.*\S.*)", "a name that is not blank and does not begin with _")]
+Shown = Annotated[str, MinLen(1), MaxLen(LONGEST_TEXT)]
+Name = Annotated[
+    str,
+    matching(
+        rf"(?!_)(?s:(?=.{{1,{LONGEST_TEXT}}}\Z).*\S.*)",
+        f"a name of at most {LONGEST_TEXT} letters that is not blank and does not begin with _",
+    ),
+]
 """The name of a condition or a value. Names that begin with _ have a meaning to matplotlib."""
 PresetName = Annotated[
     str,
@@ -200,7 +207,7 @@ class Study(Table):
         settings: fields that `--set` changed in every condition.
     """
 
-    title: Annotated[str, MinLen(1)]
+    title: Shown
     section: str = ""
     about: Annotated[str, AfterValidator(lambda text: " ".join(text.split()))] = ""
     figure: Annotated[str, matching(r"([\w-][\w.-]*)?", "a file name without folders and ending")] = ""
@@ -211,7 +218,7 @@ class Study(Table):
     run: Fields = {}
     factors: Annotated[dict[str, dict[Name, Fields]], BeforeValidator(_named_values)] = {}
     conditions: dict[Name, Fields] = {}
-    labels: dict[str, Annotated[str, MinLen(1)]] = {}
+    labels: dict[str, Shown] = {}
     colors: dict[str, Annotated[str, matching("C[0-9]|#[0-9a-fA-F]{6}", "C0 to C9 or #RRGGBB")]] = {}
     scores: dict[str, Scale] = {}
     presets: Annotated[dict[PresetName, Preset], MinLen(1)]

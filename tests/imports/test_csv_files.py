@@ -206,6 +206,9 @@ def test_an_empty_condition_and_two_columns_of_one_name_are_refused() -> None:
     write("none.csv", "step,return,condition\n8,5,\n")
     message = refused("import", "csv", "none.csv", *words, "--condition", "condition")
     assert "row 2: '' in column condition must be a condition" in message
+    write("long.csv", f"step,return,condition\n8,5,{'x' * 1001}\n")
+    message = refused("import", "csv", "long.csv", *words, "--condition", "condition")
+    assert message.endswith("the name of its condition has more than 1000 letters")
     Path("runs.csv").write_bytes(b"step,return\n8,\xff\n")
     assert refused("import", "csv", "runs.csv", *words) == "runs.csv: is not UTF-8 text; save it as UTF-8"
 

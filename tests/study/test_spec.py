@@ -114,6 +114,8 @@ MISTAKES: dict[str, tuple[str, str, str, int, tuple[str, ...]]] = {
     # name: (study, a text in it, what that becomes, line of the mistake, words of the message)
     "no baseline": (STUDY, 'baseline = "relu"', 'baseline = "rleu"', 5, ("'rleu'", "did you mean relu?")),
     "unfit": (STUDY, 'activation = "tanh"', "held_out_levels = 5", 11, ("held_out_levels = 5",)),
+    "a long name": (STUDY, "[conditions.relu]", f"[conditions.{'x' * 1001}]", 13, ("at most 1000 letters",)),
+    "a long title": (STUDY, 'title = "', f'title = "{"x" * 1001}', 1, ("1000",)),
     "twice": (CROSSED, "epsilon = 1e-6", 'reward = "godot"', 12, ("betas: fast", "reward", "another factor")),
     "values that do not go together": (
         CROSSED, "reward = [", "held_out_levels = [4, 5]\nreward = [", 10, ("held_out_levels",),
