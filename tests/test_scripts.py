@@ -8,11 +8,13 @@ import re
 import runpy
 import signal
 import subprocess
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from pneuma.analysis.claims.preset import fixed_amounts, with_claims
 from pneuma.study.identity import run_id
@@ -96,6 +98,24 @@ def test_a_mutant_is_noticed_or_survives_and_one_whose_text_is_gone_is_named(
     (tmp_path / "mutants.toml").write_text(MUTANT.format(old="4"))
     with pytest.raises(SystemExit, match="two is three: its old text is 0 times in mine.py, not once"):
         mutants.read_mutants()
+
+
+def test_the_forge_checks_every_python_by_targets_and_may_only_read() -> None:
+    workflow = yaml.safe_load((ROOT / ".github/workflows/test.yml").read_text(encoding="utf-8"))
+    assert workflow["permissions"] == {"contents": "read"}
+    assert "github.event_name" in workflow["concurrency"]["group"], "a push would stop the weekly tests"
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    pythons = re.findall(r"Python :: (3\.\d+)", " ".join(project["classifiers"]))
+    jobs = workflow["jobs"]
+    assert jobs["test"]["strategy"]["matrix"]["python"] == pythons
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    parts = jobs["slow"]["strategy"]["matrix"]["part"]
+    assert parts == sorted(set(re.findall(r"slow-\d", makefile)))
+    steps = [step.get("run", "") for job in jobs.values() for step in job["steps"]]
+    targets = re.findall(r"^make ([a-z-]+)", "\n".join(steps), re.MULTILINE)
+    assert {"test", "docs", "lint"} == set(targets)
+    for target in targets + parts:
+        assert re.search(f"^.*{target}.*: ", makefile, re.MULTILINE), target
 
 
 def test_makefile_names_every_part() -> None:
