@@ -235,7 +235,7 @@ class Row:
         return self.shared_table[column][self.row_index]
 
     def cell(self, column: str) -> Any:
-        return self._scalar(column).as_py() if column in self._columns else None
+        return self._scalar(column).as_py() if self._has(column) else None
 
     @property
     def averaged_over(self) -> int | None:
@@ -270,10 +270,10 @@ class Row:
         seconds = self.provenance.get("training_seconds", self.provenance.get("wall_seconds"))
         return float(seconds) if isinstance(seconds, int | float) and seconds > 0 else None
 
-    @cached_property
-    def _columns(self) -> frozenset[str]:
-        """The names of its cells that have a value."""
-        return frozenset(name for name in self.shared_table.column_names if self._scalar(name).is_valid)
+    def _has(self, column: str) -> bool:
+        """Return whether the cell has a value."""
+        is_column = self.shared_table.schema.get_field_index(column) >= 0
+        return is_column and bool(self._scalar(column).is_valid)
 
     # --- Curves and their statistics ---------------------------------------------------------------
 
@@ -288,7 +288,7 @@ class Row:
 
     def windows_of(self, quantity: str) -> tuple[str, ...]:
         """Return the windows in which it has a curve, the default first; quantities of updates have any."""
-        return tuple(window for window in WINDOWS if curve_column(quantity, window) in self._columns)
+        return tuple(window for window in WINDOWS if self._has(curve_column(quantity, window)))
 
     @property
     def windows(self) -> tuple[str, ...]:
@@ -300,7 +300,7 @@ class Row:
         return self._points(curve_column(quantity, windows[0]) if windows else "")
 
     def _points(self, column: str) -> np.ndarray:
-        if column in self._columns:
+        if self._has(column):
             points = self._scalar(column).values
             if len(points) == GRID_POINTS:
                 return points.to_numpy(zero_copy_only=False).astype(float)
@@ -360,9 +360,14 @@ class Row:
 
         Curves are not compared: tables published earlier keep more of their digits.
         """
-        for column in self._columns & other_row._columns:
+        numbers = [name for name, column_type in COLUMN_TYPES.items() if column_type == NUMBER]
+        for column in numbers:
             # of a number that one of them lacks, the difference is NaN
-            if COLUMN_TYPES.get(column) == NUMBER and abs(self.cell(column) - other_row.cell(column)) > 0:
+            if (
+                self._has(column)
+                and other_row._has(column)
+                and abs(self.cell(column) - other_row.cell(column)) > 0
+            ):
                 return False
         columns = set(self.evaluations_table.column_names) & set(other_row.evaluations_table.column_names)
         for column in columns:
