@@ -9,11 +9,12 @@ from typing import Any
 
 import gymnasium
 import pytest
+from PIL import Image
 
 from pneuma.engines.records import WORLD_COLUMNS
 from tests.engines import own_envs
 
-from .calls import call, described, printed
+from .calls import call, described, printed, refused
 
 pytestmark = pytest.mark.usefixtures("trains_here")
 
@@ -132,6 +133,110 @@ def test_what_cannot_be_made_is_refused_with_its_reason(condition: str, why: str
         code, out, err = call("study", verb, *words)
         assert (code, out) == (2, "") and why in err.splitlines()[-1]
     assert not (tmp_path / "results").exists()
+
+
+OWN_PARTS = """
+import gymnasium, numpy as np, torch
+from gymnasium import spaces
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+class Net(BaseFeaturesExtractor):
+    def __init__(self, observation_space):
+        super().__init__(observation_space, features_dim=3)
+        self.layer = torch.nn.Linear(2, 3)
+
+    def forward(self, observations):
+        return self.layer(observations)
+
+class Diary(BaseCallback):
+    def _on_step(self):
+        return True
+
+    def _on_training_end(self):
+        with open("diary.txt", "a") as file:
+            print(self.num_timesteps, file=file)
+
+class Gate(gymnasium.Env):
+    "Eight steps; the first of three actions is never allowed, the last pays 1."
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}
+    observation_space, action_space = spaces.Box(-9, 9, (2,)), spaces.Discrete(3)
+
+    def __init__(self, render_mode=None):
+        self.render_mode = render_mode
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.steps = 0
+        return np.zeros(2, np.float32), {}
+
+    def action_masks(self):
+        return np.array([False, True, True])
+
+    def step(self, action):
+        assert action != 0
+        self.steps += 1
+        return np.full(2, self.steps, np.float32), float(action == 2), self.steps == 8, False, {}
+
+    def render(self):
+        return np.full((20, 20, 3), 30 * self.steps, np.uint8)
+
+gymnasium.register("Gate-v0", "gated:Gate")
+"""
+MASKED = """
+title = "Masked"
+[run]
+env = "Gate-v0"
+env_module = "gated"
+engine = "sb3"
+algorithm = "maskable-ppo"
+horizon = 64
+slots = 1
+evaluation_episodes = 2
+[run.algorithm_kwargs]
+callback = ["gated:Diary"]
+policy_kwargs = { features_extractor_class = "gated:Net" }
+[conditions.masked]
+[presets.quick]
+seeds = 1
+steps = 128
+"""
+
+
+def test_parts_of_ones_own_are_trained_summarized_and_drawn_with_trust(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("gated.py").write_text(OWN_PARTS)
+    Path("mine.toml").write_text(MASKED)
+    assert call("study", "run", "mine.toml").code == 0
+    assert Path("diary.txt").read_text() == "128\n"
+    rows = described("study", "summary", "mine.toml", "--json")["summary"]
+    (value,) = (
+        row["value"] for row in rows if (row["outcome"], row["statistic"]) == ("greedy-return", "mean")
+    )
+    assert value in (0, 8)  # all its steps pay alike
+    (run,) = _runs()
+    words = ("env", "render", "Gate-v0", "--out", "x.gif", "--player", f"run:{run['run_id']}")
+    assert "gated.py:Net: if you trust its source, add --trust" in refused(*words)
+    printed(*words, "--trust")
+    with Image.open("x.gif") as picture:
+        assert picture.size == (20, 20)
+
+
+@pytest.mark.parametrize("part", ['"gated"', "gated:Diary", "gated:Net"])
+def test_a_module_of_ones_own_that_raises_is_refused_in_one_line(
+    part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    good = "of_" + "".join(filter(str.isalpha, part))  # a process knows one module of a name
+    Path(f"{good}.py").write_text(OWN_PARTS.replace("gated", good).replace("Gate-", f"{good}-"))
+    Path("raising.py").write_text("raise ValueError('no licence')\n")
+    study = MASKED.replace(part, part.replace("gated", "raising"))
+    Path("mine.toml").write_text(study.replace("gated", good).replace("Gate-", f"{good}-"))
+    line = refused("study", "run", "mine.toml")
+    assert line.startswith(f"module {tmp_path}/raising.py cannot be imported: ValueError: no licence")
+    assert not Path("results").exists()
 
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "studies" / "examples").glob("*.toml"))
