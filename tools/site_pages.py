@@ -63,7 +63,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Let links to pictures, and to the front page, lead into the site."""
+    """Let links to pictures, and to the front page, lead into the site, and each picture to its full size."""
+    markdown = re.sub(r"(!\[[^]]*\]\(([^)]*)\))", r"[\1](\2)", markdown)
     return markdown.replace(f"](../{PICTURES}/", f"]({PICTURES}/").replace("](../README.md", "](index.md")
 
 
