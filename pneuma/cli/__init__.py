@@ -11,6 +11,7 @@ import os
 import re
 import signal
 import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from typing import Any
@@ -23,6 +24,8 @@ from pneuma.errors import Message, UserError, printable, shortened, write_hints
 
 STOPPED = 130
 """The exit code after Ctrl-C; it is 1 if runs failed, and 0 if all is done."""
+THREAD_SECONDS = 5
+"""Seconds that a thread of a user's environment has to end."""
 REMOVED = {
     ("env", "play"): "play with gymnasium.utils.play, as docs/environment.md shows",
     ("run", "fork"): "published forks are studies, as late-collapse-forks-eb57",
@@ -184,7 +187,20 @@ def run() -> None:
     exit_code = main()
     if exit_code == STOPPED:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C, while the interpreter ends
+    if threading.active_count() > 1:
+        _end_with_threads(exit_code)
     raise SystemExit(exit_code)
+
+
+def _end_with_threads(exit_code: int) -> None:
+    """End the process although threads that a user's environment started are not at their end."""
+    for thread in threading.enumerate():
+        if not thread.daemon and thread is not threading.main_thread():
+            thread.join(THREAD_SECONDS)
+            if thread.is_alive():
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os._exit(exit_code)
 
 
 def _refuse(message: str) -> int:

@@ -8,12 +8,33 @@ There are two implementations: one for Pneuma's own worlds, and one for all othe
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from pneuma.config import ENGINES, Run, env_config, is_gymnasium_id, is_resumable, slot_seeds
 from pneuma.engines.device import check_device
 
 
+@contextmanager
+def _restored_process() -> Iterator[None]:
+    """Restore the working folder and how this process ends, which environments may change for themselves."""
+    folder = os.getcwd()
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        os.chdir(folder)
+        if threading.current_thread() is threading.main_thread():  # others cannot change them
+            for number, handler in handlers.items():
+                if handler is not None:  # it is not Python's
+                    signal.signal(number, handler)
+
+
+@_restored_process()
 def check_environment(run: Run) -> None:
     """Make a run's environment once, and refuse it if it is wrong or the run's engine cannot train in it."""
     check_device(run)
@@ -31,6 +52,7 @@ def check_environment(run: Run) -> None:
         Worlds(1, env_config(run))
 
 
+@_restored_process()
 def first_capable_engine(run: Run) -> str:
     """Return the first engine that can train in a run's environment. The environment is made for that."""
     from gymnasium.spaces import Discrete

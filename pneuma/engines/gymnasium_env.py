@@ -181,6 +181,8 @@ class GymnasiumSlots:
             reward = float(reward)
             if not math.isfinite(reward):
                 raise ValueError(f"its reward is {reward}")
+            if terminated not in (False, True) or truncated not in (False, True):
+                raise ValueError(f"not True or False: terminated = {terminated!r}, truncated = {truncated!r}")
         self.lengths[slot] += 1
         return reward, bool(terminated), bool(truncated), info
 

@@ -88,6 +88,8 @@ class Corridor(gymnasium.Env[Any, Any]):
         if self.taken == self.raises:
             raise ZeroDivisionError("by the corridor")
         assert self.action_space.contains(action)
+        if self.kind == "words" and self.taken == 3:
+            return self._seen(), 0.0, "no", False, {}  # type: ignore[return-value]
         if self.kind == "endless":
             return self._seen(), 0.0, False, False, {}
         if self.kind == "numbers":

@@ -92,13 +92,12 @@ def test_what_cannot_be_trained_in_is_refused_in_one_line(name: str) -> None:
 
 
 @pytest.mark.parametrize("engine", ["batched", "sb3"])
-def test_a_step_that_raises_or_gives_no_number_or_another_shape_ends_the_run_with_the_reason(
-    engine: str,
-) -> None:
+def test_a_step_that_raises_or_returns_what_it_must_not_ends_the_run_with_the_reason(engine: str) -> None:
     for fault, value, message in (
         ("raises", 3, "ZeroDivisionError: by the corridor"),
         ("nan", 3, "ValueError: its reward is nan"),
         ("kind", "short", r"ValueError: its observation has shape \(1,\)"),
+        ("kind", "words", "ValueError: not True or False: terminated = 'no', truncated = False"),
     ):
         with pytest.raises(UserError, match=f"Corridor-v0 in step 3 of episode 0: {message}"):
             train(replace(corridor(**{fault: value}), engine=engine))

@@ -10,6 +10,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any, cast
@@ -64,5 +65,16 @@ class Subprocess(CartPoleEnv):
         self._vector.close(terminate=True)
 
 
-for own_class in (Forked, Subprocess):
+class Possessive(CartPoleEnv):
+    """Takes the process for its own: goes to another folder, ignores signals, has a thread without an end."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        os.chdir("/")
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        threading.Thread(target=time.sleep, args=(600,)).start()
+
+
+for own_class in (Forked, Subprocess, Possessive):
     gymnasium.register(f"{own_class.__name__}-v0", cast(Any, own_class), max_episode_steps=100)

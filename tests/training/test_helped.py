@@ -71,3 +71,18 @@ def test_ctrl_c_twice_ends_an_environments_process_too(tmp_path: Path) -> None:
     process.communicate(timeout=10)
     assert process.returncode == 130
     assert wait_for_end(helpers(tmp_path)) < 10
+
+
+def test_an_environment_that_takes_the_process_for_its_own_can_be_stopped(tmp_path: Path) -> None:
+    """Then it goes on, and the command ends although a thread of the environment does not."""
+    study_path = write_study(tmp_path, "Possessive-v0")
+    text = study_path.read_text()
+    study_path.write_text(text.replace("steps = 128", "steps = 1_000_000"))
+    process = begin(tmp_path, study_path.relative_to(tmp_path))
+    wait_until(lambda: any(tmp_path.glob("results/runs/*/*")), seconds=120)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=60)
+    assert process.returncode == 130
+    study_path.write_text(text)
+    out, err = begin(tmp_path, study_path.relative_to(tmp_path)).communicate(timeout=120)
+    assert [row["status"] for row in json.loads(out)["runs"]] == ["done"], err
