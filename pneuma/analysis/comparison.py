@@ -83,7 +83,7 @@ def compare(
         return _compare_studies(study_data, other_data, outcomes)
     a, b = (named_condition(name, study_data.study.levels) for name in (a, b))
     if a == b:
-        raise UserError(f"{a} and {b} are the same condition; name two of {', '.join(study_data.conditions)}")
+        raise UserError(f"{a} and {b} are the same condition: name two")
     if {a, b} & {*factors_of(study_data)} - {*study_data.fields}:
         return compare_factors(study_data, a, b, outcomes)
     data_by_env = by_environment(study_data)
