@@ -111,7 +111,7 @@ def _read(path: Path, opener: Callable[[str, int], int], most_bytes: int) -> byt
     with open(path, "rb", opener=opener) as file:
         file_size = os.fstat(file.fileno()).st_size
         if file_size > most_bytes:
-            largest_text = f"is larger than {most_bytes / 2**20:,.0f} MB, the most that is read"
+            largest_text = f"is larger than {round(most_bytes / 2**20, 1):,g} MB, the most that is read"
             raise OSError(errno.EINVAL, largest_text, str(path))
         return file.read(file_size)
 
