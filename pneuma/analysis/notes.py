@@ -102,13 +102,12 @@ def notes_on_zero_xp(study_data: StudyData) -> list[str]:
 
     They recorded no checksum of the policy.
     """
-    rows = [run for run in study_data.rows if run.fields.get("xp_scope") == "forever"]
-    zero_count = sum(run.policy is None for run in rows)
+    rows = study_data.rows
+    zero_count = sum(run.policy is None and run.fields.get("xp_scope") == "forever" for run in rows)
     if not zero_count:
         return []
-    if zero_count == len(rows):
-        return ["Evaluations begin with 0 XP, unlike training."]
-    return [f"Evaluations of {zero_count} of {len(rows)} runs begin with 0 XP, others with XP of training."]
+    runs = "" if zero_count == len(rows) else f" of {zero_count} of {len(rows)} runs"
+    return [f"Evaluations{runs} begin with 0 XP, unlike training."]
 
 
 def notes_on_few_runs(data_by_env: Mapping[str, StudyData]) -> list[str]:

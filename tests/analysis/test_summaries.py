@@ -208,26 +208,27 @@ def test_a_run_without_the_value_that_others_of_its_condition_have_is_named() ->
 
 
 @pytest.mark.parametrize(
-    ("scopes", "note"),
+    ("scope", "has_policy", "note"),
     [
-        (("forever", "forever"), "Evaluations of 1 of 2 runs begin with 0 XP, others with XP of training."),
-        (("forever", "episode"), "Evaluations begin with 0 XP, unlike training."),
-        (("episode", "episode"), ""),
+        ("forever", True, "Evaluations of 1 of 2 runs begin with 0 XP, unlike training."),
+        ("forever", False, "Evaluations begin with 0 XP, unlike training."),
+        ("episode", False, "Evaluations of 1 of 2 runs begin with 0 XP, unlike training."),
     ],
 )
 def test_evaluations_that_begin_where_training_is_not_are_noted(
-    tmp_path: Path, scopes: tuple[str, str], note: str
+    tmp_path: Path, scope: str, has_policy: bool, note: str
 ) -> None:
-    """Where XP is never reset, those of runs that lack the checksum of a policy do."""
+    """Where XP is never reset, those of runs that lack the checksum of a policy do; the first is one."""
     store, evaluations, policy = (
         Store(tmp_path / "results"),
         [{"step": 500, "share_killed": 0.5}],
         policy_of(),
     )
-    policies: list[Mapping[str, bytes]] = [{}, {policy.file: policy.to_bytes()}]
-    for run_id, xp_scope, policy_files in zip(("a0" * 8, "a1" * 8), scopes, policies, strict=True):
-        fields = {"xp_scope": xp_scope}
-        save_run(store, run_id, [], [], evaluations, 1000, fields=fields, policy_files=policy_files)
+    second_files = {policy.file: policy.to_bytes()} if has_policy else {}
+    save_run(store, "a0" * 8, [], [], evaluations, 1000, fields={"xp_scope": "forever"})
+    save_run(
+        store, "a1" * 8, [], [], evaluations, 1000, fields={"xp_scope": scope}, policy_files=second_files
+    )
     data = study_of(store, {("a", 0): "a0" * 8, ("a", 1): "a1" * 8})
-    assert [text for text in summarize(data).notes if "XP" in text] == [note][: bool(note)]
+    assert [text for text in summarize(data).notes if "XP" in text] == [note]
     assert not any("XP" in text for text in summarize(data, ["final-hp"]).notes)
