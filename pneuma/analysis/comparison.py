@@ -10,7 +10,7 @@ import pandas as pd
 from pneuma.analysis.answer import Answer
 from pneuma.analysis.cells import comparison_cells, with_cells
 from pneuma.analysis.claims.claim_list import Claim, shipped_claims_on
-from pneuma.analysis.environments import OUTCOME, by_environment, improvements
+from pneuma.analysis.environments import OUTCOME, by_environment, environment_names, improvements
 from pneuma.analysis.factors import compare_factors, factors_of
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.notes import (
@@ -111,13 +111,19 @@ def _compare_in_environments(
     """Compare two conditions in each environment, and their scores over all."""
     pairs = {env: (_group(env_data, a), _group(env_data, b)) for env, env_data in data_by_env.items()}
     answer = _compare_pairs(study_data, pairs, [a, b], outcomes, shared_column="environment")
-    score_table = improvements(data_by_env, a, b, outcomes[0])
+    (cells,) = answer.cells
+    cells = cells.assign(environment=cells["environment"].map(environment_names(study_data)))
+    answer = replace(answer, cells=[cells])
+    try:
+        score_table = improvements(data_by_env, a, b, outcomes[0])
+    except UserError as missing_scale:
+        return replace(answer, notes=[*answer.notes, f"No scores over all: {missing_scale}."])
     score_cells = with_cells(score_table)[["statistic", "cell"]]
     score_cells.columns = pd.Index(["scores over all", f"{a} against {b}"])
     return replace(
         answer,
         tables={**answer.tables, "scores": score_table},
-        cells=list(answer.cells) + [score_cells],
+        cells=[cells, score_cells],
         notes=list(answer.notes) + notes_on_few_runs(data_by_env),
         legend=LEGEND + SCALE,
     )

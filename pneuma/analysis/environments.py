@@ -61,10 +61,27 @@ def by_environment(study_data: StudyData) -> dict[str, StudyData]:
     return {env: study_data.renamed(names_in_env) for env, names_in_env in names_by_env.items()}
 
 
+def environment_names(study_data: StudyData) -> dict[str, str]:
+    """Return what people call each environment: its value of a factor, with its label, or else its id."""
+    names_by_env: dict[str, set[str]] = {}
+    for condition, fields in study_data.fields.items():
+        names = names_by_env.setdefault(str(fields.get("env")), set())
+        for factor, level in study_data.study.levels.get(condition, {}).items():
+            if "env" in study_data.study.factors.get(factor, {}).get(level, {}):
+                names.add(study_data.labelled(level, factor))
+    all_names = [name for names in names_by_env.values() for name in names]
+    if len(all_names) == len(names_by_env) == len(set(all_names)):
+        return {env: name for env, (name,) in names_by_env.items()}
+    return {env: env for env in names_by_env}
+
+
 def columns_of(study_data: StudyData) -> dict[str, StudyData]:
-    """Return a study's runs in each environment that has some; without a title if it is a single one."""
-    data_by_env = {env: env_data for env, env_data in by_environment(study_data).items() if env_data.rows}
-    return data_by_env if len(data_by_env) > 1 else {"": study_data}
+    """Return a study's runs in each environment that has some, by its name; "" if it is a single one."""
+    names, columns = environment_names(study_data), {}
+    for env, env_data in by_environment(study_data).items():
+        if env_data.rows:
+            columns[names[env]] = env_data
+    return columns if len(columns) > 1 else {"": study_data}
 
 
 def in_environment_of(study_data: StudyData, other_data: StudyData) -> StudyData | None:
@@ -104,7 +121,7 @@ def references(data_by_env: Parts, outcome: str = OUTCOME) -> dict[str, tuple[fl
                 if len(run_values):
                     high = float(np.fmax(high, run_values.mean()))
         if not np.isfinite([low, high]).all() or low == high:
-            fix = f"[scores.{env}] random = …, expert = … in the study's file"
+            fix = f'"{env}" = {{ random = …, expert = … }} under [scores] in the study\'s file'
             raise UserError(f"{env}: cannot be scaled from {low:g} to {high:g}: give {fix}")
         scales_by_env[env] = low, high
     return scales_by_env

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import pandas as pd
 
 from pneuma.analysis.answer import Answer
-from pneuma.analysis.environments import by_environment
+from pneuma.analysis.environments import by_environment, environment_names
 from pneuma.analysis.intervals import LEVEL
 from pneuma.analysis.outcomes import primary, with_unit
 from pneuma.analysis.power import ENOUGH_RUNS, POWER, seeds_for_means, seeds_table, seeds_text
@@ -166,8 +166,9 @@ def seeds_to_detect(
     else:
         outcome = outcome or primary(study_data)
         tables_by_env = {}
+        names = environment_names(study_data)
         for env, env_data in by_environment(study_data).items():
-            tables_by_env[env] = seeds_table(env_data, outcome, detect, level)
+            tables_by_env[names[env]] = seeds_table(env_data, outcome, detect, level)
         detection_table = pd.concat(tables_by_env, names=["environment"]).reset_index(level=0)
         if len(tables_by_env) == 1:
             detection_table = detection_table.drop(columns="environment")

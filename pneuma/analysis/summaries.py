@@ -23,7 +23,7 @@ from pneuma.analysis import intervals
 from pneuma.analysis.answer import NO_CELL, Answer
 from pneuma.analysis.cells import condition_cells, pivot_cells, with_cells
 from pneuma.analysis.curves import curve_names, random_levels, random_returns
-from pneuma.analysis.environments import OUTCOME, by_environment, over_environments
+from pneuma.analysis.environments import OUTCOME, by_environment, environment_names, over_environments
 from pneuma.analysis.intervals import LEAST_RUNS, Interval, no_interval
 from pneuma.analysis.notes import (
     MOST_NAMED,
@@ -295,22 +295,30 @@ def _summarize_environments(
         env_summaries.append(with_cells(summary_table(env_data, [outcome])).assign(environment=env))
     summary = pd.concat(env_summaries, ignore_index=True)
     summary = summary[(summary["outcome"] == outcome) & (summary["statistic"] == "mean")]
-    scores = over_environments(data_by_env, outcome)
     conditions = list(summary["condition"].unique())
-    mean_cells = pivot_cells(summary, ["condition"], ["environment"], conditions, list(data_by_env))
-    statistics = list(scores["statistic"].unique())
-    score_cells = pivot_cells(with_cells(scores), ["condition"], ["statistic"], conditions, statistics)
-    cells = pd.concat([mean_cells, score_cells], axis=1)
-    cells.columns = pd.Index(list(data_by_env) + statistics)
+    cells = pivot_cells(summary, ["condition"], ["environment"], conditions, list(data_by_env))
+    names = environment_names(study_data)
+    cells.columns = pd.Index([names[env] for env in data_by_env])
+    tables = {"summary": summary.drop(columns="cell")}
+    legend = [f"{with_unit(outcome)} in each environment."]
+    notes = notes_on_ends(study_data)
+    try:
+        scores = tables["scores"] = over_environments(data_by_env, outcome)
+    except UserError as missing_scale:
+        notes.append(f"No scores over all: {missing_scale}.")
+    else:
+        statistics = list(scores["statistic"].unique())
+        score_cells = pivot_cells(with_cells(scores), ["condition"], ["statistic"], conditions, statistics)
+        score_cells.columns = pd.Index(statistics)
+        cells = pd.concat([cells, score_cells], axis=1)
+        legend = [f"{with_unit(outcome)} in each environment, then scores over all.", *SCALE]
+        notes += notes_on_few_runs(data_by_env)
     run_counts = []
     for condition in conditions:
         run_counts.append(
             ", ".join(str(len(env_data.of_condition(condition))) for env_data in data_by_env.values())
         )
     cells.insert(0, "runs", run_counts)
-    legend = [f"{with_unit(outcome)} in each environment, then scores over all."] + list(SCALE)
-    tables = {"summary": summary.drop(columns="cell"), "scores": scores}
-    notes = notes_on_ends(study_data) + notes_on_few_runs(data_by_env)
     shown_cells = [study_data.with_labels(cells.reset_index())]
     return Answer(study_data.full_title, study_data.about, tables, shown_cells, notes, legend)
 

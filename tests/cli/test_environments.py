@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import re
+import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
 from pneuma.analysis.curves import find_curves
-from pneuma.analysis.environments import by_environment, profile_scores, profiles
+from pneuma.analysis.environments import (
+    by_environment,
+    columns_of,
+    environment_names,
+    profile_scores,
+    profiles,
+)
 from pneuma.analysis.summaries import show_outcomes
 from pneuma.api import open_data
 from pneuma.cli.study_files import FACTORS, FIGURE_KINDS
@@ -44,15 +53,16 @@ seeds = 4
 steps = 4_096
 """
 RETURNED = {"pole, ppo": 100, "pole, a2c": 50, "arms, ppo": -200, "arms, a2c": -400}
+RANDOM = {"random_return": 20.0, "random_spread": 5.0}
 
 
-def save_two_environments(path: Path) -> None:
+def save_two_environments(path: Path, random: Mapping[str, float] = RANDOM) -> None:
     """Write a study with runs that return what `RETURNED` says in their only evaluation, and up to 3 more."""
     path.write_text(TOML)
     store = Store(path.parent / "results")
     plan = make_plan(load_study(str(path)), Query())
     for cell in plan.cells:
-        step, random = cell.run.steps, {"random_return": 20.0, "random_spread": 5.0}
+        step = cell.run.steps
         evaluated = {"step": step, "return": RETURNED[cell.condition] + cell.seed, **random}
         evaluated["commonest_action"] = 0.5
         fields, config = as_fields(cell.run), config_id(cell.run)
@@ -80,6 +90,46 @@ def test_summary_has_a_column_for_each_environment_and_scores_over_all(study: Pa
     assert scores["a2c", "mean"] == pytest.approx((0.515 + 101.5 / 400) / 2)
     gap = 1 - (4 * 1.0 + 4 * 301.5 / 400) / 8  # above 1 counts as 1
     assert scores["ppo", "optimality gap"] == pytest.approx(gap)
+
+
+def test_tables_and_panels_call_environments_by_the_factors_values(study: Path) -> None:
+    """JSON's means and comparisons keep the ids."""
+    study.write_text(TOML.replace("[presets.quick]", '[labels]\narms = "Two arms"\n[presets.quick]'))
+    summary = printed("study", "summary", study, "--format", "markdown").splitlines()
+    assert summary[0].startswith("| condition | runs | pole | Two arms | mean ")
+    compared = printed("study", "compare", study, "ppo", "a2c")
+    assert "pole         evaluated-return" in compared and "Two arms     evaluated-return" in compared
+    planned = printed("study", "plan", study, "--detect", "2", "--outcome", "evaluated-return")
+    assert "\nTwo arms" in planned and "Acrobot" not in planned
+    page = curves_page(find_curves(columns_of(open_data(study)), ["evaluated_return"]))
+    assert [panel.title for panel in _panels(page)] == ["pole", "Two arms"]
+
+
+def test_two_values_of_one_environment_leave_it_its_id(study: Path) -> None:
+    study.write_text(
+        TOML.replace(
+            "[factors.algorithm]", 'pole2 = { env = "CartPole-v1", gamma = 0.9 }\n[factors.algorithm]'
+        )
+    )
+    assert environment_names(open_data(study)) == {env: env for env in ("CartPole-v1", "Acrobot-v1")}
+
+
+def test_without_a_scale_the_environments_are_shown_and_the_hint_is_toml(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where no random player was recorded: in Pneuma's worlds."""
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "two.toml"
+    save_two_environments(path, {})
+    given = TOML.index("[scores.CartPole-v1]"), TOML.index("[presets.quick]")
+    path.write_text(TOML[: given[0]] + TOML[given[1] :])
+    for command in (("study", "summary", path), ("study", "compare", path, "ppo", "a2c")):
+        called = call(*command)
+        assert called.code == 0 and "102" in called.out and "-398" in called.out
+        (hint,) = re.findall(r'(".*" = .*) under \[scores\]', called.out + called.err)
+        read = tomllib.loads(f"[scores]\n{hint.replace('…', '1')}")
+        assert read == {"scores": {"CartPole-v1": {"random": 1, "expert": 1}}}
+        assert "scores" not in call(*command, "--json").document
 
 
 def test_all_cells_of_a_paper_have_intervals_as_scores_have_no_deviation(study: Path) -> None:
