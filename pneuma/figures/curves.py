@@ -39,7 +39,7 @@ from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.origin import lines_of_runs
 from pneuma.figures.style import MARKERS, MOST_IN_A_PANEL, PANEL_INCHES
-from pneuma.figures.words import after_thesis, headline_of, looks_of
+from pneuma.figures.words import after_thesis, fits_panel, headline_of, looks_of
 from pneuma.store.quantities import POWERS, QUANTITIES, SHARES, VALUES
 
 RUNS, NO_BAND = "runs", "none"
@@ -71,7 +71,7 @@ def curves_page(answer: CurvesAnswer, basename: str = "") -> Page:
     studies = [column.data for column in columns.values()]
     first_data, looks = studies[0], looks_of(studies)
     labels = [look["label"] for look in looks.values() if look["label"]]
-    if len(labels) > MOST_IN_A_PANEL:
+    if not all(map(fits_panel, studies)):
         problem = f"study {first_data.study.name}: has too many conditions for one panel: pick"
         remedies = [Hint("conditions"), ", or ", Hint("figure", "summary")]
         raise UserError(f"{problem} {MOST_IN_A_PANEL} at most by ", *remedies)

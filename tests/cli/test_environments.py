@@ -56,14 +56,14 @@ RETURNED = {"pole, ppo": 100, "pole, a2c": 50, "arms, ppo": -200, "arms, a2c": -
 RANDOM = {"random_return": 20.0, "random_spread": 5.0}
 
 
-def save_two_environments(path: Path, random: Mapping[str, float] = RANDOM) -> None:
+def save_two_environments(path: Path, random: Mapping[str, float] = RANDOM, toml: str = TOML) -> None:
     """Write a study with runs that return what `RETURNED` says in their only evaluation, and up to 3 more."""
-    path.write_text(TOML)
+    path.write_text(toml)
     store = Store(path.parent / "results")
     plan = make_plan(load_study(str(path)), Query())
     for cell in plan.cells:
         step = cell.run.steps
-        evaluated = {"step": step, "return": RETURNED[cell.condition] + cell.seed, **random}
+        evaluated = {"step": step, "return": RETURNED.get(cell.condition, 0) + cell.seed, **random}
         evaluated["commonest_action"] = 0.5
         fields, config = as_fields(cell.run), config_id(cell.run)
         episode = [{"step": step, "episode": 0, "return": 1.0}]
@@ -185,6 +185,23 @@ def test_a_figure_that_cannot_be_drawn_or_written_is_refused(study: Path) -> Non
     called = call(*plot, "--quantity", "success")
     assert called.code == 2 and "'success'; known are" in called.err
     assert not [*Path().glob("two.*g")]
+
+
+@pytest.mark.parametrize(("in_each", "code"), [(7, 0), (8, 2)])
+def test_a_panel_has_seven_conditions_at_most_and_a_study_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, in_each: int, code: int
+) -> None:
+    """Conditions that are not crossed have names of their own in each environment."""
+    monkeypatch.chdir(tmp_path)
+    conditions = [
+        f'{env[:4]}{number} = {{ env = "{env}", gamma = 0.9{number} }}'
+        for env in ("CartPole-v1", "Acrobot-v1")
+        for number in range(in_each)
+    ]
+    toml = "\n".join(['title = "Many"', "[conditions]", *conditions, TOML[TOML.index("[presets") :]])
+    save_two_environments(tmp_path / "many.toml", toml=toml.replace("seeds = 4", "seeds = 1"))
+    called = call("study", "plot", "many.toml", "--figure", "curves", "--out", "many.svg")
+    assert (called.code, "too many conditions for one panel" in called.err) == (code, code == 2)
 
 
 def test_panels_have_the_evaluated_return_and_their_own_names_of_conditions(study: Path) -> None:
