@@ -78,6 +78,10 @@ class Planned:
         if self.claim.kind == "range" and self.b:  # by b's range, which published runs may not show
             others = [condition for condition in self.b if condition not in self.a]
             yield {**groups, **{name: self.made_up(groups[name], 2, 1) for name in others}}
+        if self.claim.kind == "main-effect":  # published runs of b may be so low that none are far below
+            for of_a, of_b in ((2, 3), (3, 2)):
+                made_up = {name: self.made_up(groups[name], of_a, 0) for name in self.a}
+                yield {**made_up, **{name: self.made_up(groups[name], of_b, 0) for name in self.b}}
         if self.claim.direction_of(self.outcome) in ("equal", "no-less"):
             # few runs as far apart as the published ones cannot show that conditions are alike
             centre = {name: runs.mean() for name, runs in groups.items()}
