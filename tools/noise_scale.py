@@ -15,13 +15,14 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
+from pneuma.analysis.drawing import run_table
 from pneuma.analysis.outcomes import find_outcome, outcome_values
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.origin import lines_of_runs
-from pneuma.figures.words import capital, headline_of
+from pneuma.figures.words import capital
 from pneuma.store.index import RunIndex
 from pneuma.store.quantities import POWERS, SHARES
 from pneuma.store.store import Store
@@ -82,8 +83,8 @@ def noise_page(data: StudyData) -> Page:
     few = cells["updates"][cells["updates"] < FEW_UPDATES]
     crossed = f"Crossed out: {few.iloc[0]} updates in all." if len(few) else ""
     caption = [f"{capital(words)}.", *correlations(cells), crossed]
-    headline = headline_of(data, "at the end of training")
-    return Page(STUDY, [[panel]], 1.3 * style.PANEL_INCHES, headline, lines_of_runs(data), marks, caption)
+    headline, runs = f"{data.full_title}: at the end of training", lines_of_runs(run_table({"": data}))
+    return Page(STUDY, [[panel]], 1.3 * style.PANEL_INCHES, headline, runs, marks, caption)
 
 
 def _draw(axes: Axes, cells: pd.DataFrame) -> None:

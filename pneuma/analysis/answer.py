@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from pneuma.analysis.study_data import StudyData
 
 NO_CELL = "–"
 """A cell of text without a value."""
@@ -26,6 +24,7 @@ class Answer:
         cells: tables of text for people; the first also stands in pages and papers.
         notes: messages without which the numbers may mislead.
         legend: lines that explain the cells.
+        drawing: what its figure needs beside the tables: further tables and facts, by name.
     """
 
     title: str
@@ -34,6 +33,7 @@ class Answer:
     cells: Sequence[pd.DataFrame]
     notes: Sequence[str] = ()
     legend: Sequence[str] = ()
+    drawing: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def table(self) -> pd.DataFrame:
@@ -52,10 +52,3 @@ class Answer:
 
     def _repr_html_(self) -> str:
         return self.cells[0].to_html(index=False)
-
-
-@dataclass(frozen=True, kw_only=True)
-class StudyAnswer(Answer):
-    """An answer from whose tables and study a figure is drawn."""
-
-    data: StudyData

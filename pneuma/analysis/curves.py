@@ -11,9 +11,10 @@ over those that have a value at t. Nothing is extrapolated.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,10 +23,12 @@ from scipy import special
 
 from pneuma.analysis import BAND_NAMES, X_AXES
 from pneuma.analysis.answer import Answer
+from pneuma.analysis.drawing import drawing_of, run_table
 from pneuma.analysis.environments import in_environment_of
 from pneuma.analysis.intervals import LEAST_RUNS, LEVEL
 from pneuma.analysis.notes import (
     BUDGET_AVERAGE,
+    TRAILING_WINDOW,
     averaging,
     merge_notes,
     notes_on_runs,
@@ -44,6 +47,7 @@ from pneuma.store.quantities import (
     QUANTITIES,
     SHARES,
     UPDATE_QUANTITIES,
+    VALUES,
     evaluation_column,
 )
 from pneuma.store.rows import Row
@@ -378,6 +382,9 @@ LEAST_EVALUATIONS = 3
 """With fewer, a curve of evaluations is a dot or two."""
 LEAST_POINTS = GRID_POINTS // 2
 """With a mean of all runs at fewer points, a curve of training is stubs."""
+MOST_IN_A_NAME = 3
+"""With more quantities, the name of a figure's files has their number."""
+RETURN_BOUNDS = {"CartPole-v1": (0.0, 500.0), "Acrobot-v1": (-500.0, 0.0), "MountainCar-v0": (-200.0, 0.0)}
 X_NOTES = {
     EPISODES: "Episodes are counted by their mean length up to each point.",
     WALL_CLOCK: "Within a run, all steps are taken to last equally long.",
@@ -408,51 +415,16 @@ class CurveOptions:
         band = checked_band(self.band or DEFAULT_BAND)
         return [band, INTERVAL] if band == DEFAULT_BAND else [band]
 
-    def drawn_bands(self, run_count: int) -> list[str]:
-        """Return what is drawn around the mean of so many runs: an interval only inside the deviation."""
-        if self.bands[0] == DEFAULT_BAND and run_count < LEAST_INSIDE:
-            return [DEFAULT_BAND]
-        return self.bands
-
 
 Curves = Mapping[str, Sequence[Curve]]
 """By quantity."""
 
 
-@dataclass(frozen=True)
-class Column:
-    """The curves of a study's runs in one environment, by quantity, and those of another study drawn with it.
-
-    Attributes:
-        reference: of the random player, quantity, condition, x and value; x is NaN for a level.
-    """
-
-    data: StudyData
-    curves: Curves
-    reference: pd.DataFrame
-    beside: StudyData | None = None
-    beside_curves: Curves = field(default_factory=dict)
-
-    @property
-    def all_curves(self) -> list[Curve]:
-        return [curve for curves in self.curves.values() for curve in curves]
-
-
-@dataclass(frozen=True, kw_only=True)
-class CurvesAnswer(Answer):
-    """The curves of a study.
-
-    Attributes:
-        columns: by environment or world; a single one has no title.
-        quantities: of all columns.
-        is_default: whether these are the study's default quantities.
-        options: which curves.
-    """
-
-    columns: Mapping[str, Column]
-    quantities: Sequence[str]
-    is_default: bool
-    options: CurveOptions
+def drawn_bands(bands: Sequence[str], run_count: int) -> list[str]:
+    """Return what is drawn around the mean of so many runs: an interval only inside the deviation."""
+    if bands[0] == DEFAULT_BAND and run_count < LEAST_INSIDE:
+        return [DEFAULT_BAND]
+    return list(bands)
 
 
 def find_curves(
@@ -460,7 +432,7 @@ def find_curves(
     quantities: Sequence[str] = (),
     beside: StudyData | None = None,
     **options: Any,
-) -> CurvesAnswer:
+) -> Answer:
     """Return the curves of the finished runs of a study.
 
     Args:
@@ -474,7 +446,8 @@ def find_curves(
 
     Returns:
         The table `curves` has a row for each point, band, condition and quantity; `reference` has the random
-        player.
+        player. For a figure there are also `panels`, the curves `beside`, the single `lines` of runs, where
+        they are few, and `stops`, where runs diverged.
 
     Raises:
         UserError: for a quantity that no study has, or another study with runs in other environments only.
@@ -486,27 +459,53 @@ def find_curves(
     names_by_title = {title: curve_names(study_data) for title, study_data in studies.items()}
     missing_names = sorted(set(quantity_names).difference(*names_by_title.values()))
     study_curves(first_data, missing_names)  # refuses what no study has
-    columns: dict[str, Column] = {}
-    for title, study_data in studies.items():
+    columns = {
+        title: study_data
+        for title, study_data in studies.items()
+        if set(quantity_names).intersection(names_by_title[title])
+    }
+    tables: dict[str, list[pd.DataFrame]] = {name: [] for name in (*DRAWN_TABLES, "curves", "reference")}
+    notes_by_title: dict[str, list[str]] = {}
+    for title, study_data in columns.items():
         shared_names = [quantity for quantity in quantity_names if quantity in names_by_title[title]]
-        if shared_names:
-            columns[title] = _column(study_data, shared_names, beside, curve_options)
-    if beside and not any(column.beside for column in columns.values()):
-        environments = f"{' and '.join(beside.environments)}, not in {' and '.join(first_data.environments)}"
-        raise UserError(Hint("beside", beside.study.name), f": its runs are in {environments}")
-    curve_tables, reference_tables, notes_by_title = [], [], {}
-    for title, column in columns.items():
+        curves = _curves(study_data, shared_names, curve_options)
+        beside_curves: Curves = {}
+        beside_data = beside and _beside_data(study_data, beside)
+        if beside_data:
+            beside_curves = _beside_curves(beside_data, shared_names, curve_options)
+            beside_table = curves_table(beside_curves, curve_options.bands)
+            labels = beside_table["condition"].map(beside_data.labelled)
+            beside_title = _beside_title(study_data, beside_data)
+            tables["beside"].append(beside_table.assign(environment=title, label=labels, title=beside_title))
+            tables["beside_runs"].append(run_table({title: beside_data}))
+        # Logs do not contain their environment, and may be of another panel's.
+        has_own_limits = bool(len(columns) > 1 and beside_data and beside_data.averaged_over)
+        panels = _panels(study_data, curves, beside_curves, curve_options, has_own_limits)
+        tables["panels"].append(panels.assign(environment=title))
+        for is_beside, drawn_curves in ((False, curves), (True, beside_curves)):
+            for lines in _single_lines(drawn_curves, curve_options.bands[0]):
+                tables["lines"].append(lines.assign(environment=title, beside=is_beside))
+        tables["stops"].append(_stops(curves).assign(environment=title))
+        reference = _reference(study_data, curves, beside_curves, curve_options)
         environment_column = {"environment": title} if title else {}
-        curve_tables.append(curves_table(column.curves, curve_options.bands).assign(**environment_column))
-        reference_tables.append(column.reference.assign(**environment_column))
-        notes_by_title[title] = _notes(column, curve_options)
-        is_return_in_training = not quantities and "return" in column.curves
-        if is_return_in_training and is_foreign(column.data) and _has_few_evaluations(column.data):
+        tables["curves"].append(curves_table(curves, curve_options.bands).assign(**environment_column))
+        tables["reference"].append(reference.assign(**environment_column))
+        notes_by_title[title] = _notes(study_data, curves, reference, beside_data, curve_options)
+        is_return_in_training = not quantities and "return" in curves
+        if is_return_in_training and is_foreign(study_data) and _has_few_evaluations(study_data):
             few_text = f"With fewer than {LEAST_EVALUATIONS} evaluations, the return is that in training."
             notes_by_title[title].insert(0, few_text)
-    shown_studies = {title: column.data for title, column in columns.items()}
+    if beside and not tables["beside"]:
+        environments = f"{' and '.join(beside.environments)}, not in {' and '.join(first_data.environments)}"
+        raise UserError(Hint("beside", beside.study.name), f": its runs are in {environments}")
+    drawn_tables: dict[str, Any] = {}
+    for name in DRAWN_TABLES:
+        drawn_tables[name] = NO_ROWS
+        if tables[name]:
+            drawn_tables[name] = pd.concat(tables[name], ignore_index=True)
+    suffixes = _differences(curve_options, quantity_names, default_names, beside)
     run_counts = first_data.runs["condition"].value_counts(sort=False).rename_axis("condition")
-    return CurvesAnswer(
+    return Answer(
         title=first_data.full_title,
         about={
             **first_data.about,
@@ -514,14 +513,31 @@ def find_curves(
             "x": curve_options.x,
             "bands": curve_options.bands,
         },
-        tables={"curves": pd.concat(curve_tables), "reference": pd.concat(reference_tables)},
+        tables={"curves": pd.concat(tables["curves"]), "reference": pd.concat(tables["reference"])},
         cells=[run_counts.reset_index(name="runs")],
-        notes=merge_notes(shown_studies, notes_by_title),
-        columns=columns,
-        quantities=quantity_names,
-        is_default=quantity_names == default_names,
-        options=curve_options,
+        notes=merge_notes(columns, notes_by_title),
+        drawing=drawing_of(columns, *suffixes, **drawn_tables),
     )
+
+
+def _differences(
+    options: CurveOptions, quantities: Sequence[str], default_names: Sequence[str], beside: StudyData | None
+) -> list[str]:
+    """Return how a figure differs from the study's default one, for the name of its files."""
+    suffixes: list[str] = []
+    if quantities != default_names:
+        suffixes += quantities if len(quantities) < MOST_IN_A_NAME else [f"{len(quantities)}-quantities"]
+    if options.bands[0] != DEFAULT_BAND:
+        suffixes.append(options.bands[0])
+    if options.log:
+        suffixes.append("log")
+    if options.x != STEPS:
+        suffixes.append(f"over-{options.x}")
+    if options.window == TRAILING_WINDOW:
+        suffixes.append(options.window)
+    if beside:
+        suffixes += ["beside", beside.study.name]
+    return suffixes
 
 
 def default_quantities(study_data: StudyData, beside: StudyData | None = None) -> list[str]:
@@ -565,33 +581,35 @@ def _has_stubs(study_data: StudyData, quantity: str) -> bool:
     return False
 
 
-def _column(
-    study_data: StudyData, quantity_names: Sequence[str], beside: StudyData | None, options: CurveOptions
-) -> Column:
+def _curves(study_data: StudyData, quantity_names: Sequence[str], options: CurveOptions) -> Curves:
     """Return a study's curves; on a logarithmic axis, means and bands are of logarithms."""
     curves = study_curves(study_data, quantity_names, options.window, options.x)
     for quantity, quantity_curves in curves.items():
         if (options.log or QUANTITIES[quantity].kind == POWERS) and reach(quantity_curves)[1] > 0:
             curves[quantity] = [replace(curve, log=True) for curve in quantity_curves]
-    beside_data = beside and in_environment_of(study_data, beside)
-    if not beside_data:
-        return Column(study_data, curves, _reference(study_data, curves, {}, options))
-    if study_data.query.conditions:
-        same_names = [
-            condition
-            for condition in beside_data.conditions
-            if condition in study_data.fields and beside_data.of_condition(condition)
-        ]
-        beside_data = beside_data.of_conditions(same_names or beside_data.conditions)
+    return curves
+
+
+def _beside_data(study_data: StudyData, beside: StudyData) -> StudyData | None:
+    """Return another study's runs in a study's environment, of the selected conditions if it has some."""
+    beside_data = in_environment_of(study_data, beside)
+    if not beside_data or not study_data.query.conditions:
+        return beside_data
+    same_names = [
+        condition
+        for condition in beside_data.conditions
+        if condition in study_data.fields and beside_data.of_condition(condition)
+    ]
+    return beside_data.of_conditions(same_names or beside_data.conditions)
+
+
+def _beside_curves(beside_data: StudyData, quantity_names: Sequence[str], options: CurveOptions) -> Curves:
     beside_names = curve_names(beside_data)
     shared_names = [quantity for quantity in quantity_names if quantity in beside_names]
     if not shared_names:
         raise UserError(f"study {beside_data.study.name} has no {' or '.join(quantity_names)} to draw")
     window = options.window if options.window in beside_data.windows else None
-    beside_curves = study_curves(beside_data, shared_names, window, options.x)
-    return Column(
-        study_data, curves, _reference(study_data, curves, beside_curves, options), beside_data, beside_curves
-    )
+    return study_curves(beside_data, shared_names, window, options.x)
 
 
 def _reference(
@@ -611,20 +629,97 @@ def _reference(
     return pd.DataFrame(reference_rows, columns=["quantity", "condition", "x", "value"])
 
 
+# --- What a figure needs -----------------------------------------------------------------------------
+
+DRAWN_TABLES = ("panels", "stops", "lines", "beside", "beside_runs")
+NO_ROWS = pd.DataFrame(
+    columns=["environment", "study", "quantity", "condition", "beside", "run", "x", "value"], dtype=object
+)
+"""A table of lines, or of another study, where none are drawn."""
+
+
+def _panels(
+    study_data: StudyData, curves: Curves, beside_curves: Curves, options: CurveOptions, has_own_limits: bool
+) -> pd.DataFrame:
+    """Return the words and ends of the axes of each quantity's panel.
+
+    Returns:
+        quantity; title, label and kind of the upright axis; the bounds of bands, `least` and `greatest`, NaN
+        without; `low` and `high`, the reach of runs; `end`, the last place on the other axis; and
+        `own_limits`, whether another study's runs beside move none of these.
+    """
+    rows: list[dict[str, Any]] = []
+    for quantity, own_curves in curves.items():
+        declared = QUANTITIES[quantity]
+        title, label, kind, bounds = declared.title, declared.label, declared.kind, declared.bounds
+        if study_data.averaged_over:  # in the log
+            label = label.replace(" of an episode", f", {averaging(study_data, options.window)}")
+        if quantity.startswith("action_") and is_foreign(study_data):
+            title = f"Share of action {quantity.removeprefix('action_')}"
+        if own_curves[0].log:
+            kind = POWERS
+        elif kind == POWERS:
+            kind = VALUES
+        if quantity in ("return", EVALUATED):
+            bounds = RETURN_BOUNDS.get(" ".join(study_data.environments), bounds)
+        reaching_curves = list(own_curves)
+        if not has_own_limits:
+            reaching_curves += beside_curves.get(quantity, [])
+        low, high = reach(reaching_curves)
+        end = max(float(curve.runs.index.max()) for curve in reaching_curves)
+        if options.x == STEPS:
+            end = max(end, study_data.budget)
+        least, greatest = (bound if np.isfinite(bound) else np.nan for bound in bounds)
+        rows.append({
+            "quantity": quantity, "title": title, "label": label, "kind": kind, "least": least,
+            "greatest": greatest, "low": low, "high": high, "end": end, "own_limits": has_own_limits,
+        })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def _single_lines(curves: Curves, band: str) -> Iterator[pd.DataFrame]:
+    """Yield quantity, condition, x, run and value of runs to draw: in the band `runs`, or too few for one."""
+    for quantity, quantity_curves in curves.items():
+        for curve in quantity_curves:
+            if band == "runs" or (band != "none" and 1 < curve.run_count < BANDS[band].enough_runs):
+                lines = curve.runs.rename_axis("x").reset_index().melt("x", var_name="run")
+                yield lines.assign(quantity=quantity, condition=curve.condition)
+
+
+def _stops(curves: Curves) -> pd.DataFrame:
+    rows: list[tuple[str, str, float, float]] = []
+    for quantity, quantity_curves in curves.items():
+        for curve in quantity_curves:
+            rows += [(quantity, curve.condition, x, value) for x, value in curve.stops]
+    return pd.DataFrame(rows, columns=["quantity", "condition", "x", "value"])
+
+
+def _beside_title(study_data: StudyData, beside_data: StudyData) -> str:
+    """Return what another study is called in a legend: its preset, if that is the difference."""
+    if beside_data.study.name == study_data.study.name and beside_data.plan:
+        return f"preset {beside_data.plan.preset}"
+    return beside_data.full_title
+
+
 # --- Notes ------------------------------------------------------------------------------------------
 
 
-def _notes(column: Column, options: CurveOptions) -> list[str]:
+def _notes(
+    study_data: StudyData,
+    curves: Curves,
+    reference: pd.DataFrame,
+    beside: StudyData | None,
+    options: CurveOptions,
+) -> list[str]:
     """Return the notes on a study and on what is drawn of it, the most important first."""
-    study_data, beside = column.data, column.beside
-    notes = notes_on_runs(study_data, not column.curves.keys().isdisjoint(("return", EVALUATED)), beside)
-    if not column.curves.keys().isdisjoint(EVALUATION_QUANTITIES):
+    notes = notes_on_runs(study_data, not curves.keys().isdisjoint(("return", EVALUATED)), beside)
+    if not curves.keys().isdisjoint(EVALUATION_QUANTITIES):
         notes += notes_on_zero_xp(study_data)
-    for quantity, quantity_curves in column.curves.items():
+    for quantity, quantity_curves in curves.items():
         if options.log and not quantity_curves[0].log:
             notes.append(f"{QUANTITIES[quantity].title}: no value is above 0, so the axis is linear.")
     least_runs = BANDS[options.bands[0]].least_runs
-    for curve in column.all_curves:
+    for curve in chain.from_iterable(curves.values()):
         curve_text = f"{curve.condition} ({counted(curve.run_count, 'run')})"
         if options.bands[0] == DEFAULT_BAND and least_runs <= curve.run_count < LEAST_INSIDE:
             notes.append(
@@ -645,9 +740,9 @@ def _notes(column: Column, options: CurveOptions) -> list[str]:
             )
         if curve.values.isna().all().any():
             notes.append(f"Some of {curve_text} have no value in a panel and are left out of its means.")
-    notes += _notes_on_random_levels(column)
+    notes += _notes_on_random_levels(study_data, reference)
     averaged: dict[str, list[str]] = {}
-    for quantity in column.curves:
+    for quantity in curves:
         if quantity in EPISODE_QUANTITIES:
             average = averaging(study_data, options.window)
             averaged.setdefault(average, []).append(QUANTITIES[quantity].words)
@@ -668,16 +763,16 @@ def _notes(column: Column, options: CurveOptions) -> list[str]:
     return notes
 
 
-def _notes_on_random_levels(column: Column) -> list[str]:
+def _notes_on_random_levels(study_data: StudyData, reference: pd.DataFrame) -> list[str]:
     """Return whose lines those of random players are, if they differ between conditions."""
     notes: list[str] = []
-    levels = column.reference[column.reference["x"].isna()]
+    levels = reference[reference["x"].isna()]
     for quantity, of_quantity in levels.groupby("quantity", sort=False):
         if QUANTITIES[str(quantity)].kind == SHARES and 1 < of_quantity["value"].nunique() <= MOST_LEVELS:
             texts = []
             for level in of_quantity["value"].unique().tolist():
                 names = of_quantity["condition"][of_quantity["value"] == level]
-                labels = [column.data.study.labels.get(name, name) for name in names]
+                labels = map(study_data.labelled, names)
                 texts.append(f"{per_cent(level)} ({'; '.join(labels)})")
             notes.append(f"Random players kill {', '.join(texts)}.")
     return notes

@@ -17,7 +17,8 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis.answer import StudyAnswer
+from pneuma.analysis.answer import Answer
+from pneuma.analysis.drawing import condition_table, drawing_of
 from pneuma.analysis.intervals import LEVEL, interquartile_mean, probability_of_improvement
 from pneuma.analysis.notes import notes_on_ends
 from pneuma.analysis.outcomes import find_outcome, known_values
@@ -256,7 +257,7 @@ def bootstrap(statistic: Statistic, *groups: Scores, resamples: int = RESAMPLES)
 # --- Performance profiles ---------------------------------------------------------------------------
 
 
-def profile_scores(study_data: StudyData) -> StudyAnswer:
+def profile_scores(study_data: StudyData) -> Answer:
     """Return the share of runs above each score, over all environments together.
 
     Returns:
@@ -279,11 +280,11 @@ def profile_scores(study_data: StudyData) -> StudyAnswer:
         scale_texts.append(scale_text)
     scale_note = f"Score: {find_outcome(OUTCOME).words}; 0 and 1 are {', '.join(scale_texts)}."
     cells = profile_table[["condition", "runs"]].drop_duplicates()
-    return StudyAnswer(
+    return Answer(
         study_data.full_title,
         study_data.about,
         {"profiles": profile_table},
         [cells],
         [scale_note] + notes_on_ends(study_data),
-        data=study_data,
+        drawing=drawing_of({"": study_data}, "profile", conditions=condition_table(data_by_env)),
     )

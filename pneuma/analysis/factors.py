@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pneuma.analysis.answer import StudyAnswer
+from pneuma.analysis.answer import Answer
 from pneuma.analysis.cells import with_cells
 from pneuma.analysis.claims import contrasts
+from pneuma.analysis.drawing import drawing_of
 from pneuma.analysis.environments import columns_of
 from pneuma.analysis.intervals import LEAST_RUNS, Groups, no_interval, within
 from pneuma.analysis.notes import notes_on_ends, notes_on_outcomes
@@ -39,7 +40,7 @@ def factors_of(study_data: StudyData) -> list[str]:
     return [factor for factor, levels in names.items() if len(levels) > 1]
 
 
-def compare_factors(study_data: StudyData, a: str, b: str, outcomes: Sequence[str] = ()) -> StudyAnswer:
+def compare_factors(study_data: StudyData, a: str, b: str, outcomes: Sequence[str] = ()) -> Answer:
     """Return what two factors of a crossed study do to outcomes, in each of its environments.
 
     Args:
@@ -85,14 +86,26 @@ def compare_factors(study_data: StudyData, a: str, b: str, outcomes: Sequence[st
     cells[_words(a)] = cells[_words(a)].map(partial(level_label, study_data, a))
     effect_cells = effects_table[["environment", "outcome", "effect", "cell", "runs"]]
     effect_cells = effect_cells.rename(columns={"cell": "difference"})
-    return StudyAnswer(
+    levels = [
+        (factor, level)
+        for factor, column in ((a, "level_a"), (b, "level_b"))
+        for level in means_table[column].unique()
+    ]
+    level_rows = [(factor, level, level_label(study_data, factor, level)) for factor, level in levels]
+    return Answer(
         title=f"{study_data.full_title}: {_words(a)} and {_words(b)}",
         about={**study_data.about, "a": a, "b": b},
         tables={"means": means_table.drop(columns="cell"), "effects": effects_table.drop(columns="cell")},
         cells=[_plain(cells), _plain(effect_cells)],
         notes=list(dict.fromkeys(notes + notes_on_outcomes(study_data, outcome_names))),
         legend=LEGEND,
-        data=study_data,
+        drawing=drawing_of(
+            {"": study_data},
+            "factors",
+            a,
+            b,
+            levels=pd.DataFrame(level_rows, columns=["factor", "level", "label"]),
+        ),
     )
 
 

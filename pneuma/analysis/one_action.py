@@ -14,8 +14,9 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from pneuma.analysis.answer import StudyAnswer
+from pneuma.analysis.answer import Answer
 from pneuma.analysis.curves import Curve
+from pneuma.analysis.drawing import drawing_of
 from pneuma.analysis.intervals import LEVEL
 from pneuma.analysis.measures import LATE, ONE_ACTION, lasting_one_action, one_action_updates
 from pneuma.analysis.notes import notes_on_runs
@@ -28,7 +29,7 @@ PARTS = 5
 """Parts of training over each of which the time in one action is measured."""
 
 
-def find_one_action(study_data: StudyData) -> StudyAnswer:
+def find_one_action(study_data: StudyData) -> Answer:
     """Return how many runs of each condition do not yet stay in one action, and the time in one.
 
     Returns:
@@ -55,8 +56,13 @@ def find_one_action(study_data: StudyData) -> StudyAnswer:
         f"in one action in updates whose rollout is at least {100 * MOST_OF_ONE:g} % one action.",
         *notes_on_runs(study_data),
     ]
-    return StudyAnswer(
-        study_data.full_title, study_data.about, tables, [tables["updates"]], notes, data=study_data
+    return Answer(
+        study_data.full_title,
+        study_data.about,
+        tables,
+        [tables["updates"]],
+        notes,
+        drawing=drawing_of({"": study_data}, "one-action"),
     )
 
 

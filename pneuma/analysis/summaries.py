@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -23,6 +22,7 @@ from pneuma.analysis import intervals
 from pneuma.analysis.answer import NO_CELL, Answer
 from pneuma.analysis.cells import condition_cells, pivot_cells, with_cells
 from pneuma.analysis.curves import curve_names, random_levels, random_returns
+from pneuma.analysis.drawing import drawing_of, short_names
 from pneuma.analysis.environments import OUTCOME, by_environment, environment_names, over_environments
 from pneuma.analysis.intervals import LEAST_RUNS, Interval, no_interval
 from pneuma.analysis.notes import (
@@ -437,77 +437,66 @@ WITHOUT_EVALUATIONS = "final-return"
 SHOWN_STATISTICS = ("mean", "iqm")
 
 
-@dataclass(frozen=True)
-class OutcomeColumn:
-    """One outcome of the runs of a study.
-
-    Attributes:
-        values: known ones of each condition that has runs, (runs,).
-        summary: the rows of `summary_table` for means and interquartile means.
-        random_levels: of the random player, by condition.
-    """
-
-    data: StudyData
-    outcome: str
-    values: Mapping[str, np.ndarray]
-    summary: pd.DataFrame
-    random_levels: Mapping[str, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class OutcomesAnswer(Answer):
-    """The outcomes of every run.
-
-    Attributes:
-        columns: by outcome or, if there are several, by environment or world.
-    """
-
-    columns: Mapping[str, OutcomeColumn]
-
-
-def show_outcomes(studies: Mapping[str, StudyData]) -> OutcomesAnswer:
+def show_outcomes(studies: Mapping[str, StudyData]) -> Answer:
     """Return the outcomes of the runs of a study, all that its file names or the default one.
 
     Args:
         studies: its runs in each environment, by title; "" for a single one. Several show one outcome each.
 
     Returns:
-        The table `runs` has the known value of each run, `summary` means and interquartile means.
+        The table `runs` has the known value of each run, `summary` means and interquartile means. For a
+        figure, `panels` has the outcome and environment of each column, `reference` the random player.
     """
-    outcomes: dict[str, tuple[StudyData, str]] = {}
+    outcomes: dict[str, tuple[str, str]] = {}
     for title, study_data in studies.items():
         outcome_names = study_data.study.outcomes or [default_outcome(study_data)]
         if len(studies) > 1:
             if len(outcome_names) > 1:
                 outcome_names = [default_outcome(study_data)]
-            outcomes[title] = study_data, outcome_names[0]
+            outcomes[title] = title, outcome_names[0]
             continue
         headings = [re.split(r",| \(", words_of(outcome_name))[0] for outcome_name in outcome_names]
         for outcome_name, heading in zip(outcome_names, headings, strict=True):
             column_title = heading if headings.count(heading) == 1 else words_of(outcome_name)
-            outcomes[column_title] = study_data, outcome_name
-    columns: dict[str, OutcomeColumn] = {}
+            outcomes[column_title] = title, outcome_name
+    shown_studies: dict[str, StudyData] = {}
     notes_by_title: dict[str, list[str]] = {}
     descriptions: list[str] = []
     run_frames, summaries = [], []
-    for title, (study_data, outcome) in outcomes.items():
-        column = columns[title] = _column(study_data, outcome)
-        notes_by_title[title] = _notes(column)
+    panel_rows: list[tuple[str, str, str]] = []
+    level_rows: list[tuple[str, str, float]] = []
+    for title, (environment, outcome) in outcomes.items():
+        study_data = shown_studies[title] = studies[environment]
+        panel_rows.append((title, environment, outcome))
         if title != words_of(outcome):
             descriptions.append(f"{words_of(outcome)}.")
-        for condition, values in column.values.items():
-            run_frames.append(pd.DataFrame({"column": title, "condition": condition, "value": values}))
-        summaries.append(column.summary.assign(column=title))
-    first_data = next(iter(studies.values()))
-    shown_studies = {title: column.data for title, column in columns.items()}
+        values_by_condition: dict[str, np.ndarray] = {}
+        for condition in study_data.conditions:
+            if study_data.of_condition(condition):
+                values = values_by_condition[condition] = known_values(study_data, condition, outcome)
+                run_frames.append(pd.DataFrame({"column": title, "condition": condition, "value": values}))
+        notes_by_title[title] = _notes(study_data, outcome, values_by_condition)
+        for condition, level in _random_levels(study_data, outcome).items():
+            level_rows.append((title, condition, level))
+        summary = summary_table(study_data, [outcome]).assign(column=title)
+        is_shown = (summary["outcome"] == outcome) & summary["statistic"].isin(SHOWN_STATISTICS)
+        summaries.append(summary[is_shown])
+    first_data, (names, factors) = next(iter(studies.values())), short_names(studies.values())
     summary = pd.concat(summaries, ignore_index=True)
-    return OutcomesAnswer(
+    return Answer(
         title=first_data.full_title,
         about=first_data.about,
         tables={"summary": summary, "runs": pd.concat(run_frames, ignore_index=True)},
         cells=[summary],
         notes=list(dict.fromkeys([*descriptions, *merge_notes(shown_studies, notes_by_title)])),
-        columns=columns,
+        drawing=drawing_of(
+            studies,
+            "summary",
+            names=names,
+            factors=factors,
+            panels=pd.DataFrame(panel_rows, columns=["column", "environment", "outcome"]),
+            reference=pd.DataFrame(level_rows, columns=["column", "condition", "value"]),
+        ),
     )
 
 
@@ -524,20 +513,6 @@ def words_of(outcome: str) -> str:
     return words[:1].upper() + words[1:]
 
 
-def _column(study_data: StudyData, outcome: str) -> OutcomeColumn:
-    values_by_condition: dict[str, np.ndarray] = {}
-    for condition in study_data.conditions:
-        if study_data.of_condition(condition):
-            values_by_condition[condition] = known_values(study_data, condition, outcome)
-    summary_rows = summary_table(study_data, [outcome])
-    summary = summary_rows[
-        (summary_rows["outcome"] == outcome) & summary_rows["statistic"].isin(SHOWN_STATISTICS)
-    ]
-    return OutcomeColumn(
-        study_data, outcome, values_by_condition, summary, _random_levels(study_data, outcome)
-    )
-
-
 def _random_levels(study_data: StudyData, outcome: str) -> dict[str, float]:
     """Return the random player's outcome for each condition, where it was measured."""
     if outcome.endswith("share-killed"):
@@ -550,14 +525,13 @@ def _random_levels(study_data: StudyData, outcome: str) -> dict[str, float]:
     return {"": float(returns.iloc[-1])}
 
 
-def _notes(column: OutcomeColumn) -> list[str]:
-    study_data = column.data
-    outcome = find_outcome(column.outcome)
-    notes = notes_on_runs(study_data, outcome.is_return) + notes_on_ends(study_data)
-    if outcome.column:
+def _notes(study_data: StudyData, outcome: str, values_by_condition: Mapping[str, np.ndarray]) -> list[str]:
+    declared = find_outcome(outcome)
+    notes = notes_on_runs(study_data, declared.is_return) + notes_on_ends(study_data)
+    if declared.column:
         notes += notes_on_zero_xp(study_data)
-    value_counts = [len(values) for values in column.values.values()]
-    for condition, value_count in zip(column.values, value_counts, strict=True):
+    value_counts = [len(values) for values in values_by_condition.values()]
+    for condition, value_count in zip(values_by_condition, value_counts, strict=True):
         run_count = len(study_data.of_condition(condition))
         if value_count < run_count:
             notes.append(f"{run_count - value_count} of {run_count} runs of {condition} have no value.")

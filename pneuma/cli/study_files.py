@@ -168,6 +168,7 @@ def _draw_all(selection: opt.RunFilter, drawing: Drawing, beside_data: StudyData
 def _draw(study_data: StudyData, drawing: Drawing, beside_data: StudyData | None) -> Page:
     """Return the figure of a study."""
     from pneuma.analysis.curves import find_curves
+    from pneuma.analysis.drawing import run_table
     from pneuma.analysis.environments import columns_of, profile_scores
     from pneuma.analysis.summaries import show_outcomes
     from pneuma.figures import shares
@@ -202,7 +203,8 @@ def _draw(study_data: StudyData, drawing: Drawing, beside_data: StudyData | None
     else:
         raise NotImplementedError(f"a figure of kind {figure_kind}")
     if len(columns) > 1:  # under the names that contain the environment
-        page = replace(page, runs=lines_of_runs(*filter(None, [study_data, beside_data])))
+        shown = filter(None, [study_data, beside_data])
+        page = replace(page, runs=lines_of_runs(*(run_table({"": shown_data}) for shown_data in shown)))
     return page
 
 

@@ -7,8 +7,7 @@ from functools import partial
 import pandas as pd
 from matplotlib.axes import Axes
 
-from pneuma.analysis.answer import StudyAnswer
-from pneuma.analysis.factors import level_label
+from pneuma.analysis.answer import Answer
 from pneuma.analysis.intervals import decimals, number_text
 from pneuma.analysis.summaries import words_of
 from pneuma.figures import style
@@ -20,9 +19,10 @@ COLOURS = "cividis"
 """A colour map that people who confuse colours can read."""
 
 
-def heat_map_page(answer: StudyAnswer) -> Page:
+def heat_map_page(answer: Answer) -> Page:
     """Return the figure of `compare_factors`: a panel for each environment and outcome."""
     a, b = answer.about["a"], answer.about["b"]
+    labels = answer.drawing["levels"].set_index(["factor", "level"])["label"]
     panels = []
     for (environment, outcome), means in answer.table.groupby(["environment", "outcome"], sort=False):
         levels_a, levels_b = means["level_a"].unique(), means["level_b"].unique()
@@ -30,16 +30,16 @@ def heat_map_page(answer: StudyAnswer) -> Page:
         panel = Panel(
             partial(_draw, matrix),
             ": ".join(filter(None, [str(environment), words_of(str(outcome))])),
-            rows=[level_label(answer.data, a, level) for level in levels_a],
-            columns=[level_label(answer.data, b, level) for level in levels_b],
+            rows=[labels[a, level] for level in levels_a],
+            columns=[labels[b, level] for level in levels_b],
         )
         panels.append(panel)
     return Page(
-        basename=answer.data.basename("factors", a, b),
+        basename=answer.drawing["basename"],
         grid=[panels],
         inches=style.PANEL_INCHES,
-        headline=headline_of(answer.data, "means by two factors"),
-        runs=lines_of_runs(answer.data),
+        headline=headline_of(answer, "means by two factors"),
+        runs=lines_of_runs(answer.drawing["runs"]),
         caption=[f"{note.removesuffix('.')}." for note in answer.notes],
         across=2,
         answer=answer,

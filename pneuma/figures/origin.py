@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from pneuma.analysis.study_data import StudyData
+import pandas as pd
+
 from pneuma.errors import printable
 from pneuma.files import checksum
 from pneuma.seeds import format_seeds
@@ -27,16 +28,17 @@ def origin_text(subject: str, run_lines: Iterable[str] = ()) -> str:
     return "\n".join([f"Pneuma: {printable(subject)}", *run_lines])
 
 
-def lines_of_runs(*studies: StudyData) -> list[str]:
-    """Return a line for the finished runs of each condition, with the ids of their configurations."""
+def lines_of_runs(*run_tables: pd.DataFrame) -> list[str]:
+    """Return a line for the runs of each condition in `run_table`s, with the ids of their configurations."""
     run_lines: list[str] = []
-    for study_data in studies:
-        for condition in study_data.conditions:
-            runs = study_data.runs[study_data.runs["condition"] == condition]
-            if len(runs):
-                seeds = runs["seed"].tolist()
-                run_lines.append(line_of_runs(study_data.study.name, condition, runs["config_id"], seeds))
-    return run_lines
+    for run_table in run_tables:
+        for (_, study, condition), runs in run_table.groupby(
+            ["environment", "study", "condition"], sort=False
+        ):
+            run_lines.append(
+                line_of_runs(str(study), str(condition), runs["config_id"], runs["seed"].tolist())
+            )
+    return list(dict.fromkeys(run_lines))
 
 
 def line_of_runs(study_name: str, condition: str, run_ids: Iterable[str], seeds: Sequence[int]) -> str:

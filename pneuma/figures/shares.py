@@ -9,8 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
-from pneuma.analysis.answer import StudyAnswer
-from pneuma.analysis.environments import by_environment
+from pneuma.analysis.answer import Answer
 from pneuma.figures import grid, style
 from pneuma.figures.grid import Page, Panel
 from pneuma.figures.origin import lines_of_runs
@@ -20,26 +19,28 @@ from pneuma.store.quantities import SHARES
 OPACITY = 0.2
 
 
-def profile_page(answer: StudyAnswer) -> Page:
+def profile_page(answer: Answer) -> Page:
     """Return the figure of performance profiles (Agarwal et al. 2021): the share of runs above each score."""
-    profile_table, looks = answer.table, looks_of(list(by_environment(answer.data).values()))
+    profile_table, looks = answer.table, looks_of(answer.drawing)
 
     def draw(axes: Axes) -> None:
         _draw_lines(axes, profile_table, looks, marker="")
         axes.set(xlim=(profile_table["x"].min(), profile_table["x"].max()), ylim=(0, 1 + grid.BELOW_ZERO))
 
     panel = Panel(draw, x="Score", y="Share of runs above it", y_kind=SHARES)
-    return _page(answer, "profile", "performance profiles", [panel], answer.notes)
+    return _page(answer, "performance profiles", [panel], answer.notes)
 
 
-def one_action_page(answer: StudyAnswer) -> Page:
+def one_action_page(answer: Answer) -> Page:
     """Return the figure of a study's conditions: a curve of survival, and updates in one action."""
-    looks = looks_of([answer.data])
+    looks = looks_of(answer.drawing)
 
     def draw_survival(axes: Axes) -> None:
         step_look = {"drawstyle": "steps-post", "markevery": [-1]}
         _draw_lines(axes, answer.tables["staying"], looks, step="post", **step_look)
-        axes.set(xlim=(0, answer.data.budget), ylim=(-grid.BELOW_ZERO, 1 + grid.BELOW_ZERO))
+        axes.set(
+            xlim=(0, answer.drawing["runs"]["steps"].max()), ylim=(-grid.BELOW_ZERO, 1 + grid.BELOW_ZERO)
+        )
 
     def draw_times(axes: Axes) -> None:
         _draw_lines(axes, answer.tables["updates"], looks)
@@ -50,7 +51,7 @@ def one_action_page(answer: StudyAnswer) -> Page:
     panels = [Panel(draw_survival, *survival, y_kind=SHARES), Panel(draw_times, *times, y_kind=SHARES)]
     caption = list(answer.notes)
     caption.insert(1, "Left: after Kaplan and Meier. Right: means over runs.")
-    return _page(answer, "one-action", "runs in one action", panels, caption)
+    return _page(answer, "runs in one action", panels, caption)
 
 
 def _draw_lines(
@@ -67,15 +68,13 @@ def _draw_lines(
         axes.plot(frame["x"], frame["share"], clip_on=False, **look)
 
 
-def _page(
-    answer: StudyAnswer, suffix: str, subject: str, panels: list[Panel], caption: Sequence[str]
-) -> Page:
+def _page(answer: Answer, subject: str, panels: list[Panel], caption: Sequence[str]) -> Page:
     return Page(
-        basename=answer.data.basename(suffix),
+        basename=answer.drawing["basename"],
         grid=[panels],
         inches=style.PANEL_INCHES,
-        headline=headline_of(answer.data, subject),
-        runs=lines_of_runs(answer.data),
+        headline=headline_of(answer, subject),
+        runs=lines_of_runs(answer.drawing["runs"]),
         entries={"95 % interval": Patch(color=style.INK, alpha=OPACITY, linewidth=0)},
         caption=caption,
         answer=answer,

@@ -11,14 +11,14 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
+from pneuma.analysis.answer import Answer
 from pneuma.analysis.intervals import LEAST_RUNS
 from pneuma.analysis.outcomes import find_outcome
-from pneuma.analysis.summaries import OutcomeColumn, OutcomesAnswer
 from pneuma.figures import grid, style
 from pneuma.figures.grid import LEAST_ROW_INCHES, LONGEST_INCHES, ROW_INCHES, Page, Panel
 from pneuma.figures.origin import lines_of_runs
 from pneuma.figures.style import GREY, INK
-from pneuma.figures.words import capital, headline_of, labels_of, looks_of, short_names
+from pneuma.figures.words import capital, headline_of, looks_of
 from pneuma.store.quantities import SHARES, VALUES
 
 DOT_SHARE = 0.012
@@ -27,54 +27,50 @@ ABOVE = 0.2
 """Distance of the mean above, and the interquartile mean below, a condition's row, in rows."""
 
 
-def summary_page(answer: OutcomesAnswer, basename: str = "") -> Page:
+def summary_page(answer: Answer, basename: str = "") -> Page:
     """Return the figure of a study's outcomes: every run, and means, a row for each condition that has runs.
 
     Args:
-        answer: the outcomes.
+        answer: of `show_outcomes`.
         basename: of the files.
     """
-    studies = list(dict.fromkeys(column.data for column in answer.columns.values()))
-    first_data, looks = studies[0], looks_of(studies)
-    names_by_condition, factors = short_names(studies)
-    labels = labels_of(studies, names_by_condition)
+    drawing = answer.drawing
+    runs, looks = drawing["runs"], looks_of(answer.drawing)
+    labels = {condition: looks[condition]["label"] for condition in runs["condition"].unique()}
     row_inches = min(max(LONGEST_INCHES / len(labels), LEAST_ROW_INCHES), ROW_INCHES)
     panels: list[Panel] = []
-    largest_group = 0
-    for title, column in answer.columns.items():
-        outcome = column.outcome
+    for title, environment, outcome in drawing["panels"].to_numpy():
         declared = find_outcome(outcome)
         axis_label, axis_kind = capital(declared.unit), SHARES if declared.unit == "share" else VALUES
         if declared.is_return:
             axis_label = "Return of an episode"
         elif outcome.endswith("share-killed"):
             axis_label = "Share killed"
-        draw = partial(_draw, column, axis_kind, list(labels), looks, row_inches)
+        conditions = runs["condition"][runs["environment"] == environment].unique()
+        draw = partial(_draw, answer, title, axis_kind, conditions, list(labels), looks, row_inches)
         panels.append(Panel(draw, title, axis_label, x_kind=axis_kind, rows=list(labels.values())))
-        largest_group = max(largest_group, *map(len, map(column.data.of_condition, column.values)))
-    budgets = {steps for study_data in studies for steps in study_data.runs["steps"]}
-    time_text = f"after {budgets.pop():,} steps" if len(budgets) == 1 else "at the end of training"
-    headline = headline_of(first_data, time_text)
-    if len(studies) > 1:
-        headline = f"{first_data.study.title}: {time_text}"
+    budgets = runs["steps"].unique()
+    time_text = f"after {budgets[0]:,} steps" if len(budgets) == 1 else "at the end of training"
     notes = list(answer.notes)
-    if factors:
-        notes.append(f"Rows: {factors}.")
+    if drawing["factors"]:
+        notes.append(f"Rows: {drawing['factors']}.")
     return Page(
-        basename=basename or first_data.basename("summary"),
+        basename=basename or drawing["basename"],
         grid=[panels],
         inches=max(row_inches * len(labels) + 0.7, 0.6 * style.PANEL_INCHES),
-        headline=headline,
-        runs=lines_of_runs(*studies),
-        entries=_legend(largest_group),
+        headline=headline_of(answer, time_text),
+        runs=lines_of_runs(runs),
+        entries=_legend(runs.groupby(["environment", "condition"]).size().max()),
         caption=notes,
         answer=answer,
     )
 
 
 def _draw(
-    column: OutcomeColumn,
+    answer: Answer,
+    title: str,
     axis_kind: str,
+    conditions: Sequence[str],
     row_conditions: Sequence[str],
     looks: Mapping[str, Mapping[str, Any]],
     row_inches: float,
@@ -82,22 +78,26 @@ def _draw(
 ) -> None:
     """Draw each run of a condition as a dot, and its means with intervals, in rows of a height in inches."""
     size = 0.5 * style.text_points() * row_inches / ROW_INCHES
-    all_values = np.concatenate(list(column.values.values()))
-    for condition, runs in column.values.items():
+    summary, runs = (table[table["column"] == title] for table in answer.tables.values())
+    for condition in conditions:
         position, colour = row_conditions.index(condition), looks[condition]["color"]
+        values = runs["value"][runs["condition"] == condition].to_numpy()
         (dots,) = axes.plot(
-            runs, position + _offsets(runs, float(np.ptp([*all_values, 0.0]))), "o", color=colour,
+            values, position + _offsets(values, float(np.ptp([*runs["value"], 0.0]))), "o", color=colour,
             markersize=0.8 * size, markeredgewidth=0, alpha=0.6, clip_on=False, zorder=2.6,
         )  # fmt: skip
         dots.set_in_layout(False)  # there may be none
-        for summary_row in column.summary[column.summary["condition"] == condition].to_dict("records"):
-            if summary_row["statistic"] == "mean" and len(runs) > 1:
+        for summary_row in summary[summary["condition"] == condition].to_dict("records"):
+            if summary_row["statistic"] == "mean" and len(values) > 1:
                 grid.draw_interval(axes, position - ABOVE, summary_row, "D", colour, size)
-            elif summary_row["statistic"] == "iqm" and len(runs) >= LEAST_RUNS:
+            elif summary_row["statistic"] == "iqm" and len(values) >= LEAST_RUNS:
                 grid.draw_interval(axes, position + ABOVE, summary_row, "s", "white", size)
-    if len(all_values):
-        levels = column.random_levels.values()
-        grid.draw_random_player(axes.axvline, levels, (all_values.min(), all_values.max()), axis_kind)
+    if len(runs):
+        reference = answer.drawing["reference"]
+        levels = reference["value"][reference["column"] == title]
+        grid.draw_random_player(
+            axes.axvline, set(levels), (runs["value"].min(), runs["value"].max()), axis_kind
+        )
 
 
 def _offsets(run_values: np.ndarray, value_range: float) -> np.ndarray:

@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from pneuma.analysis.curves import find_curves
+from pneuma.analysis.drawing import drawing_of
 from pneuma.analysis.environments import (
     by_environment,
     columns_of,
@@ -270,10 +271,10 @@ def test_factors_values_have_labels_and_colours(study: Path) -> None:
     study.write_text(TOML.replace("[presets.quick]", table))
     data = open_data(study)
     assert data.study.labels["pole, ppo"] == "pole, PPO"
-    colours = {name: look["color"] for name, look in looks_of([data]).items()}
+    colours = {name: look["color"] for name, look in looks_of(drawing_of({"": data})).items()}
     assert (colours["pole, ppo"], colours["arms, ppo"]) == ("C3", "C4")
     pole, arms = by_environment(data).values()
-    assert [looks_of([part])["ppo"]["color"] for part in (pole, arms)] == ["C3", "C4"]
+    assert [looks_of(drawing_of({"": part}))["ppo"]["color"] for part in (pole, arms)] == ["C3", "C4"]
     assert pole.study.labels["ppo"] == "PPO"
     study.write_text(TOML.replace("[presets.quick]", '[colors]\nsac = "C3"\n[presets.quick]'))
     assert "unknown condition 'sac'" in refused("study", "summary", study)

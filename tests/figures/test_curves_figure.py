@@ -18,7 +18,7 @@ from PIL import Image
 from scipy import stats
 
 from pneuma import __version__
-from pneuma.analysis.curves import Column, _notes_on_random_levels, find_curves
+from pneuma.analysis.curves import _notes_on_random_levels, find_curves
 from pneuma.analysis.notes import notes_on_windows
 from pneuma.analysis.runs import open_study
 from pneuma.analysis.study_data import StudyData
@@ -288,6 +288,6 @@ def test_random_players_that_differ_are_named_as_in_the_legend(study: HandMade) 
     levels = [("tanh", 0.2), ("relu", 0.1), ("other", 0.2)]
     rows = [("share_killed", condition, np.nan, level) for condition, level in levels]
     reference = pd.DataFrame(rows, columns=["quantity", "condition", "x", "value"])
-    (note,) = _notes_on_random_levels(Column(labelled, {}, reference))
+    (note,) = _notes_on_random_levels(labelled, reference)
     assert note == "Random players kill 20 % (tanh; other), 10 % (ReLU)."
-    assert _notes_on_random_levels(Column(labelled, {}, reference[:1])) == []
+    assert _notes_on_random_levels(labelled, reference[:1]) == []

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
+from pneuma.analysis.drawing import drawing_of
 from pneuma.errors import printable
 from pneuma.figures.grid import label_rows
 from pneuma.figures.style import house_style, save_figure
@@ -21,13 +22,16 @@ def test_colours_are_in_the_files_order_but_for_those_that_it_names(study: HandM
     def colours(**named: str) -> dict[str, str]:
         data = study.data
         own = replace(data, study=data.study.model_copy(update={"colors": named}))
-        return {name: look["color"] for name, look in looks_of([own]).items()}
+        return {name: look["color"] for name, look in looks_of(drawing_of({"": own})).items()}
 
     assert colours() == {"tanh": "C0", "relu": "C1"}
     assert colours(relu="C0") == {"tanh": "C1", "relu": "C0"}
     assert colours(tanh="#123456") == {"tanh": "#123456", "relu": "C0"}
     part = study.data.of_conditions(["relu"])
-    assert len(part.runs) == 2 and looks_of([part])["relu"] == looks_of([study.data])["relu"]
+    assert (
+        len(part.runs) == 2
+        and looks_of(drawing_of({"": part}))["relu"] == looks_of(drawing_of({"": study.data}))["relu"]
+    )
 
 
 def test_what_cannot_be_seen_is_written_as_its_code_in_an_svg_that_is_xml(tmp_path: Path) -> None:
