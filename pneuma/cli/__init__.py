@@ -28,7 +28,7 @@ THREAD_SECONDS = 5
 """Seconds that a thread of a user's environment has to end."""
 REMOVED = {
     ("env", "play"): "play with gymnasium.utils.play, as docs/environment.md shows",
-    ("run", "fork"): "published forks are studies, as late-collapse-forks-eb57",
+    ("run", "fork"): "`pneuma study run NAME --set KEY=VALUE` trains other settings from the start",
     ("compare", "--plot"): "`pneuma study plot STUDY --figure summary` draws outcomes",
     ("plot", "--center"): "curves are means; `pneuma study summary` of several environments has others",
     ("figure",): "`pneuma study plot` draws figures",

@@ -41,7 +41,7 @@ MISTAKES = {
     "study run nothing-like-it": " more; `pneuma study list` lists the shipped ones",
     "search run nothing-like-it": "; known are ",
     "env play": "No such command 'play'. It was removed: play with gymnasium.utils.play",
-    "run fork abc": "It was removed: published forks are studies, as late-collapse-forks-eb57",
+    "run fork abc": "It was removed: `pneuma study run NAME --set KEY=VALUE` trains other settings",
     "study compare activation tanh relu --plot": "pneuma study plot STUDY --figure summary",
     "study plot activation --center median": "It was removed: curves are means; ",
     "figure x.png": "It was removed: `pneuma study plot` draws figures",
